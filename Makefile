@@ -1,0 +1,70 @@
+# make demo, make test: from a fresh clone, with Python 3.11 or newer and nothing else.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/.stamps
+PACKAGES := protocol controller_service plant_service tap_service dashboard experiments wyner
+NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
+
+.PHONY: demo test test-fast test-compose lint figures bench lock clean help
+
+help:
+	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
+	@echo "make test          all tests, with ruff and mypy"
+	@echo "make test-fast     the tests without the slow ones"
+	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
+	@echo "make lint          ruff and mypy"
+	@echo "make figures       every figure of docs/ from its data"
+	@echo "make bench         every benchmark, beside its reference"
+	@echo "make lock          pin the dependencies anew, with hashes"
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+# What running needs, pinned and checked by hash; then the project itself.
+$(STAMPS)/runtime: requirements/runtime.txt pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/runtime.txt
+	$(BIN)/pip install $(NODEPS) --editable .
+	@mkdir -p $(STAMPS) && touch $@
+
+# What testing needs; it contains all that running needs.
+$(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	$(BIN)/pip install $(NODEPS) --editable .
+	@mkdir -p $(STAMPS) && touch $@ $(STAMPS)/runtime
+
+demo: $(STAMPS)/runtime
+	$(BIN)/wyner up --scenario sustained --pace x10 --until-delivered
+
+lint: $(STAMPS)/dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy $(PACKAGES) tests
+
+test: lint
+	$(BIN)/pytest
+
+# Needs a Docker engine; says how to get one where none runs.
+test-compose: $(STAMPS)/dev
+	$(BIN)/pytest tests/compose
+
+test-fast: $(STAMPS)/dev
+	$(BIN)/pytest -m "not slow"
+
+figures: $(STAMPS)/dev
+	$(BIN)/wyner figures
+
+bench: $(STAMPS)/dev
+	$(BIN)/wyner bench all
+
+lock:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	  --no-header --no-emit-index-url --upgrade pyproject.toml -o requirements/runtime.txt
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	  --no-header --no-emit-index-url --upgrade --extra dev -c requirements/runtime.txt \
+	  pyproject.toml -o requirements/dev.txt
+
+clean:
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
