@@ -1,0 +1,161 @@
+"""The agreement test: the one function that both ends evaluate, and must evaluate to the same bit.
+
+A single disagreement at a set's edge puts the automata out of step for good. So the test works only
+on what both ends hold, in plain Python floats, in a fixed order of operations: no BLAS, no fused
+multiply-add, no order left to a library. The key is what this function returns, on both sides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import sub
+from typing import Final, NamedTuple
+
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
+
+NO_SYMBOL = -1
+"""In place of a key symbol where none was agreed."""
+
+INSIDE: Final = 1.0 + 1e-9
+"""A gauge of D_c up to this counts as inside: x_next is a sum that rounds, and a disturbance on the
+very edge of D_c must not fall out of it, or the other candidate may be decoded in its place."""
+
+
+def predict(A: Matrix, B: Matrix, x: Sequence[float], u: Sequence[float]) -> Vector:
+    """The centre c = A x + B u (equation 5 without its disturbance).
+
+    Products are added from the left, first over the columns of A, then over those of B.
+
+    Parameters
+    ----------
+    A, B : tuple of tuple of float, shapes (n, n) and (n, m)
+    x, u : sequence of float, shapes (n,) and (m,)
+
+    Returns
+    -------
+    tuple of float, shape (n,)
+    """
+    if len(x) == 2 and len(u) == 1:  # the paper's plant, unrolled: the same products and order
+        (a00, a01), (a10, a11) = A
+        (b0,), (b1,) = B
+        x0, x1 = x
+        u0 = u[0]
+        return (a00 * x0 + a01 * x1 + b0 * u0, a10 * x0 + a11 * x1 + b1 * u0)
+    centre = []
+    for row_a, row_b in zip(A, B, strict=True):
+        total = row_a[0] * x[0]
+        for j in range(1, len(row_a)):
+            total += row_a[j] * x[j]
+        for j in range(len(row_b)):
+            total += row_b[j] * u[j]
+        centre.append(total)
+    return tuple(centre)
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """g(v) = min{ t >= 0 : v in t S } of a convex set S with the origin inside.
+
+    For a box it is the largest ``abs(v_i) / half_widths_i``; for { v : H v <= h } the largest
+    ``(H v)_j / h_j``, and never below zero. No set is built to evaluate it.
+    """
+
+    half_widths: Vector | None = None
+    H: Matrix = ()
+    h: Vector = ()
+
+    @classmethod
+    def from_rows(cls, H: Matrix, h: Vector) -> "Gauge":
+        """The gauge of { v : H v <= h }; rows that come as +-e_i in pairs make it a box's."""
+        n = len(H[0])
+        if len(H) == 2 * n:
+            widths = []
+            for i in range(n):
+                unit = tuple(1.0 if j == i else 0.0 for j in range(n))
+                opposite = tuple(-1.0 if j == i else 0.0 for j in range(n))
+                if H[2 * i] != unit or H[2 * i + 1] != opposite or h[2 * i] != h[2 * i + 1]:
+                    break
+                widths.append(h[2 * i])
+            else:
+                return cls(half_widths=tuple(widths))
+        return cls(H=H, h=h)
+
+    def __call__(self, v: Sequence[float]) -> float:
+        """Evaluate at ``v``, shape (n,)."""
+        widths = self.half_widths
+        if widths is not None:
+            if len(widths) == 2:
+                a = abs(v[0]) / widths[0]
+                b = abs(v[1]) / widths[1]
+                return a if a >= b else b
+            return max(abs(c) / w for c, w in zip(v, widths, strict=True))
+        largest = 0.0
+        for row, bound in zip(self.H, self.h, strict=True):
+            total = row[0] * v[0]
+            for j in range(1, len(row)):
+                total += row[j] * v[j]
+            ratio = total / bound
+            largest = max(largest, ratio)
+        return largest
+
+
+class Verdict(NamedTuple):
+    """What the test says of one transition.
+
+    ``gauges`` holds g(x_next - c_i) for each candidate; ``symbol`` is the key symbol, or
+    :data:`NO_SYMBOL` where x_next is outside Diff.
+    """
+
+    gauges: Vector
+    symbol: int
+
+    @property
+    def agreed(self) -> bool:
+        """Whether a key symbol was agreed."""
+        return self.symbol != NO_SYMBOL
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementRule:
+    """Equation (20) as a test on one transition, for M >= 2 candidates.
+
+    x_next is in Diff when every candidate's gauge is at most alpha (all are possible for the
+    eavesdropper) and exactly one is at most 1, to rounding (one only is possible for the defender).
+    The key symbol is that one's index (equations 21 and 22).
+
+    Parameters
+    ----------
+    A, B : tuple of tuple of float, shapes (n, n) and (n, m)
+        The shared model f_c.
+    gauge : Gauge
+        The gauge of D_c.
+    alpha : float
+        D_e = alpha D_c.
+    """
+
+    A: Matrix
+    B: Matrix
+    gauge: Gauge
+    alpha: float
+
+    def verdict(
+        self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
+    ) -> Verdict:
+        """Evaluate the test for x(k) = ``x``, the offered inputs and x(k+1) = ``x_next``."""
+        gauges = []
+        symbol = NO_SYMBOL
+        inside = 0
+        possible = True
+        A, B, gauge, alpha = self.A, self.B, self.gauge, self.alpha
+        for i, u in enumerate(candidates):
+            centre = predict(A, B, x, u)
+            g = gauge(tuple(map(sub, x_next, centre)))
+            gauges.append(g)
+            if g <= INSIDE:
+                inside += 1
+                symbol = i
+            if not g <= alpha:
+                possible = False
+        if inside != 1 or not possible:
+            symbol = NO_SYMBOL
+        return Verdict(tuple(gauges), symbol)

@@ -1,0 +1,87 @@
+"""What an eavesdropper may know: a value that is handed to it.
+
+The tap imports this and never :mod:`protocol.scenario`, so that nothing in it can look up D_c, the
+message or a key. Every optional field left out is something she does not know.
+"""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
+
+
+class PolicyCost(BaseModel):
+    """One cost: J(u) = (A x + B u)' diag(next_state) (A x + B u) + u' diag(input) u.
+
+    Parameters
+    ----------
+    next_state : tuple of float, shape (n,)
+    input : tuple of float, shape (m,)
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    next_state: Vector
+    input: Vector
+
+
+class Policy(BaseModel):
+    """The control policy (15), which the paper's section 4.2 grants her after Kerckhoffs.
+
+    Neither D_c nor the sets T_i, which depend on it, are part of it.
+
+    Parameters
+    ----------
+    law : str
+        ``paper`` or ``sustained``.
+    costs : tuple of PolicyCost, length M
+        J_0, J_1, ..., one for each candidate.
+    gain : tuple of tuple of float, shape (m, n), optional
+        K of the terminal set; None where the designer did not state one.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    law: Literal["paper", "sustained"]
+    costs: tuple[PolicyCost, ...]
+    gain: Matrix | None = None
+
+
+class Knowledge(BaseModel):
+    """An eavesdropper's model (10): f_c and D_e, after the paper's assumption 2.
+
+    Parameters
+    ----------
+    scenario : str
+        Name of the system, for the record.
+    period_s : float
+        Sampling time in seconds.
+    candidates : int
+        M, the number of candidates an offer carries; visible on the wire.
+    A, B : tuple of tuple of float, shapes (n, n) and (n, m), optional
+        Her nominal model; None when she has none.
+    disturbance_H, disturbance_h : tuple, shapes (rows, n) and (rows,), optional
+        D_e = { d : H d <= h }.
+    policy : Policy, optional
+        The control policy, as far as it does not depend on D_c.
+    alpha : float, optional
+        D_e over D_c. Only the oracle, which knows what the defender knows, is told.
+    noise, quantise : float
+        Of her own receiver: standard deviation of its noise, and the step to which it rounds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    scenario: str
+    period_s: float
+    candidates: int
+    A: Matrix | None = None
+    B: Matrix | None = None
+    disturbance_H: Matrix | None = None
+    disturbance_h: Vector | None = None
+    policy: Policy | None = None
+    alpha: float | None = None
+    noise: float = 0.0
+    quantise: float = 0.0

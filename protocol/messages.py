@@ -1,0 +1,242 @@
+"""The messages on the wire: flat, frozen, versioned, and nothing secret on the field bus.
+
+Three buses, three families. *Field* messages (`Measurement`, `Offer`) are read by the tap; they
+hold no key, no plaintext, no automaton state, and look the same in both automaton states. *Ops*
+messages pass between controller, plant, dashboard and operator. *Intel* messages carry the tap's
+guesses.
+Models are flat (no nested model), so that a recorder's schema of each needs no reference.
+"""
+
+from typing import Annotated, ClassVar, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints
+
+SCHEMA: Final = 1
+"""Version of the wire format; a message of another version is garbage."""
+
+Vector = tuple[FiniteFloat, ...]
+SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
+Count = Annotated[int, Field(ge=0)]
+
+
+class Message(BaseModel):
+    """What all messages share: they cannot change, and unknown fields are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    topic: ClassVar[str]
+    v: Literal[1] = SCHEMA
+
+    def wire(self) -> bytes:
+        """The message as it travels: JSON in UTF-8."""
+        # what model_dump_json does, without turning bytes into text and back
+        return self.__pydantic_serializer__.to_json(self)
+
+
+# --- field: read by everyone ---------------------------------------------------------------------
+
+
+class Measurement(Message):
+    """Plant to controller: x(k), and the last applied offer with the state right after it.
+
+    ``applied_k`` is -1 (and ``x_after`` empty) until an offer has been applied in this session.
+    """
+
+    topic: ClassVar[str] = "measurement"
+    session: SessionId
+    k: Count
+    x: Vector
+    applied_k: Annotated[int, Field(ge=-1)]
+    x_after: Vector
+
+
+class Offer(Message):
+    """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol."""
+
+    topic: ClassVar[str] = "offer"
+    session: SessionId
+    k: Count
+    candidates: tuple[Vector, ...]
+    cipher: Count
+
+
+# --- ops: controller, plant, dashboard, operator -------------------------------------------------
+
+
+class PlantHello(Message):
+    """The plant asks the controller to take up ``session``; repeated until it is answered."""
+
+    topic: ClassVar[str] = "ops/plant/hello"
+    instance: SessionId
+    session: SessionId
+    fingerprint: str
+    transitions: Count
+    applied_k: Annotated[int, Field(ge=-1)]
+
+
+class ControllerHello(Message):
+    """The controller's answer to a plant's hello, or (``greeting``) its word after a start."""
+
+    topic: ClassVar[str] = "ops/controller/hello"
+    instance: SessionId
+    fingerprint: str
+    verdict: Literal["greeting", "accepted", "unknown-session", "other-model"]
+    session: SessionId | None = None
+    answers: SessionId | None = None
+
+
+class SendCommand(Message):
+    """An operator's message for the controller to deliver; the same ``id`` is queued once."""
+
+    topic: ClassVar[str] = "ops/command/send"
+    id: Identifier
+    payload: bytes
+
+    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
+
+
+class SendReply(Message):
+    """The controller's answer to a `SendCommand`."""
+
+    topic: ClassVar[str] = "ops/reply/send"
+    id: Identifier
+    accepted: bool
+    queued: Count
+    detail: str = ""
+
+
+class PlantStatus(Message):
+    """What the plant knows, for the dashboard: published at a bounded rate, the newest wins.
+
+    The ``tail_*`` lists are parallel and hold the last transitions, oldest first; ``tail_role`` is
+    ``test`` (s = 1) or ``message`` (s = 2), ``tail_symbol`` the key symbol of an agreement and -1
+    where none was agreed, ``tail_coin`` the candidate b_r that was applied.
+    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4.
+    """
+
+    topic: ClassVar[str] = "ops/plant/status"
+    seq: Count
+    t_ns: Count
+    phase: Literal["greeting", "running", "stopped", "refused"]
+    detail: str = ""
+    scenario: str
+    law: str
+    pace: str
+    seeded: bool
+    period_s: float
+    alpha: float
+    defender_H: tuple[Vector, ...]
+    defender_h: Vector
+    A: tuple[Vector, ...]
+    B: tuple[Vector, ...]
+    session: SessionId
+    sessions: Count
+    k: Count
+    x: Vector
+    transitions: Count
+    missed: Count
+    late: Count
+    garbage: Count
+    agreements: Count
+    symbol_errors: Count
+    rate_hz: float
+    automaton: Literal[1, 2]
+    recovered_symbols: Count
+    messages: Count
+    last_message: str
+    partial: str
+    frame_symbols: Count
+    frame_length: Count
+    frames_refused: Count
+    pictured_k: Annotated[int, Field(ge=-1)] = -1
+    pictured_x: Vector = ()
+    pictured_candidates: tuple[Vector, ...] = ()
+    pictured_x_next: Vector = ()
+    pictured_gauges: Vector = ()
+    pictured_symbol: Annotated[int, Field(ge=-1)] = -1
+    tail_k: tuple[int, ...] = ()
+    tail_x: tuple[Vector, ...] = ()
+    tail_role: tuple[Literal["test", "message"], ...] = ()
+    tail_symbol: tuple[int, ...] = ()
+    tail_coin: tuple[int, ...] = ()
+
+
+class ControllerStatus(Message):
+    """What the controller knows, for the dashboard: published at a bounded rate, the newest wins.
+
+    ``sending`` is the text on its way and ``queue`` counts the messages behind it. When all is
+    sent, ``sending`` keeps the last one and ``frame_symbols`` equals ``frame_length``.
+    """
+
+    topic: ClassVar[str] = "ops/controller/status"
+    seq: Count
+    t_ns: Count
+    phase: Literal["greeting", "running", "outside", "stopped", "refused"]
+    detail: str = ""
+    scenario: str
+    seeded: bool
+    session: SessionId | None
+    k: Annotated[int, Field(ge=-1)]
+    set_index: Annotated[int, Field(ge=-1)]
+    horizon: Count
+    transitions: Count
+    agreements: Count
+    garbage: Count
+    automaton: Literal[1, 2]
+    sent_symbols: Count
+    sending: str
+    frame_symbols: Count
+    frame_length: Count
+    queue: Count
+    delivered: Count
+
+
+# --- intel: the tap and whoever watches it -------------------------------------------------------
+
+
+class TapStatus(Message):
+    """One eavesdropper's view of the link, published by the tap at a bounded rate.
+
+    The ``tail_*`` lists are parallel, oldest first: the transition's step k, the likeliest symbol,
+    its probability, and the probability that a key was agreed there. ``message`` is the best
+    message so far (text, unprintable bytes shown as ``·``), ``confidence`` how sure she is of it.
+    ``candidates_left`` counts the messages still possible to her (0: not counted by this kind).
+    ``A``, ``B`` are the model she has learned or was given; ``solved_k`` is the step at which she
+    first was sure of a whole message (-1: not yet).
+    """
+
+    topic: ClassVar[str] = "intel/tap/status"
+    seq: Count
+    t_ns: Count
+    name: str
+    steps: Count
+    lost: Count
+    mirrored: Count
+    capture_bytes: Count
+    dropped: Count
+    behind: Count
+    garbage: Count
+    message: str
+    whole_messages: Count
+    confidence: float
+    candidates_left: Count
+    solved_k: Annotated[int, Field(ge=-1)]
+    A: tuple[Vector, ...] = ()
+    B: tuple[Vector, ...] = ()
+    tail_k: tuple[int, ...] = ()
+    tail_symbol: tuple[int, ...] = ()
+    tail_probability: Vector = ()
+    tail_agreed: Vector = ()
+
+
+FIELD: tuple[type[Message], ...] = (Measurement, Offer)
+OPS: tuple[type[Message], ...] = (
+    PlantHello,
+    ControllerHello,
+    SendCommand,
+    SendReply,
+    PlantStatus,
+    ControllerStatus,
+)
+INTEL: tuple[type[Message], ...] = (TapStatus,)

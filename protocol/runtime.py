@@ -1,0 +1,205 @@
+"""What the programs share: exit codes, one-line errors, signals, logging, pace."""
+
+import gc
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+DONE: Final = 0
+FAILED: Final = 1
+USAGE: Final = 2
+INTERRUPTED: Final = 130
+
+
+STOP_WITH_STDIN: Final = "WYNER_STOP_WITH_STDIN"
+"""Environment variable: a service started with it stops when its standard input ends, and so never
+outlives the program that holds the other end, however that one died."""
+
+
+class UsageError(Exception):
+    """Bad usage or configuration, exit code 2; ``lines`` has one line for each wrong field."""
+
+    def __init__(self, lines: Sequence[str] | str) -> None:
+        self.lines = (lines,) if isinstance(lines, str) else tuple(lines)
+        super().__init__("\n".join(self.lines))
+
+
+class Failure(Exception):
+    """Something that was asked for could not be done, exit code 1; the text is one line."""
+
+
+class StoppedError(BaseException):
+    """SIGTERM arrived. A BaseException, so that no ordinary handler keeps the program alive."""
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Turn SIGTERM, SIGINT and SIGHUP into an event that the program's loop looks at.
+
+    A second signal of these raises :class:`StoppedError` where the program stands, for a
+    loop that no longer looks.
+    """
+    stopping = threading.Event()
+
+    def stop(_signal: int, _frame: object) -> None:
+        if stopping.is_set():
+            raise StoppedError
+        stopping.set()
+
+    if os.environ.get(STOP_WITH_STDIN):
+        threading.Thread(target=_stop_at_end_of_stdin, args=(stopping,), daemon=True).start()
+    ending = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup has it ignored
+        ending.append(signal.SIGHUP)
+    before = {number: signal.signal(number, stop) for number in ending}
+    try:
+        yield stopping
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _stop_at_end_of_stdin(stopping: threading.Event) -> None:
+    while os.read(0, 4096):
+        pass
+    stopping.set()
+
+
+def logger(service: str) -> logging.Logger:
+    """The log of a program: lines on standard error with the time and the program's name."""
+    log = logging.getLogger(service)
+    if not log.handlers:
+        handler = logging.StreamHandler(sys.stderr)
+        formatter = logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s")
+        formatter.default_msec_format = "%s.%03d"
+        handler.setFormatter(formatter)
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        log.propagate = False
+    return log
+
+
+class Throttle:
+    """Says when something may happen again: at most once in ``period_s`` seconds."""
+
+    def __init__(self, period_s: float) -> None:
+        self.period_s = period_s
+        self._next = 0.0
+
+    def ready(self, now_s: float) -> bool:
+        """Whether the period is over at monotonic time ``now_s``; if so it begins anew."""
+        if now_s < self._next:
+            return False
+        self._next = now_s + self.period_s
+        return True
+
+
+class Complaints:
+    """Counts what goes wrong and logs it once a second at most, with the count since."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self.total = 0
+        self._log = log
+        self._silent = 0
+        self._throttle = Throttle(1.0)
+
+    def add(self, text: str) -> None:
+        """Count one more, and log it unless one was logged within the last second."""
+        self.total += 1
+        if self._throttle.ready(time.monotonic()):
+            more = f" (and {self._silent} more since the last such line)" if self._silent else ""
+            self._log.warning("%s%s", text, more)
+            self._silent = 0
+        else:
+            self._silent += 1
+
+
+class Pace:
+    """How fast plant time passes: ``realtime``, ``xN`` times that, or ``fast`` (lock-step).
+
+    Parameters
+    ----------
+    text : str
+        As the user writes it.
+
+    Raises
+    ------
+    ValueError
+        When it is none of the three.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.factor: float | None
+        if text == "fast":
+            self.factor = None
+        elif text == "realtime":
+            self.factor = 1.0
+        else:
+            try:
+                self.factor = float(text.removeprefix("x")) if text.startswith("x") else 0.0
+            except ValueError:
+                self.factor = 0.0
+            if not 0 < self.factor < float("inf"):
+                raise ValueError(f"got {text!r}, expected realtime, fast, or xN such as x10")
+
+    def step_s(self, period_s: float) -> float | None:
+        """Seconds of wall time in a step of ``period_s`` seconds; None in lock-step."""
+        return None if self.factor is None else period_s / self.factor
+
+
+def freeze_startup() -> None:
+    """Take what a service has loaded out of garbage collection, once, before its loop begins.
+
+    Modules, schemas and the design live as long as the process; searching them again and again
+    made a control step a sixth longer.
+    """
+    gc.collect()
+    gc.freeze()
+
+
+give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", lambda: None)
+"""Let other threads have the processor. Called after a put, before work that can wait: otherwise
+the thread that sends may have to wait for it, and a step is a sixteenth longer on two cores."""
+
+
+def new_id() -> str:
+    """A random id of 64 bits, as 16 hexadecimal digits."""
+    return os.urandom(8).hex()
+
+
+_CONSONANTS: Final = "bdfghjklmnprstvz"
+_VOWELS: Final = "aiou"
+
+
+def spoken(fingerprint: str, words: int = 4) -> str:
+    """The first ``words`` 16-bit groups of a hexadecimal fingerprint as words a person can compare.
+
+    The encoding is that of proquints (Wilkerson, arXiv:0901.4016): consonant and vowel in turn.
+    """
+    groups = []
+    for i in range(words):
+        value = int(fingerprint[4 * i : 4 * i + 4], 16)
+        groups.append(
+            _CONSONANTS[value >> 12]
+            + _VOWELS[value >> 10 & 3]
+            + _CONSONANTS[value >> 6 & 15]
+            + _VOWELS[value >> 4 & 3]
+            + _CONSONANTS[value & 15]
+        )
+    return "-".join(groups)
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Replace a file whole: readers see the old content or the new, never a part."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    partial.write_bytes(data)
+    partial.replace(path)

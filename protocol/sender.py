@@ -1,0 +1,372 @@
+"""The controller's end of the link, sans I/O; its rules are those of :mod:`protocol.session`."""
+
+from collections.abc import Callable
+from typing import Final, Literal, NamedTuple, Protocol
+
+from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.automata import INITIAL, MESSAGE, State, advance_sender, encrypt
+from protocol.entropy import SymbolSource
+from protocol.framing import IDLE, encode_frame
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.session import Rules, Transition, Vector
+
+REMEMBERED_SESSIONS: Final = 16
+"""Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
+
+
+class Outbox(Protocol):
+    """The queue of messages to deliver, in order, numbered from 0."""
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
+
+
+class SenderRecord(NamedTuple):
+    """All that the controller must not forget, as its journal keeps it.
+
+    ``cipher`` is the decided symbol of the next transition and ``message_symbol`` the m[p] inside
+    it (-1 in state 1); ``message`` and ``offset`` say where in which queued frame the next message
+    symbol comes from, and ``framed`` whether the pending one came from there or is idle.
+    ``offer`` is the one answer that may still be applied.
+    """
+
+    session: str | None = None
+    ended: tuple[str, ...] = ()
+    s: int = INITIAL.s
+    key: int = INITIAL.key
+    k: int = -1
+    applied_k: int = -1
+    transitions: int = 0
+    agreements: int = 0
+    p: int = 0
+    cipher: int = 0
+    message_symbol: int = NO_SYMBOL
+    framed: bool = False
+    message: int = 0
+    offset: int = 0
+    x: Vector = ()
+    offer: Offer | None = None
+
+    @property
+    def state(self) -> State:
+        """The sender automaton's state."""
+        return State(self.s, self.key)
+
+
+class Decision(NamedTuple):
+    """The decided symbol of the next transition; the fields are those of :class:`SenderRecord`."""
+
+    cipher: int
+    message_symbol: int
+    framed: bool
+    offset: int
+
+
+class Counted(NamedTuple):
+    """What a measurement made of the transition it reports: verdict, state, the next symbol."""
+
+    verdict: Verdict
+    after: State
+    message: int
+    delivered: int | None
+    following: Decision
+
+
+class Answer(NamedTuple):
+    """A measurement that moved the link on, what it counts, and the offer in answer if any."""
+
+    measurement: Measurement
+    counted: Counted | None
+    offer: Offer | None
+
+
+class SenderEffects(NamedTuple):
+    """What the controller's shell must do, in this order: trace, save, publish.
+
+    ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
+    the record before them, and then for :meth:`Sender.settle`, once the offer is on its way.
+    ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
+    session that is not this process's.
+    """
+
+    save: bool = False
+    append: bool = False
+    transition: Transition | None = None
+    delivered: int | None = None
+    offer: Offer | None = None
+    reply: ControllerHello | None = None
+    refusal: str = ""
+    greet: bool = False
+
+
+NOTHING: Final = SenderEffects()
+
+
+class Sender:
+    """The controller's end of the link.
+
+    Parameters
+    ----------
+    rules : Rules
+    propose : callable
+        x -> M candidate inputs; raises `LookupError` where the law has no answer.
+    outbox : Outbox
+    fresh : SymbolSource
+        Random cipher symbols.
+    instance : str
+        Random id of this process.
+    record : SenderRecord, optional
+        As read back from the journal.
+    step : tuple of Measurement and Offer, optional
+        What was heard and said after that record, as read back: to be settled first.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        propose: Callable[[Vector], tuple[Vector, ...]],
+        outbox: Outbox,
+        fresh: SymbolSource,
+        instance: str,
+        record: SenderRecord | None = None,
+        step: tuple[Measurement, Offer] | None = None,
+    ) -> None:
+        self.rules = rules
+        self.record = record or SenderRecord()
+        self.instance = instance
+        self._propose = propose
+        self._outbox = outbox
+        self._fresh = fresh
+        self._met = False
+        self._frame: tuple[int, bytes] = (-1, b"")
+        self._answer: Answer | None = None
+        if step is not None:
+            measurement, offer = step
+            self._answer = Answer(measurement, self._count(measurement, offer.cipher), offer)
+
+    def greeting(self) -> ControllerHello:
+        """The first word after a start: asks the plant to say which session it is in."""
+        return self._hello("greeting")
+
+    def heard_plant(self, hello: PlantHello) -> SenderEffects:
+        """The plant asks to take up a session (rule 6)."""
+        record = self.record
+        if hello.fingerprint != self.rules.fingerprint:
+            self._met = False
+            return SenderEffects(
+                reply=self._hello("other-model", hello),
+                refusal="the plant shares another model",
+            )
+        if hello.session == record.session:
+            outstanding = record.offer.k if record.offer is not None else record.applied_k
+            if hello.applied_k in (record.applied_k, outstanding):
+                self._met = True
+                return SenderEffects(reply=self._hello("accepted", hello))
+            return self._end_session(hello, "the journals do not fit together")
+        if hello.transitions or hello.session in record.ended:
+            return self._end_session(hello, "the plant is in a session this journal does not know")
+        self._adopt(hello.session)
+        return SenderEffects(save=True, reply=self._hello("accepted", hello))
+
+    def measured(self, measurement: Measurement) -> SenderEffects:
+        """A measurement arrived: count what it reports, decide, offer (rules 2 and 3).
+
+        With ``append`` among the effects, what the offer hangs on is done and the rest is left to
+        :meth:`settle`, which must come before the next event.
+
+        Raises
+        ------
+        ValueError
+            When its vectors do not have the plant's dimension: garbage; nothing has changed.
+        """
+        assert self._answer is None, "the answer before has not been settled"
+        record = self.record
+        n = self.rules.states
+        if len(measurement.x) != n or len(measurement.x_after) not in (0, n):
+            raise ValueError(f"measurement.x: got {len(measurement.x)} states, expected {n}")
+        if not self._met or measurement.session != record.session:
+            return SenderEffects(greet=True)
+        if measurement.k < record.k:
+            return NOTHING
+        offer = record.offer
+        if offer is not None and measurement.k == offer.k:
+            if measurement.applied_k == record.applied_k and measurement.x == record.x:
+                return SenderEffects(offer=offer)
+            return self._diverged(measurement)
+        counted = None
+        if measurement.applied_k != record.applied_k:
+            if offer is None or measurement.applied_k != offer.k or not measurement.x_after:
+                return self._diverged(measurement)
+            counted = self._count(measurement)
+        try:
+            candidates = self._propose(measurement.x)
+        except LookupError as error:
+            self._answer = Answer(measurement, counted, None)
+            return self.settle()._replace(save=True, refusal=str(error))
+        offer = Offer(
+            session=measurement.session,
+            k=measurement.k,
+            candidates=candidates,
+            cipher=record.cipher if counted is None else counted.following.cipher,
+        )
+        self._answer = Answer(measurement, counted, offer)
+        return SenderEffects(append=True, offer=offer)
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether an answer, given now or read back from the journal, waits for `settle`."""
+        return self._answer is not None
+
+    def settle(self) -> SenderEffects:
+        """Bring the record up to the answer given: the transition it counted, if any."""
+        assert self._answer is not None, "there is no answer to settle"
+        (measurement, counted, offer), self._answer = self._answer, None
+        before = self.record
+        if counted is None:
+            self.record = before._replace(k=measurement.k, x=measurement.x, offer=offer)
+            return NOTHING
+        after, following = counted.after, counted.following
+        applied = before.offer
+        assert applied is not None
+        tested = before.s != MESSAGE
+        p = before.p + (0 if tested else 1)
+        transition = Transition(
+            session=applied.session,
+            j=before.transitions,
+            k=applied.k,
+            x=before.x,
+            candidates=applied.candidates,
+            cipher=applied.cipher,
+            x_next=measurement.x_after,
+            role="test" if tested else "message",
+            verdict=counted.verdict,
+            symbol=after.key,
+            key=before.key,
+            message_symbol=before.message_symbol,
+            p=p,
+            s=after.s,
+        )
+        self.record = before._replace(
+            s=after.s,
+            key=after.key,
+            k=measurement.k,
+            applied_k=applied.k,
+            transitions=before.transitions + 1,
+            agreements=before.agreements + (1 if after.key != NO_SYMBOL else 0),
+            p=p,
+            cipher=following.cipher,
+            message_symbol=following.message_symbol,
+            framed=following.framed,
+            message=counted.message,
+            offset=following.offset,
+            x=measurement.x,
+            offer=offer,
+        )
+        return SenderEffects(
+            save=counted.delivered is not None,
+            transition=transition,
+            delivered=counted.delivered,
+        )
+
+    def progress(self) -> tuple[int, int]:
+        """Symbols of the frame under way that are decided, and the frame's length (0: no frame)."""
+        return self.record.offset, len(self._symbols(self.record.message))
+
+    def _count(self, measurement: Measurement, decided: int | None = None) -> Counted | None:
+        """Advance over the offer that ``measurement`` reports as applied; decide the next symbol.
+
+        None where it reports none that is new. ``decided`` is the cipher symbol of an answer that
+        was given before.
+        """
+        record = self.record
+        offer = record.offer
+        if offer is None or measurement.applied_k == record.applied_k:
+            return None
+        verdict = self.rules.agreement.verdict(record.x, offer.candidates, measurement.x_after)
+        after = advance_sender(record.state, verdict.symbol, self.rules.size)
+        delivered = None
+        message, offset = record.message, record.offset
+        whole = offset == len(self._symbols(message))  # looked at in both states, as in `_decide`
+        if whole and record.framed:
+            delivered = message
+            message, offset = message + 1, 0
+        following = self._decide(after, record.transitions + 1, message, offset, decided)
+        return Counted(verdict, after, message, delivered, following)
+
+    def _decide(
+        self, state: State, transitions: int, message: int, offset: int, decided: int | None = None
+    ) -> Decision:
+        """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
+
+        Both symbols are made in both states, so that neither takes longer.
+        """
+        fresh = self._fresh.symbol(transitions, self.rules.size) if decided is None else decided
+        symbols = self._symbols(message)
+        framed = bool(symbols)
+        message_symbol = symbols[offset] if framed else IDLE
+        cipher = encrypt(message_symbol, state.key, self.rules.size)
+        if state.s != MESSAGE:
+            return Decision(fresh, NO_SYMBOL, False, offset)
+        return Decision(cipher, message_symbol, framed, offset + framed)
+
+    def _symbols(self, message: int) -> bytes:
+        """The frame of a queued message, or nothing while there is none."""
+        number, symbols = self._frame
+        if number != message:
+            payload = self._outbox.payload(message)
+            if payload is None:
+                return b""
+            symbols = encode_frame(payload, self.rules.size)
+            self._frame = (message, symbols)
+        return symbols
+
+    def _adopt(self, session: str) -> None:
+        """Begin a session; the frame under way starts again."""
+        fresh = SenderRecord(
+            session=session,
+            ended=self._ended_now(),
+            message=self.record.message,
+            k=-1,
+        )
+        first = self._decide(fresh.state, 0, fresh.message, 0)
+        self.record = fresh._replace(cipher=first.cipher)
+        self._met = True
+
+    def _ended_now(self) -> tuple[str, ...]:
+        if self.record.session is None:
+            return self.record.ended
+        return (*self.record.ended, self.record.session)[-REMEMBERED_SESSIONS:]
+
+    def _drop_session(self) -> bool:
+        """Forget the session and its half-agreed key; False when there is none to forget."""
+        self._met = False
+        if self.record.session is None:
+            return False
+        self.record = SenderRecord(ended=self._ended_now(), message=self.record.message)
+        return True
+
+    def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:
+        save = self._drop_session() if hello.session == self.record.session else False
+        return SenderEffects(save=save, reply=self._hello("unknown-session", hello), refusal=why)
+
+    def _diverged(self, measurement: Measurement) -> SenderEffects:
+        """The plant reports what this journal rules out: one of the two went back in time."""
+        self._drop_session()
+        return SenderEffects(
+            save=True,
+            greet=True,
+            refusal=f"measurement {measurement.k} does not follow from the journal; session ended",
+        )
+
+    def _hello(
+        self,
+        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
+        hello: PlantHello | None = None,
+    ) -> ControllerHello:
+        return ControllerHello(
+            instance=self.instance,
+            fingerprint=self.rules.fingerprint,
+            verdict=verdict,
+            session=hello.session if hello else None,
+            answers=hello.instance if hello else None,
+        )

@@ -1,0 +1,166 @@
+"""Traces: one JSON line an event, one file a vantage point, readable by tests and by people.
+
+The first line is a header. A file whose writer was killed may end in a torn line; the reader drops
+that line only, and says so.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from pydantic_core import from_json, to_json
+
+TRACE_FORMAT: Final = "wyner-trace"
+TRACE_VERSION: Final = 1
+
+PLANT_TRACE: Final = Path("plant/trace.jsonl")
+CONTROLLER_TRACE: Final = Path("controller/trace.jsonl")
+CAPTURE: Final = Path("tap/capture.jsonl")
+MANIFEST: Final = Path("manifest.json")
+SCENARIO: Final = Path("scenario.toml")
+SUMMARY: Final = Path("summary.json")
+"""Where things lie below a run's directory."""
+
+# Events of the plant's and the controller's trace.
+#   transition   one offer that the plant applied, from either side:
+#                session, j, k, x, candidates, cipher, x_next, role ("test" | "message"),
+#                symbol (key symbol agreed on this transition, or -1), key (the key in use on a
+#                message transition, or -1), message_symbol (m[p] on a message transition, or -1),
+#                p (message symbols so far, this one included), s (automaton state afterwards),
+#                gauges (of x_next about each centre); the plant's adds coin (b_r) and u
+#                a side that was killed may have written one (session, j) twice: the last counts
+#   missed       a step without an offer (plant): session, k, x, u, x_next
+#   session      a session began: session, reason
+#   sent         a message was queued (controller): id, payload (base64)
+#   delivered    every symbol of a frame was counted (controller): id, payload (base64)
+#   recovered    a whole frame passed its check (plant): payload (base64)
+#   refused      a frame failed its check (plant): session, p
+
+
+class TraceError(Exception):
+    """A trace that cannot be read; the text names the file, the line and what was expected."""
+
+
+class TraceWriter:
+    """Append events to a JSONL file, each flushed to the operating system as one line.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder is made; an existing file is continued, on a fresh line.
+    header : mapping
+        Written first when the file is new, beside format, version and vantage point.
+    """
+
+    def __init__(self, path: Path, vantage: str, header: Mapping[str, Any]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh = not path.exists() or path.stat().st_size == 0
+        torn = not fresh and not _ends_in_newline(path)
+        self._file: BinaryIO = path.open("ab", buffering=0)
+        if torn:
+            self._file.write(b"\n")
+        if fresh:
+            self.write(
+                {
+                    "event": "header",
+                    "format": TRACE_FORMAT,
+                    "version": TRACE_VERSION,
+                    "vantage": vantage,
+                    **header,
+                }
+            )
+
+    def write(self, event: Mapping[str, Any]) -> None:
+        """Append one event."""
+        self._file.write(to_json(event, inf_nan_mode="strings") + b"\n")
+
+    def close(self) -> None:
+        """Close the file; further writes fail."""
+        self._file.close()
+
+
+def _ends_in_newline(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) == b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A trace as read back.
+
+    Parameters
+    ----------
+    header : dict
+        The first line.
+    events : tuple of dict
+        All whole lines after it, in order.
+    torn : int
+        Lines that were not whole: left behind by a writer that was killed.
+    """
+
+    header: dict[str, Any]
+    events: tuple[dict[str, Any], ...]
+    torn: int
+
+    def of(self, event: str) -> Iterator[dict[str, Any]]:
+        """The events of one kind, in order."""
+        return (e for e in self.events if e["event"] == event)
+
+
+class TraceReader:
+    """A trace, read line by line: iterate once over its events, then look at ``torn``.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    TraceError
+        When the file cannot be read or its first whole line is no header of this format and
+        version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.torn = 0
+        self._events = self._read(path)
+        self.header = next(self._events, {})
+        if self.header.get("format") != TRACE_FORMAT:
+            raise TraceError(f"{path}: line 1: expected a header of format {TRACE_FORMAT!r}")
+        version = self.header.get("version")
+        if version != TRACE_VERSION:
+            raise TraceError(f"{path}: line 1: version: got {version!r}, expected {TRACE_VERSION}")
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return self._events
+
+    def _read(self, path: Path) -> Iterator[dict[str, Any]]:
+        try:
+            with path.open("rb") as file:
+                for line in file:
+                    if line == b"\n":
+                        continue
+                    try:
+                        value = from_json(line)
+                    except ValueError:
+                        value = None
+                    if isinstance(value, dict) and "event" in value:
+                        yield value
+                    else:
+                        self.torn += 1
+        except OSError as error:
+            raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def read_trace(path: Path) -> Trace:
+    """Read a whole trace.
+
+    Raises
+    ------
+    TraceError
+        As :class:`TraceReader` does.
+    """
+    reader = TraceReader(path)
+    return Trace(reader.header, tuple(reader), reader.torn)

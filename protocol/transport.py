@@ -1,0 +1,512 @@
+"""The bus that carries messages: over Zenoh between processes, in memory for tests.
+
+This is the only file that imports zenoh, and it does so when a session is opened, so that
+importing :mod:`protocol` stays cheap. ``docs/transport.md`` gives the reason for each setting.
+"""
+
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+if TYPE_CHECKING:
+    import zenoh
+
+Deliver = Callable[[str, bytes, int], None]
+"""Takes key, payload and t_ns: the publisher's time stamp in nanoseconds since 1970.
+
+It runs on the transport's own thread, which carries every other message too, so it may only put
+what it got on a queue. Time stamps order messages of one publisher, and an answer never comes
+before what it answers; where clocks disagree the two may carry the same nanosecond.
+"""
+
+LEASE_MS: Final = 2000
+"""A partner silent for so long counts as gone: the loop freezes no longer than this."""
+
+CONNECT_ATTEMPT_MS: Final = 500
+"""Length of one attempt of a client to open; between attempts a signal can end the wait."""
+
+OPEN_MS: Final = 1000
+"""Longest attempt to reach a partner. A session that is closed waits for the one under way, and a
+stopped container's address answers nothing."""
+
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?")
+
+
+class TransportError(Exception):
+    """The bus cannot be used; the text is one line that names the endpoint, key or file."""
+
+
+class Publisher(Protocol):
+    """Puts payloads on one key."""
+
+    def put(self, payload: bytes) -> None:
+        """Send ``payload``; it is lost without a word when nobody listens or the way is full."""
+
+    def matched(self) -> bool:
+        """Whether any subscriber of this key is known at this moment."""
+
+
+class Bus(Protocol):
+    """Publish and subscribe. A bus never delivers its own messages to itself."""
+
+    def publisher(self, key: str) -> Publisher:
+        """A publisher on one key (no wildcard)."""
+
+    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+        """Call ``deliver`` with every message of others that fits, until the bus is closed."""
+
+    def close(self) -> None:
+        """End all subscriptions and publishers; closing twice is allowed."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None: ...
+
+
+# --- endpoints -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """PEM files of one service: the authority it trusts, its own certificate and private key."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> Self:
+        """The files ``ca.pem``, ``cert.pem`` and ``key.pem`` of a folder.
+
+        Raises
+        ------
+        TransportError
+            When one of them is not there.
+        """
+        files = cls(folder / "ca.pem", folder / "cert.pem", folder / "key.pem")
+        for path in (files.ca, files.certificate, files.key):
+            if not path.is_file():
+                raise TransportError(f"{path}: no such file, expected ca.pem, cert.pem and key.pem")
+        return files
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where one bus listens and connects; the parameters of :class:`ZenohBus`."""
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    client: bool = False
+    tls: TlsFiles | None = None
+    scouting: bool = False
+
+
+def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
+    """Return ``endpoint`` when it reads ``tcp/HOST:PORT``, or ``tls/HOST:PORT`` with ``tls``.
+
+    Raises
+    ------
+    TransportError
+        When it does not.
+    """
+    protocol = "tls" if tls else "tcp"
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or int(found[3]) > 65535 or found[1] != protocol:
+        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocol}/HOST:PORT")
+    return endpoint
+
+
+def free_endpoints(count: int) -> list[str]:
+    """``count`` distinct loopback endpoints, free a moment ago."""
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [f"tcp/127.0.0.1:{one.getsockname()[1]}" for one in sockets]
+
+
+# --- Zenoh ---------------------------------------------------------------------------------------
+
+
+class ZenohPublisher:
+    """A `Publisher` over Zenoh: it drops rather than blocks, and sends at once."""
+
+    def __init__(self, publisher: "zenoh.Publisher") -> None:
+        import zenoh
+
+        self._publisher = publisher
+        self._put = publisher.put
+        self._refused = zenoh.ZError
+
+    def put(self, payload: bytes) -> None:
+        """Send ``payload`` to whoever is connected and ready; it never waits.
+
+        Raises
+        ------
+        TransportError
+            When the bus has been closed.
+        """
+        try:
+            self._put(payload)
+        except self._refused as error:
+            raise TransportError(f"key {self._publisher.key_expr}: {_reason(error)}") from None
+
+    def matched(self) -> bool:
+        """Whether any subscriber of this key is known at this moment."""
+        status: Any = self._publisher.matching_status  # the stub says bool, wrongly
+        return bool(status.matching)
+
+
+class ZenohBus:
+    """A `Bus` over one Zenoh session; opened by the constructor.
+
+    Peers talk only to peers they are connected with (nothing is relayed), so every pair needs one
+    side that listens and one that connects. A peer opens at once and looks for its partners in
+    the background for as long as it lives: services start in any order. A client waits here until
+    a router answers.
+
+    Parameters
+    ----------
+    listen, connect : sequence of str
+        Endpoints, ``tcp/HOST:PORT`` or, with ``tls``, ``tls/HOST:PORT``.
+    client : bool
+        Talk through the router at ``connect`` only.
+    tls : TlsFiles, optional
+        Mutual TLS: both sides show a certificate of the same authority.
+    scouting : bool
+        Find peers of the local network by multicast as well.
+    extra : mapping, optional
+        More Zenoh configuration, key to JSON value; wins over what is set here.
+
+    Raises
+    ------
+    TransportError
+        When an endpoint is malformed, in use or cannot be opened.
+    """
+
+    def __init__(
+        self,
+        *,
+        listen: Sequence[str] = (),
+        connect: Sequence[str] = (),
+        client: bool = False,
+        tls: TlsFiles | None = None,
+        scouting: bool = False,
+        extra: Mapping[str, Any] | None = None,
+    ) -> None:
+        if client and (listen or not connect):
+            raise TransportError("client: expected endpoints to connect to, and none to listen on")
+        for endpoint in (*listen, *connect):
+            check_endpoint(endpoint, tls=tls is not None)
+        settings = _settings(listen, connect, client, tls, scouting) | dict(extra or {})
+        self._session = _open(settings, (*listen, *connect), retry=client)
+
+    def publisher(self, key: str) -> ZenohPublisher:
+        """A publisher on one key: congestion control DROP, express, remote subscribers only.
+
+        Raises
+        ------
+        TransportError
+            When ``key`` is no key.
+        """
+        import zenoh
+
+        try:
+            return ZenohPublisher(
+                self._session.declare_publisher(
+                    key,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    express=True,
+                    allowed_destination=zenoh.Locality.REMOTE,
+                )
+            )
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key!r}: {_reason(error)}") from None
+
+    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+        """Call ``deliver`` on Zenoh's thread with every message of others that fits.
+
+        Raises
+        ------
+        TransportError
+            When ``key_expr`` is no key expression.
+        """
+        import zenoh
+
+        def receive(sample: zenoh.Sample) -> None:
+            stamp = sample.timestamp
+            deliver(
+                str(sample.key_expr),
+                sample.payload.to_bytes(),
+                time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
+            )
+
+        try:
+            self._session.declare_subscriber(
+                key_expr,
+                zenoh.handlers.Callback(receive, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+
+    def close(self) -> None:
+        """Close the session; an attempt to connect that is under way can hold this up for 1 s."""
+        session: Any = self._session  # its stub leaves close() untyped
+        session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_bus(endpoints: Endpoints) -> ZenohBus:
+    """Open the bus that ``endpoints`` describe.
+
+    Raises
+    ------
+    TransportError
+        As :class:`ZenohBus` does.
+    """
+    return ZenohBus(
+        listen=endpoints.listen,
+        connect=endpoints.connect,
+        client=endpoints.client,
+        tls=endpoints.tls,
+        scouting=endpoints.scouting,
+    )
+
+
+def open_router(
+    listen: Sequence[str],
+    tls: TlsFiles | None = None,
+    access_control: Mapping[str, Any] | None = None,
+) -> ZenohBus:
+    """Open a Zenoh router for clients; it relays until it is closed.
+
+    Parameters
+    ----------
+    listen : sequence of str
+        Endpoints.
+    tls : TlsFiles, optional
+        Mutual TLS; without it nobody can be told apart by certificate.
+    access_control : mapping, optional
+        Zenoh's table ``access_control``.
+
+    Raises
+    ------
+    TransportError
+        As :class:`ZenohBus` does.
+    """
+    extra: dict[str, Any] = {"mode": "router"}
+    if access_control is not None:
+        extra["access_control"] = dict(access_control)
+    return ZenohBus(listen=listen, tls=tls, extra=extra)
+
+
+def _settings(
+    listen: Sequence[str],
+    connect: Sequence[str],
+    client: bool,
+    tls: TlsFiles | None,
+    scouting: bool,
+) -> dict[str, Any]:
+    settings: dict[str, Any] = {
+        "mode": "client" if client else "peer",
+        "connect/endpoints": list(connect),
+        # A peer tries for ever in the background. With a time-out of 0 it would try once.
+        "connect/timeout_ms": CONNECT_ATTEMPT_MS if client else -1,
+        "connect/exit_on_failure": client,
+        "connect/retry": {
+            "period_init_ms": 50,
+            "period_max_ms": 500,
+            "period_increase_factor": 2,
+        },
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        "scouting/delay": 0,
+        "scouting/multicast/enabled": scouting,
+        "scouting/gossip/enabled": False,
+        "timestamping/enabled": True,
+        "transport/link/tx/lease": LEASE_MS,
+        # Express messages fill a batch each, and with the usual 2 batches a burst is dropped.
+        "transport/link/tx/queue/size/data": 16,
+        "transport/unicast/open_timeout": OPEN_MS,
+        "transport/unicast/accept_timeout": 2000,
+    }
+    if listen or not scouting:
+        # Without this a peer listens on every address of the machine.
+        settings["listen/endpoints"] = list(listen)
+    if tls is not None:
+        settings["transport/link/protocols"] = ["tls"]
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(tls.ca),
+            "enable_mtls": True,
+            "listen_certificate": str(tls.certificate),
+            "listen_private_key": str(tls.key),
+            "connect_certificate": str(tls.certificate),
+            "connect_private_key": str(tls.key),
+        }
+    return settings
+
+
+def _open(settings: Mapping[str, Any], endpoints: Sequence[str], *, retry: bool) -> "zenoh.Session":
+    import zenoh
+
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise TransportError(f"zenoh setting {key}: {_reason(error)}") from None
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if retry and "Unable to connect" in str(error):
+                continue
+            named = [one for one in endpoints if one.partition("#")[0] in str(error)]
+            where = ", ".join(named or endpoints) or "zenoh"
+            raise TransportError(f"{where}: cannot be opened: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """The cause in Zenoh's message, without its source locations."""
+    text = " ".join(str(error).split())
+    system = re.search(r"([A-Z][^:\[\]]*) \(os error \d+\)", text)
+    if system:
+        return system[1].lower()
+    return re.split(r" at \S+\.rs:\d+", text)[0].rstrip(". ")
+
+
+# --- memory --------------------------------------------------------------------------------------
+
+Fault = Callable[[str, bytes], Sequence[bytes]]
+"""Takes key and payload; answers what arrives: nothing, the payload, several, another one."""
+
+
+class MemoryHub:
+    """The wire between `MemoryBus` objects of one process.
+
+    Parameters
+    ----------
+    fault : callable, optional
+        Asked once for each put; what it returns is delivered in its place.
+    """
+
+    def __init__(self, fault: Fault | None = None) -> None:
+        self.fault = fault
+        self._lock = threading.Lock()
+        self._subscriptions: list[tuple[MemoryBus, re.Pattern[str], Deliver]] = []
+        self._last_ns = 0
+
+    def add(self, bus: "MemoryBus", key_expr: str, deliver: Deliver) -> None:
+        """Subscribe ``bus``."""
+        with self._lock:
+            self._subscriptions.append((bus, _pattern(key_expr), deliver))
+
+    def remove(self, bus: "MemoryBus") -> None:
+        """End all subscriptions of ``bus``."""
+        with self._lock:
+            self._subscriptions = [one for one in self._subscriptions if one[0] is not bus]
+
+    def listeners(self, bus: "MemoryBus", key: str) -> list[Deliver]:
+        """Who hears what ``bus`` puts on ``key``."""
+        with self._lock:
+            return [
+                deliver
+                for owner, pattern, deliver in self._subscriptions
+                if owner is not bus and pattern.fullmatch("/" + key)
+            ]
+
+    def put(self, bus: "MemoryBus", key: str, payload: bytes) -> None:
+        """Deliver at once, in the caller's thread, with strictly increasing time stamps."""
+        for arriving in (payload,) if self.fault is None else self.fault(key, payload):
+            with self._lock:
+                self._last_ns = t_ns = max(time.time_ns(), self._last_ns + 1)
+            for deliver in self.listeners(bus, key):
+                deliver(key, arriving, t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryPublisher:
+    """A `Publisher` on a hub."""
+
+    bus: "MemoryBus"
+    key: str
+
+    def put(self, payload: bytes) -> None:
+        """Deliver ``payload`` to everyone else before returning."""
+        self.bus.put(self.key, payload)
+
+    def matched(self) -> bool:
+        """Whether another bus subscribes to this key."""
+        return bool(self.bus.hub.listeners(self.bus, self.key))
+
+
+class MemoryBus:
+    """A `Bus` within the process. Key expressions are keys, in which ``**`` fits any chunks."""
+
+    def __init__(self, hub: MemoryHub) -> None:
+        self.hub = hub
+        self._closed = False
+
+    def publisher(self, key: str) -> MemoryPublisher:
+        """A publisher on one key."""
+        if "*" in key:
+            raise TransportError(f"key {key!r}: expected a key without wildcards")
+        return MemoryPublisher(self, key)
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Deliver ``payload`` to everyone else; nothing happens once the bus is closed."""
+        if not self._closed:
+            self.hub.put(self, key, payload)
+
+    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+        """Call ``deliver`` in the publishing thread with every message of others that fits."""
+        self.hub.add(self, key_expr, deliver)
+
+    def close(self) -> None:
+        """End all subscriptions."""
+        self._closed = True
+        self.hub.remove(self)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _pattern(key_expr: str) -> re.Pattern[str]:
+    chunks = key_expr.split("/")
+    if any(not chunk or ("*" in chunk and chunk != "**") for chunk in chunks):
+        raise TransportError(f"key {key_expr!r}: expected a key, or chunks of it as **")
+    # Each chunk but ** brings the slash before it, so that a/** fits a as well.
+    parts = [r"(?:/[^/]+)*" if chunk == "**" else "/" + re.escape(chunk) for chunk in chunks]
+    return re.compile("".join(parts))
