@@ -1,0 +1,79 @@
+"""When a step ends and when a measurement is due; time is an argument.
+
+With a deadline each step takes its time: an offer that is applied early waits for the tick, and a
+tick without an offer is a missed step. In lock-step (no deadline) a step ends when its offer comes.
+"""
+
+from typing import Final, Literal
+
+LOCKSTEP_REPEAT_S: Final = 0.05
+"""Seconds between repeats of a measurement where no deadline says otherwise."""
+
+
+class Pacing:
+    """The plant's clock.
+
+    Parameters
+    ----------
+    step_s : float or None
+        Seconds of wall time in a step; None in lock-step.
+    repeats : int
+        How often a measurement goes out within a step while no offer comes.
+    now_s : float
+        The time.
+    """
+
+    def __init__(self, step_s: float | None, repeats: int, now_s: float) -> None:
+        self._step_s = step_s
+        self._repeat_s = LOCKSTEP_REPEAT_S if step_s is None else step_s / repeats
+        self._deadline = now_s + (step_s or 0.0)
+        self._repeat_at = now_s
+        self._waiting = False
+
+    @property
+    def waiting(self) -> bool:
+        """Whether this step's offer has been applied and its end is awaited."""
+        return self._waiting
+
+    def tick(self, now_s: float, *, running: bool) -> Literal["nothing", "ended", "missed"]:
+        """Whether the step under way is over, and how it went.
+
+        While the plant is not ``running`` (it never moved and no controller accepted it) the
+        deadline moves along with the time. Ticks that a stall of the whole process swallowed are
+        not made up for.
+        """
+        if self._step_s is None:
+            return "nothing"
+        if not running:
+            self._deadline = now_s + self._step_s
+            return "nothing"
+        if now_s < self._deadline:
+            return "nothing"
+        following = self._deadline + self._step_s
+        self._deadline = following if following > now_s else now_s + self._step_s
+        self._repeat_at = now_s
+        was_waiting, self._waiting = self._waiting, False
+        return "ended" if was_waiting else "missed"
+
+    def measurement_due(self, now_s: float) -> bool:
+        """Whether to publish the measurement now; if so, the next time is a repeat interval on."""
+        if self._waiting or now_s < self._repeat_at:
+            return False
+        self._repeat_at = now_s + self._repeat_s
+        return True
+
+    def applied(self) -> None:
+        """This step's offer was applied: the next measurement is due at once, or at the tick."""
+        if self._step_s is None:
+            self._repeat_at = 0.0
+        else:
+            self._waiting = True
+
+    def wait_s(self, now_s: float, *, measuring: bool, longest_s: float) -> float:
+        """Seconds until there is something to do, at most ``longest_s``."""
+        until = now_s + longest_s
+        if measuring and not self._waiting:
+            until = min(until, self._repeat_at)
+        if self._step_s is not None:
+            until = min(until, self._deadline)
+        return max(0.0, until - now_s)

@@ -1,0 +1,131 @@
+"""The plant, pure: its dynamics, its coin and the receiving end, one step at a time.
+
+Time, files and networks are the shell's (:mod:`plant_service.service`); the single-process
+simulation drives the same class.
+"""
+
+from operator import add
+from typing import NamedTuple
+
+from plant_service.disturbance import disturbance
+from protocol.agreement import predict
+from protocol.entropy import Stream, SymbolSource
+from protocol.messages import Offer
+from protocol.receiver import Receiver, ReceiverEffects, ReceiverRecord
+from protocol.scenario import Scenario
+from protocol.session import rules_of
+
+Vector = tuple[float, ...]
+
+
+class Step(NamedTuple):
+    """One step of the plant: the input that was in force, and where it led.
+
+    ``coin`` is b_r and ``effects`` what the receiver made of it; both are None on a missed step.
+    """
+
+    k: int
+    x: Vector
+    u: Vector
+    x_next: Vector
+    coin: int | None
+    effects: ReceiverEffects | None
+
+
+class Luck(NamedTuple):
+    """What chance has decided for transition j and step k: the coin b_r and the disturbance d."""
+
+    j: int
+    k: int
+    coin: int
+    d: Vector
+
+
+class Move(NamedTuple):
+    """A step that was made and is not counted yet: the offer, the coin b_r, and x(k+1)."""
+
+    offer: Offer
+    coin: int
+    x_next: Vector
+
+
+def first_record(scenario: Scenario, session: str) -> ReceiverRecord:
+    """The record of a plant that has not moved yet."""
+    return ReceiverRecord(
+        session=session, k=0, x=scenario.plant.initial_state, u=(0.0,) * scenario.m
+    )
+
+
+class Plant:
+    """The simulated plant with its receiver.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    instance : str
+        Random id of this process.
+    coin : SymbolSource
+        The plant's own coin b_r; draw j belongs to transition j.
+    noise : Stream
+        Uniform numbers for the disturbance; draw k belongs to step k.
+    record : ReceiverRecord
+        As read back from the journal, or a new session's.
+    chunks : str
+        Symbols of the frame under way that have left the record.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        instance: str,
+        coin: SymbolSource,
+        noise: Stream,
+        record: ReceiverRecord,
+        chunks: str,
+    ) -> None:
+        self.receiver = Receiver(rules_of(scenario), instance, record, chunks)
+        self._plant = scenario.plant
+        self._fallback = scenario.link.fallback
+        self._size = scenario.secrecy.candidates
+        self._coin = coin
+        self._noise = noise
+        self._luck: Luck | None = None
+
+    def move(self, offer: Offer) -> Move:
+        """Choose one input of the current ``offer`` by the coin, and apply it (Fig. 5)."""
+        record = self.receiver.record
+        luck = self._luck
+        if luck is None or (luck.j, luck.k) != (record.transitions, record.k):
+            luck = self._draw()
+        x_next = self._advance(record, offer.candidates[luck.coin], luck.d)
+        return Move(offer, luck.coin, x_next)
+
+    def count(self, move: Move) -> Step:
+        """Count the transition that ``move`` made, and draw for the one to come."""
+        offer, coin, x_next = move
+        record = self.receiver.record
+        effects = self.receiver.applied(offer, coin, x_next)
+        self._luck = self._draw()
+        return Step(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
+
+    def miss(self) -> Step:
+        """No offer came in time: hold the input in force, or apply zero (rule 4)."""
+        record = self.receiver.record
+        u = record.u if self._fallback == "hold" else (0.0,) * len(record.u)
+        x_next = self._advance(record, u, self._disturbance(record.k))
+        self.receiver.missed(u, x_next)
+        return Step(record.k, record.x, u, x_next, None, None)
+
+    def _draw(self) -> Luck:
+        """The coin of the next transition and the disturbance of the next step."""
+        record = self.receiver.record
+        j, k = record.transitions, record.k
+        return Luck(j, k, self._coin.symbol(j, self._size), self._disturbance(k))
+
+    def _disturbance(self, k: int) -> Vector:
+        return disturbance(self._plant.disturbance, k, self._noise.at(k))
+
+    def _advance(self, record: ReceiverRecord, u: Vector, d: Vector) -> Vector:
+        """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component."""
+        plant = self._plant
+        return tuple(map(add, predict(plant.A, plant.B, record.x, u), d))
