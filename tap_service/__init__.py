@@ -1,0 +1,1 @@
+"""The tap: mirrors the field bus, and lets eavesdroppers guess at what it carries."""

@@ -1,0 +1,168 @@
+"""The heavy eavesdroppers' own process: reads the capture behind the mirror, at its own pace.
+
+The capture on disk is the queue between the two, so nothing is lost when this process is slow and
+the mirror never waits for it. It rests in proportion to its work, so that it takes a bounded share
+of a core; where it falls further behind than the capture keeps, the reader counts what is missing.
+"""
+
+import os
+import signal
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.knowledge import Knowledge
+from protocol.trace import CAPTURE
+from tap_service.capture import CaptureReader, Limits, RotatingLog
+from tap_service.eavesdroppers import named
+from tap_service.status import Listener, belief_record, guess_line, status_of
+from tap_service.transcript import Transcript, Transition
+
+GUESSES: Final = Path("tap/guesses.jsonl")
+ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
+BELIEFS: Final = Path("tap/beliefs.json")
+
+SLICE_S: Final = 0.05
+"""Work at a stretch."""
+
+REST_RATIO: Final = 3.0
+"""Rest over work while the loop runs: a quarter of a core at most."""
+
+FAR_BEHIND: Final = 128 * 2**20
+"""Bytes of capture not read yet beyond which they are skipped and counted: a third of a million
+steps, about a minute of lock-step at full speed."""
+
+BELIEF_PERIOD_S: Final = 0.5
+"""Between two looks at what the heavy eavesdroppers believe."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """What the analysis process is told; handed over at its start."""
+
+    run_dir: Path
+    names: tuple[str, ...]
+    knowledge: dict[str, Knowledge]
+    limits: Limits
+    header: dict[str, Any]
+
+
+class Ears:
+    """Several eavesdroppers on one transcript.
+
+    Parameters
+    ----------
+    listeners : sequence of Listener
+    log : RotatingLog, optional
+        Where their guesses go.
+    """
+
+    def __init__(self, listeners: Sequence[Listener], log: RotatingLog | None) -> None:
+        self.listeners = tuple(listeners)
+        self.session = ""
+        self._log = log
+
+    def feed(self, transitions: Iterable[Transition]) -> None:
+        """Let each observe each transition."""
+        for transition in transitions:
+            self.session = transition.session
+            for listener in self.listeners:
+                guess = listener.observe(transition)
+                if guess is not None and self._log is not None:
+                    self._log.write(guess_line(transition.session, listener.name, guess))
+
+    def review(self, listener: Listener) -> None:
+        """Log one's second thoughts."""
+        for guess in listener.review():
+            if self._log is not None:
+                self._log.write(guess_line(self.session, listener.name, guess, "review"))
+
+
+def listeners_of(names: Iterable[str], knowledge: dict[str, Knowledge]) -> list[Listener]:
+    """Eavesdroppers by name, each with what she is told.
+
+    Raises
+    ------
+    KnowledgeError
+        When one cannot be found or is not told enough.
+    """
+    listeners = []
+    for name in names:
+        kind = named(name)
+        listeners.append(Listener(kind(knowledge[name]), kind.name))
+    return listeners
+
+
+def analyse(assignment: Assignment, pipe: Connection) -> None:
+    """The process: read, decode, report, rest; until the other end says so or is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.nice(10)  # the loop and the mirror come first
+    from protocol.runtime import logger
+
+    log = RotatingLog(
+        assignment.run_dir / ANALYSIS_GUESSES,
+        assignment.header,
+        assignment.limits,
+        logger("tap.analysis"),
+    )
+    ears = Ears(listeners_of(assignment.names, assignment.knowledge), log)
+    reader = CaptureReader(assignment.run_dir / CAPTURE)
+    transcript = Transcript()
+    records = reader.records()
+    finishing = False
+    next_belief = 0.0
+    while True:
+        start = time.monotonic()
+        until = start + SLICE_S
+        empty = False
+        for _t_ns, message in records:
+            ears.feed(transcript.hear(message))
+            if time.monotonic() >= until:
+                break
+        else:
+            empty = True
+            records = reader.records()
+        log.flush()
+        if not finishing and reader.behind_bytes > FAR_BEHIND:
+            reader.skip_to_last_part()
+            records = reader.records()
+        if empty and finishing:
+            ears.feed(transcript.flush())
+        now = time.monotonic()
+        if now >= next_belief or (empty and finishing):
+            _report(ears, reader, pipe, last=empty and finishing)
+            spent = time.monotonic() - now
+            # a costly look is repeated the more rarely
+            next_belief = time.monotonic() + max(BELIEF_PERIOD_S, spent * REST_RATIO)
+        if empty and finishing:
+            log.close()
+            pipe.send(None)
+            return
+        worked = time.monotonic() - start
+        pause = 0.0 if finishing else max(worked * REST_RATIO, 0.02 if empty else 0.0)
+        try:
+            if pipe.poll(pause):
+                finishing = pipe.recv() == "finish"
+        except (EOFError, OSError):
+            return
+
+
+def _report(ears: Ears, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
+    behind = reader.behind_bytes
+    for listener in ears.listeners:
+        if last:
+            ears.review(listener)
+        belief = listener.belief()
+        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "capture_bytes", "garbage"), 0) | {
+            "behind": behind,
+            "dropped": reader.skipped,
+        }
+        status = status_of(listener, belief, counts)
+        record = belief_record(listener.name, ears.session, listener, belief)
+        if not last:
+            record["symbols"] = ()
+        pipe.send((status, record))

@@ -1,0 +1,183 @@
+"""`learning`: starts from nothing, or from a wrong model, and learns the plant while it decodes.
+
+She is told the number of candidates and nothing else that matters: no A, no B, no D_e. She
+identifies the model and the disturbance's support from the transcript (:mod:`tap_service.identify`)
+and decodes it with both thresholds hidden (:mod:`tap_service.beam`), in units of the support that
+she found. Each time she has heard a quarter more she learns again and decodes her past anew, so
+that what she misread at first is read in the end.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import ClassVar, Final
+
+import numpy as np
+
+from protocol.agreement import Gauge
+from protocol.knowledge import Knowledge
+from tap_service.beam import Beam
+from tap_service.eavesdroppers.interface import (
+    KEPT_MESSAGES,
+    Belief,
+    Eavesdropper,
+    Guess,
+    Matrix,
+    Model,
+    even,
+)
+from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
+from tap_service.identify import Array, identify
+from tap_service.transcript import Transition
+
+KEPT: Final = 4096
+"""Transitions that she keeps and decodes anew; at this many the older half goes."""
+
+GROWTH: Final = 1.25
+"""She learns again when she has heard this many times as much."""
+
+CAP: Final = 800
+"""Hypotheses she keeps: with two thresholds hidden the list always fills its bound."""
+
+NEAR: Final = 1.2
+"""Factor about thresholds that once gave a message within which she looks from then on."""
+
+SMALL_OFFSET: Final = 0.1
+"""Offset over half-width below which she takes the disturbance for centred."""
+
+
+class Learning(Eavesdropper):
+    """Identifies the model as she listens, and decodes her past again with what she learned."""
+
+    name: ClassVar[str] = "learning"
+    heavy: ClassVar[bool] = True
+    told_model: ClassVar[bool] = False
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        self._even = even(self.size)
+        self._kept: deque[Transition] = deque()
+        self._whole: dict[tuple[str, int], bytes] = {}
+        self._whole_count = 0
+        self._solved_k = -1
+        self._heard = 0
+        self._next_fit = 0
+        self._model: Model | None = None
+        self._offset: tuple[float, ...] = ()
+        self._start = None
+        if knowledge.A is not None and knowledge.B is not None:
+            self._start = (np.array(knowledge.A), np.array(knowledge.B))
+            widths = (1.0,) * len(knowledge.A)
+            self._model = Model(knowledge.A, knowledge.B, Gauge(half_widths=widths))
+            self._offset = (0.0,) * len(knowledge.A)
+        self._found: tuple[float, float, float, float] | None = None
+        self._beam = Beam(self.size, cap=CAP)
+
+    def observe(self, transition: Transition) -> Guess:
+        """Guess with what she has learned so far, then learn from the step."""
+        t = transition
+        self._kept.append(t)
+        if len(self._kept) >= KEPT:
+            for _ in range(KEPT // 2):
+                self._kept.popleft()
+        self._heard += t.whole
+        guess = self._decode(self._beam, t)
+        if self._next_fit == 0 and t.x is not None and t.candidates is not None:
+            parameters = len(t.x) + len(t.candidates[0]) + 1
+            self._next_fit = 3 * parameters
+        if self._next_fit and self._heard >= self._next_fit:
+            self.learn()
+            self._next_fit = self._heard + min(max(8, int(self._heard * (GROWTH - 1))), KEPT // 4)
+        self._collect(t.k)
+        return guess
+
+    def learn(self) -> None:
+        """Identify the model from all that is kept, and decode it anew."""
+        whole = [t for t in self._kept if t.whole]
+        if not whole:
+            return
+        x = np.array([t.x for t in whole])
+        candidates = np.array([t.candidates for t in whole])
+        x_next = np.array([t.x_next for t in whole])
+        starts = [] if self._start is None else [self._start]
+        if self._model is not None:
+            starts.append((np.array(self._model.A), np.array(self._model.B)))
+        fit = identify(x, candidates, x_next, starts)
+        offset = np.where(np.abs(fit.offset) < SMALL_OFFSET * fit.widths, 0.0, fit.offset)
+        gauge = Gauge(half_widths=tuple(fit.widths.tolist()))
+        self._model = Model(_rows(fit.A), _rows(fit.B), gauge)
+        self._offset = tuple(offset.tolist())
+        found = self._beam.thresholds() if self._beam.whole_count else self._found
+        self._found = found
+        self._beam = Beam(self.size, cap=CAP)
+        if found is not None:  # she found a message with these: others are near, in any unit
+            lo, hi, edge_lo, edge_hi = found
+            self._beam.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)
+        for t in self._kept:
+            self._decode(self._beam, t)
+        self._collect(self._kept[-1].k)
+
+    def _gauges(self, t: Transition) -> list[float] | None:
+        if self._model is None or t.x is None or t.candidates is None or t.x_next is None:
+            return None
+        # a steady disturbance is part of her model, though not of the defender's
+        x_next = [a - o for a, o in zip(t.x_next, self._offset, strict=True)]
+        return self._model.gauges(t.x, t.candidates, x_next)
+
+    def _decode(self, beam: Beam, t: Transition) -> Guess:
+        if t.start or t.gap:
+            beam.restart()
+        beam.session = t.session
+        gauges = self._gauges(t)
+        if gauges is None or t.cipher is None:
+            beam.step_missed(t.k, t.cipher)
+            return Guess(t.k, self._even, 0.5)
+        agreed = agreement_probability(beam, gauges)
+        beam.step(t.k, gauges, t.cipher)
+        return Guess(t.k, self._shares(gauges), agreed)
+
+    def _shares(self, gauges: list[float]) -> tuple[float, ...]:
+        """Probability of each candidate, for a Gaussian of the support's own deviation."""
+        smallest = min(gauges)
+        weights = np.exp(-1.5 * (np.square(gauges) - smallest**2))
+        return tuple((weights / weights.sum()).tolist())
+
+    def _collect(self, k: int) -> None:
+        """Keep the whole messages of this decoding, each once."""
+        for at, payload in self._beam.whole_at:
+            if at not in self._whole:
+                self._whole[at] = payload
+                self._whole_count += 1
+                if self._solved_k < 0:
+                    self._solved_k = k
+        while len(self._whole) > KEPT_MESSAGES:
+            del self._whole[next(iter(self._whole))]
+
+    def review(self) -> Sequence[Guess]:
+        """Her guesses of the steps she kept, with the model that she has now."""
+        self.learn()
+        guesses = []
+        for t in self._kept:
+            gauges = self._gauges(t)
+            if gauges is not None:
+                guesses.append(Guess(t.k, self._shares(gauges), 0.5))
+        return guesses
+
+    def belief(self) -> Belief:
+        """The last whole message, the model, and what there is of the message under way."""
+        b = belief_of(self._beam, self._model)
+        whole = tuple(self._whole.values())
+        return Belief(
+            message=whole[-1] if whole else b.message,
+            whole=whole,
+            whole_count=self._whole_count,
+            confidence=1.0 if whole else b.confidence,
+            candidates_left=b.candidates_left,
+            solved_k=self._solved_k,
+            symbols=b.symbols,
+            A=b.A,
+            B=b.B,
+        )
+
+
+def _rows(matrix: Array) -> Matrix:
+    return tuple(tuple(row) for row in matrix.tolist())

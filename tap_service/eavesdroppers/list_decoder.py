@@ -1,0 +1,88 @@
+"""`list-decoder`: sweeps the hidden threshold and keeps every decoding that is consistent.
+
+She knows f_c and D_e (model 10), so t_e = 1 in units of D_e, and only t_c = 1 / alpha is hidden.
+Over N steps at most about N + 1 thresholds give different decodings. She keeps them all
+(:mod:`tap_service.beam`), and the frame's check picks the one: where there is no frame, English
+does. The key symbols are the nearest candidates', as for `nearest-centre`.
+"""
+
+from typing import ClassVar
+
+from protocol.knowledge import Knowledge
+from tap_service.beam import Beam
+from tap_service.eavesdroppers.interface import Belief, Eavesdropper, Guess, Model, even
+from tap_service.transcript import Transition
+
+
+class ListDecoder(Eavesdropper):
+    """Follows every threshold at once and ranks by frame check and plausibility.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    framed : bool
+        Whether messages come in frames; otherwise they are raw bytes of English text.
+    """
+
+    name: ClassVar[str] = "list-decoder"
+    heavy: ClassVar[bool] = True
+
+    def __init__(self, knowledge: Knowledge, *, framed: bool = True) -> None:
+        super().__init__(knowledge)
+        self._model = Model.of(knowledge, self.name)
+        self._even = even(self.size)
+        self.beam = Beam(self.size, edge=1.0, framed=framed)
+
+    def observe(self, transition: Transition) -> Guess:
+        """Cut the list by this step's gauges; the nearest candidate is the guess."""
+        t = transition
+        if t.start or t.gap:
+            self.beam.restart()
+        self.beam.session = t.session
+        if t.x is None or t.candidates is None or t.x_next is None or t.cipher is None:
+            # without a verdict of her own she takes the step for one without an agreement
+            self.beam.step_missed(t.k, t.cipher)
+            return Guess(t.k, self._even, 0.5)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        agreed = agreement_probability(self.beam, gauges)
+        self.beam.step(t.k, gauges, t.cipher)
+        return Guess(t.k, nearest(gauges), agreed)
+
+    def belief(self) -> Belief:
+        """The last message whose check held, else what the best decoding spells so far."""
+        return belief_of(self.beam, self._model)
+
+
+def nearest(gauges: list[float]) -> tuple[float, ...]:
+    """All probability on the nearest candidate; shared among equals."""
+    smallest = min(gauges)
+    share = 1.0 / gauges.count(smallest)
+    return tuple(share if g == smallest else 0.0 for g in gauges)
+
+
+def agreement_probability(beam: Beam, gauges: list[float]) -> float:
+    """Whether the best hypothesis, before this step, tests it and finds an agreement."""
+    if not beam.testing():
+        return 0.0
+    lo, hi, edge_lo, edge_hi = beam.thresholds()
+    ordered = sorted(gauges)
+    if ordered[0] >= hi or ordered[1] <= lo or ordered[-1] >= edge_hi:
+        return 0.0
+    certain = ordered[0] <= lo and ordered[1] >= hi and ordered[-1] <= edge_lo
+    return 1.0 if certain else 0.5
+
+
+def belief_of(beam: Beam, model: Model | None) -> Belief:
+    """What a beam gives as a belief."""
+    whole = tuple(beam.whole)
+    return Belief(
+        message=whole[-1] if whole else beam.under_way(),
+        whole=whole,
+        whole_count=beam.whole_count,
+        confidence=1.0 if whole else beam.confidence(),
+        candidates_left=beam.candidates(),
+        solved_k=beam.solved_k,
+        symbols=tuple(beam.symbols()),
+        A=() if model is None else model.A,
+        B=() if model is None else model.B,
+    )

@@ -1,0 +1,65 @@
+"""`nearest-centre`: takes the likeliest candidate, and one threshold for "a key was agreed".
+
+In an agreed step the true candidate has a gauge (in D_c) of at most 1 and every other of more, and
+scaling the set keeps that order: the candidate nearest to x(k+1) is the key symbol, always, at
+every alpha. Only *when* a key was agreed is hidden, behind a threshold. Her estimate of it is the
+largest nearest gauge so far, times a margin: the disturbance fills its set, so that the estimate
+grows towards the set's edge from inside.
+"""
+
+from typing import ClassVar
+
+from protocol.knowledge import Knowledge
+from tap_service.eavesdroppers.interface import (
+    NO_SYMBOL,
+    Belief,
+    Eavesdropper,
+    Follower,
+    Guess,
+    Model,
+    even,
+)
+from tap_service.transcript import Transition
+
+MARGIN = 1.1
+"""Threshold over the largest nearest gauge seen: a defender's set is drawn with room to spare."""
+
+
+class NearestCentre(Eavesdropper):
+    """Takes the candidate whose centre is nearest to x(k+1) in the shape of D_e."""
+
+    name: ClassVar[str] = "nearest-centre"
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        self._model = Model.of(knowledge, self.name)
+        self._even = even(self.size)
+        self._follower = Follower(self.size)
+        self._largest = 0.0
+
+    def observe(self, transition: Transition) -> Guess:
+        """Measure every candidate; the nearest is the guess."""
+        t = transition
+        if t.start or t.gap:
+            self._follower.restart()
+        if t.x is None or t.candidates is None or t.x_next is None:
+            self._follower.step(t.k, NO_SYMBOL, t.cipher)
+            return Guess(t.k, self._even, 0.5)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        nearest = min(gauges)
+        ties = gauges.count(nearest)
+        self._largest = max(self._largest, nearest)
+        threshold = MARGIN * self._largest
+        inside = sum(g <= threshold for g in gauges)
+        agreed = inside == 1 and max(gauges) <= 1.0
+        symbol = gauges.index(nearest)
+        self._follower.step(t.k, symbol if agreed else NO_SYMBOL, t.cipher)
+        if ties > 1:
+            share = 1.0 / ties
+            return Guess(t.k, tuple(share if g == nearest else 0.0 for g in gauges), 0.0)
+        certain = tuple(1.0 if i == symbol else 0.0 for i in range(len(gauges)))
+        return Guess(t.k, certain, 1.0 if agreed else 0.0)
+
+    def belief(self) -> Belief:
+        """The message that her one threshold spells."""
+        return self._follower.belief(self._model)

@@ -1,0 +1,199 @@
+"""`smoother`: decodes like `list-decoder` what she heard badly or in part.
+
+She infers lost states and offers from later ones, by the law that she was told
+(:mod:`tap_service.from_offers`, :mod:`tap_service.from_measurements`) or by what she learns of it
+(:mod:`tap_service.smoothing`), and follows every outcome that remains likely, beside every
+threshold. She has to hear what came after before she can infer what was lost, so she decodes all
+that she keeps anew each time she has heard twice as much as before.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import ClassVar, Final
+
+import numpy as np
+
+from protocol.knowledge import Knowledge
+from tap_service.beam import Beam
+from tap_service.eavesdroppers.interface import (
+    KEPT_MESSAGES,
+    Belief,
+    Eavesdropper,
+    Guess,
+    Model,
+    even,
+)
+from tap_service.eavesdroppers.list_decoder import belief_of, nearest
+from tap_service.from_measurements import infer_from_measurements
+from tap_service.from_offers import OffersReader
+from tap_service.known_law import KnownLaw
+from tap_service.smoothing import Smoother as Inference
+from tap_service.smoothing import Step
+from tap_service.transcript import Transition
+
+KEPT: Final = 4096
+"""Transitions that she keeps; at this many the older half goes."""
+
+GROWTH: Final = 2.0
+"""She decodes anew when she has heard this many times as much."""
+
+FIRST: Final = 64
+"""Transitions before she decodes for the first time."""
+
+GRID: Final = 200
+"""Thresholds by which the list is cut from the start: a blurred step cuts none."""
+
+FINEST: Final = 0.0045
+"""Relative distance of these thresholds at least."""
+
+WIDEST: Final = 3.0
+"""Where something was missed, a defender's set is taken for at most so many times as wide as the
+disturbance seen, and at least half: otherwise a threshold under which nothing was ever agreed
+explains a transcript full of holes best."""
+
+
+class Smoother(Eavesdropper):
+    """Infers what was missed, then decodes with every threshold and every likely outcome."""
+
+    name: ClassVar[str] = "smoother"
+    heavy: ClassVar[bool] = True
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        self._model = Model.of(knowledge, self.name)
+        self._even = even(self.size)
+        assert knowledge.disturbance_H is not None
+        assert knowledge.disturbance_h is not None
+        self._shape = np.array(knowledge.disturbance_H) / np.array(knowledge.disturbance_h)[:, None]
+        # rounding to a step is an error spread evenly over it
+        self._noise = float(np.hypot(knowledge.noise, knowledge.quantise / np.sqrt(12.0)))
+        A, B = np.array(self._model.A), np.array(self._model.B)
+        self._law = KnownLaw.of(knowledge)
+        if self._law is not None:
+            self._reader = OffersReader(A, B, self._shape, self._law, self._noise)
+        self._kept: deque[Transition] = deque()
+        self._whole: dict[tuple[str, int], bytes] = {}
+        self._whole_count = 0
+        self._solved_k = -1
+        self._next = FIRST
+        self._heard = 0
+        self._decoded = 0
+        self._steps: list[Step] = []
+        self._beam = self._new_beam(None)
+
+    def _new_beam(self, among: tuple[float, float] | None) -> Beam:
+        """A list of thresholds from and to, or of all where every step was heard."""
+        beam = Beam(self.size, edge=1.0)
+        low, high = among or (0.02, 1.0)
+        if among:
+            beam.restrict(low, high, 1.0, float(np.nextafter(1.0, 2.0)))
+        count = min(2 + int(np.log(high / low) / FINEST), GRID)
+        beam.split_evenly(np.geomspace(low, high, count)[1:-1].tolist())
+        return beam
+
+    def observe(self, transition: Transition) -> Guess:
+        """Take the nearest candidate where the step was heard; what was lost must wait."""
+        t = transition
+        self._kept.append(t)
+        if len(self._kept) >= KEPT:
+            for _ in range(KEPT // 2):
+                self._kept.popleft()
+        self._heard += 1
+        if self._heard >= self._next:
+            self.decode()
+            self._next = self._heard + min(int(self._heard * (GROWTH - 1)), KEPT // 2)
+        if t.x is None or t.candidates is None or t.x_next is None:
+            return Guess(t.k, self._even, 0.5)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        return Guess(t.k, nearest(gauges), 0.5 if max(gauges) <= 1.0 else 0.0)
+
+    def decode(self) -> None:
+        """Infer and decode all that is kept."""
+        if self._decoded == self._heard:
+            return
+        self._decoded = self._heard
+        among = self._infer()
+        if all(t.cipher is None for t in self._kept):
+            return  # the message is safe from her
+        clear = all(s.samples is not None and len(s.samples) == 1 for s in self._steps)
+        beam = self._new_beam(None if clear else among)
+        for step in self._steps:
+            t = step.transition
+            if t.start or t.gap:
+                beam.restart()
+            beam.session = t.session
+            if step.samples is None:
+                blind = np.full((1, self.size), np.inf)
+                beam.step_sampled(t.k, blind, t.cipher)
+            elif len(step.samples) == 1 and t.cipher is not None:
+                beam.step(t.k, step.samples[0].tolist(), t.cipher)
+            else:
+                beam.step_sampled(t.k, step.samples, t.cipher)
+        self._beam = beam
+        for at, payload in beam.whole_at:
+            if at not in self._whole:
+                self._whole[at] = payload
+                self._whole_count += 1
+                if self._solved_k < 0:
+                    self._solved_k = self._kept[-1].k
+        while len(self._whole) > KEPT_MESSAGES:
+            del self._whole[next(iter(self._whole))]
+
+    def _infer(self) -> tuple[float, float]:
+        """Infer what is kept by what was heard of it; the thresholds that remain, in units of D_e.
+
+        By the law that she was told, where it says enough: everything with its facets, each
+        direction alone without them. Else by what she learns of the law from states and offers.
+        """
+        kept = list(self._kept)
+        if self._law is not None and all(t.x is None and t.x_next is None for t in kept):
+            self._steps = self._reader.infer(kept)
+            return self._reader.width or _among(self._reader.support)
+        A, B = np.array(self._model.A), np.array(self._model.B)
+        if self._law is not None and all(t.candidates is None for t in kept):
+            self._steps = infer_from_measurements(A, B, self._shape, self._law, kept)
+            return _among(1.0)
+        clear = not self._noise and all(t.whole for t in kept)
+        facets = self._law is not None and self._law.facets
+        if facets and not clear and self._reader.trusts(kept):
+            self._steps = self._reader.infer(kept)
+            return self._reader.width or _among(1.0)
+        inference = Inference(A, B, self._shape, self._noise)
+        self._steps = inference.infer(kept)
+        return _among(inference.support)
+
+    def review(self) -> Sequence[Guess]:
+        """What she takes each step for, with what came after it."""
+        self.decode()
+        guesses = []
+        for step in self._steps:
+            if step.samples is None:
+                guesses.append(Guess(step.transition.k, self._even, 0.5))
+                continue
+            counts = np.bincount(step.samples.argmin(axis=1), minlength=self.size)
+            shares = tuple((counts / counts.sum()).tolist())
+            guesses.append(Guess(step.transition.k, shares, 0.5))
+        return guesses
+
+    def belief(self) -> Belief:
+        """The last whole message, else what the best decoding spells so far."""
+        if self._solved_k < 0:
+            self.decode()
+        b = belief_of(self._beam, self._model)
+        whole = tuple(self._whole.values())
+        return Belief(
+            message=whole[-1] if whole else b.message,
+            whole=whole,
+            whole_count=self._whole_count,
+            confidence=1.0 if whole else b.confidence,
+            candidates_left=b.candidates_left,
+            solved_k=self._solved_k,
+            symbols=b.symbols,
+            A=b.A,
+            B=b.B,
+        )
+
+
+def _among(support: float) -> tuple[float, float]:
+    """Thresholds of a defender, by the gauge of the largest disturbance."""
+    return 0.5 * support, min(WIDEST * support, 1.0)

@@ -1,0 +1,168 @@
+"""The control law as someone who was told the policy can use it: what offers say of the state.
+
+Each candidate minimises a quadratic cost under constraints. Where none is active it is a linear
+function of the state, u_i = F_i x. Where one is, it lies on a facet of the target set, and the
+line A x + B u meets that facet. The sets depend on D_c, which she does not know; but the terminal
+set T_0 that the paper's synthesis gives is the sum of the images of D_c under A + B K, and scales
+with D_c. So, with the policy's gain K and the shape of D_e, its facets are known up to one number.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.knowledge import Knowledge
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+TINY: Final = 1e-9
+
+TERMS: Final = 60
+"""Images of D_c summed at most; with more, A + B K hardly contracts and facets are not used."""
+
+LEFT: Final = 1e-3
+"""Share of D_c within which the image after the last one summed must lie."""
+
+PARALLEL: Final = 1e-6
+"""A facet whose normal meets B by less than this share bounds no input."""
+
+
+@dataclass(frozen=True)
+class Facets:
+    """What bounds a single input: u <= (or >=) slopes x + scale offsets, by facet.
+
+    Parameters
+    ----------
+    slopes : array, shape (J, n)
+    offsets : array, shape (J,)
+        For D_c as large as D_e; they scale with D_c.
+    side : int
+        1 where they bound from above, -1 from below.
+    """
+
+    slopes: Array
+    offsets: Array
+    side: int
+
+
+@dataclass(frozen=True)
+class KnownLaw:
+    """The law, as far as the policy says it.
+
+    Parameters
+    ----------
+    free : array, shape (M, m, n)
+        F_i: the candidates where no constraint is active.
+    curvature : array, shape (M, m, m)
+        Second derivatives of the costs, over two.
+    together : array, shape (m, n), optional
+        The gain of the law ``paper``, whose candidates coincide in T_0.
+    facets : tuple of Facets
+        From below and from above; empty where they cannot be told.
+    """
+
+    free: Array
+    curvature: Array
+    together: Array | None
+    facets: tuple[Facets, ...]
+
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> "KnownLaw | None":
+        """What the policy and the model in ``knowledge`` give; None without a usable policy."""
+        k = knowledge
+        if k.policy is None or k.A is None or k.B is None or len(k.policy.costs) != k.candidates:
+            return None
+        A, B = np.array(k.A), np.array(k.B)
+        free, curvature = [], []
+        for cost in k.policy.costs:
+            weighted = B.T * np.array(cost.next_state)
+            P = weighted @ B + np.diag(cost.input)
+            if not np.linalg.cond(P) < 1e12:
+                return None
+            free.append(-np.linalg.solve(P, weighted @ A))
+            curvature.append(P)
+        gain = None if k.policy.gain is None else np.array(k.policy.gain)
+        together = None
+        facets: tuple[Facets, ...] = ()
+        if gain is not None and k.policy.law == "paper":
+            together = gain
+        elif gain is not None and B.shape == (2, 1) and k.disturbance_H and k.disturbance_h:
+            facets = terminal_facets(
+                A, B, gain, np.array(k.disturbance_H), np.array(k.disturbance_h)
+            )
+        return cls(np.array(free), np.array(curvature), together, facets)
+
+    def offers(self, x: Array, width: float) -> Array:
+        """The candidates in states ``x``, shape (S, n), where D_c is ``width`` times D_e.
+
+        Shape (S, M, m). Constraints count as far as their facets are known.
+        """
+        u: Array = np.einsum("imn,sn->sim", self.free, x)
+        for f in self.facets:
+            limits = x @ f.slopes.T + width * f.offsets
+            if f.side == 1:
+                u = np.minimum(u, limits.min(axis=1)[:, None, None])
+            else:
+                u = np.maximum(u, limits.max(axis=1)[:, None, None])
+        return u
+
+    def holds(self, x: Array, width: float) -> Flags:
+        """Whether the facets leave an input in states ``x``, shape (S, n)."""
+        low, high = (
+            (x @ f.slopes.T + width * f.offsets) * f.side for f in self.facets
+        )  # from below, turned round; from above
+        out: Flags = -low.min(axis=1) <= high.min(axis=1) + TINY
+        return out
+
+
+def terminal_facets(A: Array, B: Array, K: Array, H: Array, h: Array) -> tuple[Facets, ...]:
+    """Facets of T_0 ~ D for a planar plant with one input, as bounds of u.
+
+    T_0 is the outer approximation of Rakovic et al. (2005), (1 - s)^-1 times the sum of the images
+    of D = { d : H d <= h } under the powers of A + B K.
+    """
+    closed = A + B @ K
+    V = _corners(H, h)
+    if len(V) < 3:
+        return ()
+    powers = [np.eye(2)]
+    while True:
+        image = closed @ powers[-1]
+        left = float(((V @ image.T @ H.T) / h).max())
+        if left <= LEFT:
+            break
+        if len(powers) == TERMS:
+            return ()
+        powers.append(image)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    edges = np.concatenate([H @ turn @ p.T for p in powers])
+    normals = edges @ turn.T
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > 0] / lengths[lengths > 0, None]
+    normals = np.unique(np.vstack([normals, -normals]).round(12), axis=0)
+    support = sum((V @ p.T @ normals.T).max(axis=0) for p in powers) / (1 - left)
+    offsets = support - (V @ normals.T).max(axis=0)
+    across = normals @ B[:, 0]
+    out = []
+    for side in (-1, 1):
+        bounding = side * across > PARALLEL * float(np.linalg.norm(B))
+        by = across[bounding]
+        slopes = -(normals[bounding] @ A) / by[:, None]
+        out.append(Facets(slopes, offsets[bounding] / by, side))
+    return tuple(out)
+
+
+def _corners(H: Array, h: Array) -> Array:
+    """Corners of a planar polytope, from every pair of its rows."""
+    out = []
+    for i in range(len(H)):
+        for j in range(i):
+            pair = H[[i, j]]
+            if abs(np.linalg.det(pair)) > 1e-12:
+                v = np.linalg.solve(pair, h[[i, j]])
+                if (v @ H.T <= h * (1 + 1e-9)).all():
+                    out.append(v)
+    return np.array(out)

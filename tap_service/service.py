@@ -1,0 +1,399 @@
+"""The tap service: mirrors the field bus to disk, then lets the eavesdroppers guess.
+
+A thin shell. The transport's thread only puts messages on a queue. The main thread takes them off,
+writes each to the capture before anything else, and feeds the eavesdroppers that cost microseconds
+a step; the heavy ones read the capture in a process of their own (:mod:`tap_service.analysis`).
+"""
+
+import logging
+import multiprocessing
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from dataclasses import field as default
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from pydantic import ValidationError
+
+from protocol.keys import DEFAULT_LOOP, key_of
+from protocol.knowledge import Knowledge
+from protocol.messages import Measurement, Offer, TapStatus
+from protocol.runtime import (
+    DONE,
+    Complaints,
+    Throttle,
+    freeze_startup,
+    logger,
+    stop_on_signals,
+    write_atomically,
+)
+from protocol.trace import CAPTURE
+from tap_service.analysis import (
+    BELIEFS,
+    GUESSES,
+    Assignment,
+    Ears,
+    analyse,
+    listeners_of,
+)
+from tap_service.capture import Limits, RotatingLog, garbage_line, mirror_line
+from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError, named
+from tap_service.status import belief_record, beliefs_json, status_of
+from tap_service.transcript import Transcript
+from tap_service.view import Ear, View, told
+
+if TYPE_CHECKING:
+    from protocol.transport import Bus, Endpoints
+
+STATUS_PERIOD_S: Final = 0.2
+"""Between two statuses of one eavesdropper."""
+
+BELIEFS_PERIOD_S: Final = 2.0
+"""Between two writings of ``beliefs.json``."""
+
+GATHER_S: Final = 0.05
+"""Rest after the queue was empty, in which messages gather: waking up for each one would take
+processor time from the loop that is listened to."""
+
+NICENESS: Final = 10
+"""Guessing gives way to the loop where they share a processor."""
+
+QUEUE_LENGTH: Final = 200_000
+"""Messages that may wait for the mirror; beyond it they are dropped and counted."""
+
+BUSY_LENGTH: Final = 20_000
+"""Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
+
+FINISH_S: Final = 20.0
+"""Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class TapConfig:
+    """All that the tap is told.
+
+    Parameters
+    ----------
+    run_dir : Path
+        Everything is written below its folder ``tap``.
+    knowledge : Knowledge
+        What every eavesdropper but the oracle knows.
+    oracle_knowledge : Knowledge, optional
+        The oracle's; without it there can be none.
+    names : tuple of str
+        Eavesdroppers, by name or as ``FILE.py:NAME``.
+    view : View
+        What the tap sees, and how well.
+    loop : str
+    field, intel : Endpoints
+    limits : Limits
+        Of the capture; the logs of guesses get an eighth of it each.
+    finish_s : float
+        Seconds that the heavy eavesdroppers have for their last thoughts.
+    """
+
+    run_dir: Path
+    knowledge: Knowledge
+    field: "Endpoints"
+    intel: "Endpoints"
+    oracle_knowledge: Knowledge | None = None
+    names: tuple[str, ...] = DEFAULT
+    view: View = default(default_factory=View)
+    loop: str = DEFAULT_LOOP
+    limits: Limits = default(default_factory=Limits)
+    finish_s: float = FINISH_S
+
+    def knowledge_of(self, name: str) -> Knowledge:
+        """What the eavesdropper ``name`` is told; the oracle's model has no error."""
+        if name == ORACLE:
+            if self.oracle_knowledge is None:
+                raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
+            return self.oracle_knowledge
+        return told(self.knowledge, named(name), self.view)
+
+    def header(self) -> dict[str, Any]:
+        """The public part of what a recording's header says."""
+        from importlib.metadata import version
+
+        return {
+            "loop": self.loop,
+            "knowledge": self.knowledge.model_dump(mode="json"),
+            "view": self.view.model_dump(mode="json"),
+            "eavesdroppers": self.names,
+            "wyner_version": version("wyner"),
+        }
+
+
+def eighth(limits: Limits) -> Limits:
+    """Bounds of a log of guesses, from the capture's."""
+    return limits.model_copy(
+        update={
+            "part_bytes": max(limits.part_bytes // 8, 1024),
+            "total_bytes": max(limits.total_bytes // 8, 2048),
+        }
+    )
+
+
+def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
+    """Run until SIGTERM or SIGINT, or until ``stopping`` is set.
+
+    Raises
+    ------
+    KnowledgeError
+        When an eavesdropper cannot be made; nothing has started then.
+    protocol.transport.TransportError
+        When a bus cannot be opened.
+    """
+    from protocol.transport import open_bus
+
+    with ExitStack() as stack:
+        own_process = stopping is None
+        if stopping is None:
+            stopping = stack.enter_context(stop_on_signals())
+        service = TapService(config)
+        stack.callback(service.close)
+        field_bus = stack.enter_context(open_bus(config.field))
+        intel_bus = stack.enter_context(open_bus(config.intel))
+        service.attach(field_bus, intel_bus)
+        if own_process:
+            # On Linux this is the calling thread's alone: the transport's threads, already
+            # running, still take messages off the wire at once.
+            os.nice(NICENESS)
+            freeze_startup()
+        service.run(stopping)
+    return DONE
+
+
+class TapService:
+    """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
+
+    def __init__(self, config: TapConfig) -> None:
+        self.log: logging.Logger = logger("tap")
+        self._config = config
+        knowledge = {name: config.knowledge_of(name) for name in config.names}
+        light = [name for name in config.names if not named(name).heavy]
+        heavy = tuple(name for name in config.names if named(name).heavy)
+        listeners = listeners_of(light, knowledge)
+        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
+        header = config.header()
+        guesses = eighth(config.limits)
+        self._capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
+        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
+        self._ears = Ears(listeners, self._guesses)
+        self._ear = Ear(config.view)
+        self._transcript = Transcript()
+        self._queue: queue.SimpleQueue[tuple[str, bytes, int]] = queue.SimpleQueue()
+        self._complaints = Complaints(self.log)
+        self._types: dict[str, type[Measurement] | type[Offer]] = {
+            key_of(kind, config.loop): kind for kind in (Measurement, Offer)
+        }
+        self._put: Callable[[bytes], None] | None = None
+        self._overflow = 0
+        self._unheard = 0
+        self._seq = 0
+        self._records: dict[str, dict[str, Any]] = {}
+        self._analysis: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._analysis_status: dict[str, TapStatus] = {}
+        if heavy:
+            self._start_analysis(Assignment(config.run_dir, heavy, knowledge, guesses, header))
+
+    def _start_analysis(self, assignment: Assignment) -> None:
+        # one thread is all it may take of the processor
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._analysis = context.Process(target=analyse, args=(assignment, theirs), daemon=True)
+        self._analysis.start()
+        theirs.close()
+
+    # --- the wire ---------------------------------------------------------------------------------
+
+    def attach(self, field_bus: "Bus", intel_bus: "Bus") -> None:
+        """Subscribe to the field messages, and publish on the intel bus."""
+        for key in self._types:
+            field_bus.subscribe(key, self.deliver)
+        self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop)).put
+
+    def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
+        """Take one message from the transport; runs on its thread, so it only enqueues."""
+        if self._queue.qsize() < QUEUE_LENGTH:
+            self._queue.put((key, payload, t_ns))
+        else:
+            self._overflow += 1
+
+    # --- the loop ---------------------------------------------------------------------------------
+
+    def run(self, stopping: threading.Event) -> None:
+        """Mirror, guess and publish until ``stopping``; then settle what is left."""
+        names = ", ".join(self._config.names) or "none"
+        self.log.info("listening on loop %s, eavesdroppers: %s", self._config.loop, names)
+        status = Throttle(STATUS_PERIOD_S)
+        beliefs = Throttle(BELIEFS_PERIOD_S)
+        while not stopping.is_set():
+            self.work(0.05)
+            time.sleep(GATHER_S)
+            now = time.monotonic()
+            if status.ready(now):
+                self.publish()
+            if beliefs.ready(now):
+                self._write_beliefs()
+        self.finish()
+
+    def work(self, wait_s: float) -> None:
+        """Take what is on the queue, for at most ``STATUS_PERIOD_S``; wait for a first message.
+
+        What came of it is with the operating system on return.
+        """
+        take = self._queue.get
+        try:
+            item = take(timeout=wait_s)
+        except queue.Empty:
+            return
+        until = time.monotonic() + STATUS_PERIOD_S
+        try:
+            while True:
+                self._take(*item)
+                if time.monotonic() >= until:
+                    break
+                item = take(block=False)
+        except queue.Empty:
+            pass
+        self._capture.flush()
+        self._guesses.flush()
+
+    def _take(self, key: str, payload: bytes, t_ns: int) -> None:
+        kind = self._types.get(key)
+        if kind is None:
+            return
+        try:
+            message = kind.model_validate_json(payload)
+        except ValidationError as error:
+            self._capture.write(garbage_line(t_ns, key, payload))
+            first = error.errors(include_url=False, include_context=False)[0]["msg"]
+            self._complaints.add(f"{key}: undecodable: {first}")
+            return
+        if self._config.view.clear:
+            self._capture.write(mirror_line(t_ns, kind.topic, payload))
+            self._hear(message)
+            return
+        for seen_ns, seen in self._ear.hear(t_ns, message):
+            self._see(seen_ns, seen)
+
+    def _see(self, t_ns: int, message: Measurement | Offer) -> None:
+        payload = message.wire()
+        self._capture.write(mirror_line(t_ns, message.topic, payload))
+        self._hear(message)
+
+    def _hear(self, message: Measurement | Offer) -> None:
+        if self._queue.qsize() > BUSY_LENGTH:
+            self._unheard += 1
+            return
+        self._ears.feed(self._transcript.hear(message))
+
+    def finish(self) -> None:
+        """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""
+        while not self._queue.empty():
+            self.work(0.0)
+        for seen_ns, seen in self._ear.rest():
+            self._see(seen_ns, seen)
+        self._ears.feed(self._transcript.flush())
+        self._capture.close()
+        for listener in self._ears.listeners:
+            self._ears.review(listener)
+        self._guesses.flush()
+        self.publish()
+        self._write_beliefs(whole=True)
+        if self._pipe is not None:
+            self._finish_analysis(self._pipe)
+            self.publish()
+
+    def _finish_analysis(self, pipe: Connection) -> None:
+        deadline = time.monotonic() + self._config.finish_s
+        try:
+            pipe.send("finish")
+            while (left := deadline - time.monotonic()) > 0:
+                if not pipe.poll(left):
+                    break
+                report = pipe.recv()
+                if report is None:
+                    return
+                self._note(*report)
+                self._write_beliefs(whole=True)
+        except (EOFError, OSError):
+            self.log.error("the heavy eavesdroppers' process is gone")
+            return
+        self.log.error("the heavy eavesdroppers did not finish within %g s", self._config.finish_s)
+        if self._analysis is not None:
+            self._analysis.terminate()
+
+    # --- what is told -----------------------------------------------------------------------------
+
+    def _counts(self) -> dict[str, int]:
+        self._seq += 1
+        return {
+            "seq": self._seq,
+            "t_ns": time.time_ns(),
+            "mirrored": self._capture.written,
+            "capture_bytes": self._capture.size,
+            "dropped": self._overflow + self._capture.dropped + self._unheard,
+            "garbage": self._complaints.total,
+        }
+
+    def _note(self, status: TapStatus, record: dict[str, Any]) -> None:
+        self._analysis_status[status.name] = status
+        self._records[status.name] = record
+
+    def publish(self) -> None:
+        """Publish the status of every eavesdropper."""
+        statuses = []
+        for listener in self._ears.listeners:
+            belief = listener.belief()
+            record = belief_record(listener.name, self._ears.session, listener, belief)
+            self._records[listener.name] = record
+            counts = self._counts() | {"behind": self._queue.qsize()}
+            statuses.append(status_of(listener, belief, counts))
+        try:
+            while self._pipe is not None and self._pipe.poll():
+                report = self._pipe.recv()
+                if report is None:
+                    break
+                self._note(*report)
+        except (EOFError, OSError):
+            self.log.error("the heavy eavesdroppers' process is gone")
+            self._pipe = None
+        for status in self._analysis_status.values():
+            counts = self._counts()
+            counts["dropped"] += status.dropped
+            statuses.append(status.model_copy(update=counts))
+        if self._put is not None:
+            for status in statuses:
+                self._put(status.wire())
+
+    def _write_beliefs(self, *, whole: bool = False) -> None:
+        records = self._records
+        if not whole:  # the symbols are long, and scoring needs them at the end only
+            records = {name: {**r, "symbols": ()} for name, r in records.items()}
+        try:
+            write_atomically(self._config.run_dir / BELIEFS, beliefs_json(records))
+        except OSError as error:
+            self._complaints.add(f"{BELIEFS}: {error.strerror}")
+
+    def close(self) -> None:
+        """End the files and the analysis process."""
+        self._capture.close()
+        self._guesses.close()
+        if self._pipe is not None:
+            self._pipe.close()
+        if self._analysis is not None:
+            self._analysis.join(1.0)
+            if self._analysis.is_alive():
+                self._analysis.terminate()
+                self._analysis.join(1.0)
