@@ -1,0 +1,1 @@
+"""Experiments: the loop over many runs, sweeps, figures, benchmarks and their references."""

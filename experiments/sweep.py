@@ -1,0 +1,205 @@
+"""Running a sweep: tasks for any executor, additive rows, a stopping rule.
+
+A point's runs come in batches. A task simulates one batch, and gives one row of counts for each
+alpha that shares its trajectories. Rows of one point add up, and they are written in one order; so
+a sweep that was stopped goes on where it ended, and it is the same rows whichever way it is run.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from controller_service.laws import ControlLaw, ProgramError, make_law
+from controller_service.synthesis import SynthesisError, cached_design
+from experiments.engine import SimulationError, follow, simulate_runs
+from experiments.grid import Group, Point, Row, Sweep, describe, groups_of
+from experiments.results import COUNTS, Results, summarise
+from protocol.scenario import Scenario
+
+
+@lru_cache(maxsize=64)
+def _law(substance: str) -> ControlLaw:
+    scenario = Scenario.model_validate_json(substance)
+    return make_law(scenario, cached_design(scenario))
+
+
+def run_task(
+    scenario: str, alphas: Sequence[float], seed: int, first: int, runs: int, steps: int
+) -> Any:
+    """Simulate one batch; the measured columns for each alpha, or one line saying why not.
+
+    Parameters
+    ----------
+    scenario : str
+        As JSON: it travels to other processes and machines.
+    alphas : sequence of float
+    seed, first, runs, steps : int
+        Runs ``first`` to ``first + runs - 1``.
+    """
+    one = Scenario.model_validate_json(scenario)
+    neutral = one.model_copy(update={"secrecy": one.secrecy.model_copy(update={"alpha": 1.0})})
+    try:
+        law = _law(neutral.model_dump_json(exclude={"description", "source"}))
+        simulated = simulate_runs(one, law, seed=seed, runs=range(first, first + runs), steps=steps)
+    except (SynthesisError, ProgramError, SimulationError) as error:
+        return str(error)
+    link = follow(simulated, alphas)
+    x2, u2 = simulated.state_cost / steps, simulated.input_effort / steps
+    common = {
+        "period_s": one.plant.period_s,
+        "candidates": one.secrecy.candidates,
+        "steps": steps,
+        "seed": seed,
+        "first_run": first,
+        "runs": runs,
+    }
+    sums = {
+        "state_cost": float(x2.sum()),
+        "state_cost_squares": float((x2 * x2).sum()),
+        "input_effort": float(u2.sum()),
+        "input_effort_squares": float((u2 * u2).sum()),
+    }
+    rows = []
+    for i in range(len(alphas)):
+        counts = {name: int(getattr(link, name)[i].sum()) for name in COUNTS}
+        histogram: dict[int, int] = {}
+        for value in link.message_symbols[i].tolist():
+            histogram[value] = histogram.get(value, 0) + 1
+        text = " ".join(f"{v}:{histogram[v]}" for v in sorted(histogram))
+        rows.append(common | counts | sums | {"runs_by_symbols": text})
+    return rows
+
+
+class SerialExecutor(Executor):
+    """Runs each call at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run ``fn`` now."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+Progress = Callable[[int, int], None]
+
+
+def looks(sweep: Sweep) -> Iterator[int]:
+    """Numbers of batches after which a point is looked at: doubling, up to the run limit."""
+    limit = max(sweep.runs, sweep.stop.max_runs if sweep.stop else 0)
+    most = -(-limit // sweep.batch)
+    batches = -(-sweep.runs // sweep.batch)
+    while batches < most:
+        yield batches
+        batches *= 2
+    yield most
+
+
+def _batch(sweep: Sweep, number: int) -> tuple[int, int]:
+    """First run and runs of a batch; the last one may be smaller."""
+    limit = max(sweep.runs, sweep.stop.max_runs if sweep.stop else 0)
+    first = number * sweep.batch
+    return first, min(sweep.batch, limit - first)
+
+
+def _enough(sweep: Sweep, group: Group, batches: int) -> bool:
+    """Whether every point of the group meets the stopping rule."""
+    if sweep.stop is None:
+        return True
+    starts = {_batch(sweep, b)[0] for b in range(batches)}
+    rows = [row for (_, first), row in group.done.items() if first in starts]
+    limit = sweep.stop.relative_width
+    return all(s.rate.relative_width <= limit for s in summarise(rows))
+
+
+def run_sweep(
+    sweep: Sweep,
+    points: Sequence[Point],
+    results: Results,
+    executor: Executor,
+    progress: Progress | None = None,
+    ahead: int = 1,
+) -> list[str]:
+    """Run what is missing; rows are written in one order, whatever the executor.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the runs that are done and the runs that are foreseen.
+    ahead : int
+        Tasks that the executor is given before the oldest of them is waited for.
+
+    Returns
+    -------
+    list of str
+        One line for each group of points that could not be simulated.
+    """
+    groups = groups_of(points)
+    known: dict[tuple[str, str, str], list[Row]] = {}
+    for r in results.rows:
+        known.setdefault((r["scenario"], r["variant"], r["task"]), []).append(r)
+    for group in groups:
+        for p in group.points:
+            for r in known.get((p.scenario.name, p.variant, p.task), ()):
+                group.done[p.task, r["first_run"]] = r
+    waiting = list(groups)
+    finished = foreseen = 0
+    for batches in looks(sweep):
+        tasks = [
+            _Task(group, missing, *_batch(sweep, number))
+            for group in waiting
+            for number in range(batches)
+            if (missing := _missing(group, _batch(sweep, number)[0]))
+        ]
+        foreseen += sum(task.runs for task in tasks)
+        under_way: deque[tuple[_Task, Future[Any]]] = deque()
+        for task in (*tasks, None):
+            if task is not None:
+                under_way.append((task, executor.submit(run_task, *task.arguments(sweep))))
+            while under_way and (task is None or len(under_way) >= ahead):
+                oldest, future = under_way.popleft()
+                _take(oldest, future, results)
+                finished += oldest.runs
+                if progress is not None:
+                    progress(finished, foreseen)
+        waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, batches)]
+    return [f"{describe(g.points[0])}: {g.failure}" for g in groups if g.failure]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One batch of a group, for the points that lack it."""
+
+    group: Group
+    points: list[Point]
+    first: int
+    runs: int
+
+    def arguments(self, sweep: Sweep) -> tuple[str, list[float], int, int, int, int]:
+        """What :func:`run_task` takes."""
+        text = self.points[0].scenario.model_dump_json()
+        alphas = [p.scenario.secrecy.alpha for p in self.points]
+        return text, alphas, sweep.seed, self.first, self.runs, sweep.steps
+
+
+def _missing(group: Group, first: int) -> list[Point]:
+    return [p for p in group.points if (p.task, first) not in group.done]
+
+
+def _take(task: _Task, future: "Future[Any]", results: Results) -> None:
+    """Write a task's rows, unless its group has failed before."""
+    group = task.group
+    if group.failure:
+        future.cancel()
+        return
+    answer = future.result()
+    if isinstance(answer, str):
+        group.failure = answer
+        return
+    for point, measured in zip(task.points, answer, strict=True):
+        group.done[point.task, task.first] = results.add(point, measured)
