@@ -1,0 +1,295 @@
+"""What the dashboard knows: a frozen board, replaced by a pure reducer, one message at a time.
+
+Nothing here reads a clock, a socket or a terminal. The time of arrival comes with the message, so a
+recorded list of arrivals always gives the same board.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, TypeVar
+
+from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+
+T = TypeVar("T")
+
+STEPS_KEPT: Final = 4096
+"""Steps whose true symbols and guesses are held for scoring, so that a tap that decodes late is
+scored too; older ones are forgotten."""
+
+STATES_KEPT: Final = 240
+"""States held for the history, at least as many as the widest sparkline shows."""
+
+TEXTS_KEPT: Final = 8
+"""True messages remembered, so that a tap still on an earlier one is judged against that one."""
+
+PICTURE_NS: Final = 500_000_000
+"""How long a pictured step stays: at many steps a second the eye needs time, and an agreement that
+came meanwhile is preferred to what came after it."""
+
+TAPS_KEPT: Final = 16
+"""Taps by name; more names than this on the intel bus are counted as garbage."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A message and the time it came, in nanoseconds of a clock that never goes back."""
+
+    t_ns: int
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What the plant says about one transition: its role, the key symbol (or -1), the coin b_r."""
+
+    role: Literal["test", "message"]
+    symbol: int
+    coin: int
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What a tap says about one step: likeliest symbol, its probability, that of an agreement."""
+
+    symbol: int
+    probability: float
+    agreed: float
+
+
+@dataclass(frozen=True, slots=True)
+class TapView:
+    """One eavesdropper as the dashboard sees her.
+
+    ``exact`` is set by the dashboard, never by the tap: her message was, at least once, a true one.
+    """
+
+    status: TapStatus
+    seen_ns: int
+    guesses: Mapping[int, Guess] = field(default_factory=dict)
+    exact: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Automata:
+    """The states of sender and receiver after the same number of transitions."""
+
+    transitions: int
+    sender: int
+    receiver: int
+
+    @property
+    def in_step(self) -> bool:
+        """Whether they are the same, as they must always be."""
+        return self.sender == self.receiver
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """All that the screen and the plain lines are made from.
+
+    ``pictured`` is the plant's status whose step is drawn; ``automata`` is the last moment at
+    which both automata were known, None before the first one of a session.
+    """
+
+    plant: PlantStatus | None = None
+    plant_seen_ns: int = -1
+    controller: ControllerStatus | None = None
+    controller_seen_ns: int = -1
+    pictured: PlantStatus | None = None
+    pictured_ns: int = -1
+    automata: Automata | None = None
+    taps: Mapping[str, TapView] = field(default_factory=dict)
+    truths: Mapping[int, Truth] = field(default_factory=dict)
+    states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    texts: tuple[str, ...] = ()
+    received: int = 0
+    refused: int = 0
+    unreadable: int = 0
+
+    @property
+    def garbage(self) -> int:
+        """Payloads that the source could not read, and statuses of more taps than are kept."""
+        return self.unreadable + self.refused
+
+    @property
+    def candidates(self) -> int:
+        """M, the number of candidates in an offer; 2 until a transition was pictured."""
+        pictured = len(self.plant.pictured_candidates) if self.plant is not None else 0
+        return max(2, pictured)
+
+    @property
+    def recovered(self) -> str:
+        """The text the plant has so far: the frame on its way, or the last whole message."""
+        if self.plant is None:
+            return ""
+        under_way = self.controller is not None and (
+            self.controller.frame_symbols < self.controller.frame_length
+            or self.controller.sending != self.plant.last_message
+        )
+        return self.plant.partial if self.plant.partial or under_way else self.plant.last_message
+
+    @property
+    def sent(self) -> str:
+        """The text on its way, or where no controller was heard, what the plant has."""
+        return self.controller.sending if self.controller is not None else self.recovered
+
+
+def reduce(board: Board, arrival: Arrival) -> Board:
+    """The board after one more arrival; anything but a status only counts."""
+    board = replace(board, received=board.received + 1)
+    match arrival.message:
+        case PlantStatus() as status:
+            return _plant(board, status, arrival.t_ns)
+        case ControllerStatus() as status:
+            return _controller(board, status, arrival.t_ns)
+        case TapStatus() as status:
+            return _tap(board, status, arrival.t_ns)
+        case _:
+            return board
+
+
+def reduce_all(board: Board, arrivals: Iterable[Arrival]) -> Board:
+    """`reduce` over many arrivals, in order."""
+    for arrival in arrivals:
+        board = reduce(board, arrival)
+    return board
+
+
+def compare_automata(board: Board) -> Automata | None:
+    """Both automata's states after the transitions that the controller had counted.
+
+    The two statuses are snapshots of different moments, so the plant's state is read back from its
+    tail. None: not comparable at the moment.
+    """
+    plant, controller = board.plant, board.controller
+    if plant is None or controller is None or plant.session != controller.session:
+        return None
+    behind = plant.transitions - controller.transitions
+    if behind == 0:
+        return Automata(plant.transitions, controller.automaton, plant.automaton)
+    if not 0 < behind < len(plant.tail_k):
+        return None
+    role, symbol = plant.tail_role[-1 - behind], plant.tail_symbol[-1 - behind]
+    state = 2 if role == "test" and symbol >= 0 else 1
+    return Automata(controller.transitions, controller.automaton, state)
+
+
+def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
+    if board.plant is not None and _stale(board.plant, status):
+        return board
+    if board.plant is not None and board.plant.session != status.session:
+        # Steps may be counted afresh in a new session: what was known by step is void.
+        board = replace(
+            board,
+            automata=None,
+            pictured=None,
+            truths={},
+            states={},
+            taps={name: replace(tap, guesses={}) for name, tap in board.taps.items()},
+        )
+    truths, states = dict(board.truths), dict(board.states)
+    tail = zip(
+        status.tail_k,
+        status.tail_x,
+        status.tail_role,
+        status.tail_symbol,
+        status.tail_coin,
+        strict=False,
+    )
+    for k, x, role, symbol, coin in tail:
+        truths[k] = Truth(role, symbol, coin)
+        states[k] = x
+    states[status.k] = status.x
+    board = _picture(board, status, t_ns)
+    return _judge(
+        replace(
+            board,
+            plant=status,
+            plant_seen_ns=t_ns,
+            truths=_newest(truths, STEPS_KEPT),
+            states=_newest(states, STATES_KEPT),
+            texts=_with_text(board.texts, status.last_message),
+        )
+    )
+
+
+def _picture(board: Board, status: PlantStatus, t_ns: int) -> Board:
+    """Draw another step when the last one has been seen long enough, an agreement at once."""
+    if status.pictured_k < 0:
+        return board
+    shown = board.pictured
+    over = t_ns - board.pictured_ns >= PICTURE_NS
+    better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)
+    if not over and not better:
+        return board
+    return replace(board, pictured=status, pictured_ns=t_ns)
+
+
+def _controller(board: Board, status: ControllerStatus, t_ns: int) -> Board:
+    if board.controller is not None and _stale(board.controller, status):
+        return board
+    return _judge(
+        replace(
+            board,
+            controller=status,
+            controller_seen_ns=t_ns,
+            texts=_with_text(board.texts, status.sending),
+        )
+    )
+
+
+def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
+    before = board.taps.get(status.name)
+    if before is not None and _stale(before.status, status):
+        return board
+    if before is None and len(board.taps) >= TAPS_KEPT:
+        return replace(board, refused=board.refused + 1)
+    guesses = dict(before.guesses) if before is not None else {}
+    tail = zip(
+        status.tail_k,
+        status.tail_symbol,
+        status.tail_probability,
+        status.tail_agreed,
+        strict=False,
+    )
+    for k, symbol, probability, agreed in tail:
+        guesses[k] = Guess(symbol, probability, agreed)
+    tap = TapView(
+        status,
+        t_ns,
+        _newest(guesses, STEPS_KEPT),
+        before.exact if before is not None else False,
+    )
+    return _judge(replace(board, taps={**board.taps, status.name: tap}))
+
+
+def _judge(board: Board) -> Board:
+    """Compare the automata, and mark the taps whose message is a true one now."""
+    board = replace(board, automata=compare_automata(board) or board.automata)
+    found = {
+        name: replace(tap, exact=True)
+        for name, tap in board.taps.items()
+        if not tap.exact and tap.status.message and tap.status.message in board.texts
+    }
+    return replace(board, taps={**board.taps, **found}) if found else board
+
+
+def _stale(
+    known: PlantStatus | ControllerStatus | TapStatus,
+    new: PlantStatus | ControllerStatus | TapStatus,
+) -> bool:
+    # A service that was started again counts from zero but its clock is later: not stale.
+    return new.seq < known.seq and new.t_ns < known.t_ns
+
+
+def _newest(by_step: dict[int, T], limit: int) -> dict[int, T]:
+    if len(by_step) <= limit:
+        return by_step
+    # An eighth more than needed goes at once, so that sorting is seldom.
+    return {k: by_step[k] for k in sorted(by_step)[-(limit - limit // 8) :]}
+
+
+def _with_text(texts: tuple[str, ...], text: str) -> tuple[str, ...]:
+    if not text or text in texts:
+        return texts
+    return (*texts, text)[-TEXTS_KEPT:]

@@ -1,0 +1,236 @@
+"""The agreement picture: the paper's Fig. 4 for one real step, in characters.
+
+Around each centre c_i = A x + B u_i stand the outlines of D_c (solid) and D_e = alpha D_c (dotted),
+and a mark shows where x(k+1) fell. With more than two states the sets are projected on the two
+axes along which the candidates lie furthest apart.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+from typing import Final, Literal
+
+from protocol.messages import PlantStatus
+
+Kind = Literal["", "eavesdropper", "defender", "centre", "next"]
+Point = tuple[float, float]
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
+
+VERTEX_TOLERANCE: Final = 1e-9
+"""A point counts as inside a set's row when it leaves it by no more than this, relative to h."""
+
+COMBINATIONS_TRIED: Final = 40_000
+"""Row subsets tried to find a set's corners; beyond it the set is drawn as its bounding box."""
+
+_BRAILLE: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One character of the picture and what it belongs to."""
+
+    character: str
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """The two state components drawn, counted from 0: across and up; up is -1 for n = 1."""
+
+    across: int
+    up: int
+
+    @property
+    def words(self) -> str:
+        """The axes as a reader counts them."""
+        return f"x{self.across + 1} across" + (f", x{self.up + 1} up" if self.up >= 0 else "")
+
+    @property
+    def short(self) -> str:
+        """The same in fewer characters."""
+        return f"x{self.across + 1}" + (f" by x{self.up + 1}" if self.up >= 0 else "")
+
+
+def axes_of(B: Matrix, H: Matrix, h: Vector) -> Axes:
+    """The axes along which an input moves the state furthest, measured in widths of D_c."""
+    width = [_reach(H, h, i) for i in range(len(B))]
+    moved = [sum(abs(b) for b in row) / w for row, w in zip(B, width, strict=True)]
+    order = sorted(range(len(B)), key=lambda i: (-moved[i], i))
+    return Axes(order[0], order[1] if len(order) > 1 else -1)
+
+
+def _reach(H: Matrix, h: Vector, axis: int) -> float:
+    """Distance from the origin to the edge of the set along one axis (a section, not a shadow)."""
+    edges = [b / row[axis] for row, b in zip(H, h, strict=True) if row[axis] > 0]
+    return min(edges, default=1.0)
+
+
+def verdict(status: PlantStatus) -> str:
+    """What the agreement test said of the pictured step, in words (equation 20)."""
+    gauges = status.pictured_gauges
+    role = dict(zip(status.tail_k, status.tail_role, strict=False)).get(status.pictured_k)
+    if role == "message":
+        return "not tested: it carries m[p]"
+    if status.pictured_symbol >= 0:
+        return f"AGREED key {status.pictured_symbol}: in one D_c, in every D_e"
+    inside = sum(g <= 1 for g in gauges)
+    if inside == 0:
+        return "no key: x(k+1) outside every D_c"
+    if inside > 1:
+        return "no key: x(k+1) inside several D_c"
+    return "no key: x(k+1) outside one D_e"
+
+
+def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list[list[Cell]]:
+    """The pictured transition as ``height`` rows of ``width`` cells; blank before the first one."""
+    if status.pictured_k < 0 or not status.pictured_candidates or width < 4 or height < 2:
+        return [[Cell(" ", "")] * width for _ in range(height)]
+    axes = axes_of(status.B, status.defender_H, status.defender_h)
+    shape = outline(status.defender_H, status.defender_h, axes)
+    centres = [
+        _project(_centre(status.A, status.B, status.pictured_x, u), axes)
+        for u in status.pictured_candidates
+    ]
+    fallen = _project(status.pictured_x_next, axes)
+    wide = [(status.alpha * a, status.alpha * b) for a, b in shape]
+    points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in wide] + [fallen]
+    canvas = _Canvas(width, height, points, unicode)
+    for c in centres:
+        canvas.polygon([(c[0] + a, c[1] + b) for a, b in wide], "eavesdropper")
+    for c in centres:
+        canvas.polygon([(c[0] + a, c[1] + b) for a, b in shape], "defender")
+    for i, c in enumerate(centres):
+        canvas.mark(c, str(i % 10), "centre")
+    canvas.mark(fallen, "●" if unicode else "*", "next")
+    return canvas.rows()
+
+
+def _centre(A: Matrix, B: Matrix, x: Vector, u: Vector) -> Vector:
+    return tuple(
+        sum(a * v for a, v in zip(row, x, strict=True))
+        + sum(b * v for b, v in zip(column, u, strict=True))
+        for row, column in zip(A, B, strict=True)
+    )
+
+
+def _project(x: Sequence[float], axes: Axes) -> Point:
+    return (x[axes.across], x[axes.up] if axes.up >= 0 else 0.0)
+
+
+@lru_cache(maxsize=8)
+def outline(H: Matrix, h: Vector, axes: Axes) -> tuple[Point, ...]:
+    """Corners, in order, of the shadow of { v : H v <= h } on two axes."""
+    n = len(H[0])
+    corners = {_project(v, axes) for v in _vertices(H, h, n)}
+    if axes.up < 0:
+        ends = [p[0] for p in corners]
+        return ((min(ends), -1.0), (max(ends), -1.0), (max(ends), 1.0), (min(ends), 1.0))
+    return _hull(corners)
+
+
+def _vertices(H: Matrix, h: Vector, n: int) -> Iterator[Vector]:
+    subsets = combinations(range(len(H)), n)
+    for tried, rows in enumerate(subsets):
+        if tried >= COMBINATIONS_TRIED:
+            break
+        v = _solve([[*H[i], h[i]] for i in rows])
+        if v is not None and all(
+            sum(a * b for a, b in zip(row, v, strict=True)) <= edge * (1 + VERTEX_TOLERANCE)
+            for row, edge in zip(H, h, strict=True)
+        ):
+            yield v
+
+
+def _solve(rows: list[list[float]]) -> Vector | None:
+    """Solve a small square system by elimination with pivoting; None when it is singular."""
+    n = len(rows)
+    for i in range(n):
+        pivot = max(range(i, n), key=lambda r: abs(rows[r][i]))
+        if abs(rows[pivot][i]) < 1e-12:
+            return None
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        for r in range(n):
+            if r != i:
+                factor = rows[r][i] / rows[i][i]
+                rows[r] = [a - factor * b for a, b in zip(rows[r], rows[i], strict=True)]
+    return tuple(rows[i][n] / rows[i][i] for i in range(n))
+
+
+def _hull(points: set[Point]) -> tuple[Point, ...]:
+    """Convex hull, anticlockwise (monotone chain)."""
+    ordered = sorted(points)
+
+    def chain(sequence: Sequence[Point]) -> list[Point]:
+        kept: list[Point] = []
+        for p in sequence:
+            while len(kept) >= 2 and _turn(kept[-2], kept[-1], p) <= 0:
+                kept.pop()
+            kept.append(p)
+        return kept[:-1]
+
+    return tuple(chain(ordered) + chain(ordered[::-1]))
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+class _Canvas:
+    """A grid of cells, each two dots wide and four high where braille may be used."""
+
+    def __init__(self, width: int, height: int, points: Sequence[Point], unicode: bool) -> None:
+        self._width, self._height, self._unicode = width, height, unicode
+        self._columns, self._lines = (width * 2, height * 4) if unicode else (width, height)
+        xs, ys = [p[0] for p in points], [p[1] for p in points]
+        self._left, self._right = min(xs), max(xs)
+        self._bottom, self._top = min(ys), max(ys)
+        self._dots: dict[tuple[int, int], Kind] = {}
+        self._marks: dict[tuple[int, int], Cell] = {}
+
+    def _dot(self, p: Point) -> tuple[int, int]:
+        across = (p[0] - self._left) / ((self._right - self._left) or 1.0)
+        up = (p[1] - self._bottom) / ((self._top - self._bottom) or 1.0)
+        return round(across * (self._columns - 1)), round((1 - up) * (self._lines - 1))
+
+    def polygon(self, corners: Sequence[Point], kind: Kind) -> None:
+        """Draw a closed outline; that of the eavesdropper is dotted."""
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+            (ax, ay), (bx, by) = self._dot(a), self._dot(b)
+            steps = max(abs(bx - ax), abs(by - ay), 1)
+            for i in range(steps + 1):
+                dot = (round(ax + (bx - ax) * i / steps), round(ay + (by - ay) * i / steps))
+                if kind == "defender" or sum(dot) % 2 == 0 or i in (0, steps):
+                    self._dots[dot] = kind
+
+    def mark(self, p: Point, character: str, kind: Kind) -> None:
+        """Put one character where a point lies, over whatever is there."""
+        x, y = self._dot(p)
+        place = (x // 2, y // 4) if self._unicode else (x, y)
+        taken = self._marks.get(place)
+        if taken is not None and kind == "centre" and place[0] + 1 < self._width:
+            # Two centres in one cell: their digits stand side by side.
+            place = (place[0] + 1, place[1])
+        self._marks[place] = Cell(character, kind)
+
+    def rows(self) -> list[list[Cell]]:
+        """The picture, top row first."""
+        return [[self._cell(x, y) for x in range(self._width)] for y in range(self._height)]
+
+    def _cell(self, x: int, y: int) -> Cell:
+        if (x, y) in self._marks:
+            return self._marks[x, y]
+        if not self._unicode:
+            kind = self._dots.get((x, y), "")
+            return Cell({"": " ", "defender": "#"}.get(kind, "."), kind)
+        bits, kinds = 0, set()
+        for row, pair in enumerate(_BRAILLE):
+            for column, bit in enumerate(pair):
+                dot = self._dots.get((2 * x + column, 4 * y + row))
+                if dot is not None:
+                    bits |= bit
+                    kinds.add(dot)
+        if not bits:
+            return Cell(" ", "")
+        return Cell(chr(0x2800 + bits), "defender" if "defender" in kinds else "eavesdropper")

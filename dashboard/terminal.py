@@ -1,0 +1,120 @@
+"""Keys from a terminal: cbreak mode, select, and the old mode back whatever happens."""
+
+import contextlib
+import os
+import select
+import sys
+import tempfile
+import termios
+import tty
+from collections.abc import Iterator
+from typing import Final
+
+ESCAPE: Final = "\x1b"
+BACKSPACES: Final = ("\x7f", "\x08")
+ENTERS: Final = ("\r", "\n")
+
+HELD_BYTES: Final = 16_384
+"""Newest bytes of standard error that are repeated after the screen closed."""
+
+_READ_BYTES: Final = 256
+
+
+class Keyboard:
+    """Reads what was typed, without waiting for a line; made by `cbreak`."""
+
+    def __init__(self, descriptor: int | None) -> None:
+        self._descriptor = descriptor
+
+    def read(self, timeout_s: float) -> list[str]:
+        """Characters typed within ``timeout_s`` seconds, at once when there are some.
+
+        Sequences that begin with Escape (arrows, function keys) are swallowed; Escape alone is not.
+        Without a keyboard this only waits. After the end of input there is no keyboard any more.
+        """
+        if self._descriptor is None:
+            select.select([], [], [], timeout_s)
+            return []
+        ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
+        if not ready:
+            return []
+        data = os.read(self._descriptor, _READ_BYTES)
+        if not data:
+            self._descriptor = None
+        return split_keys(data.decode("utf-8", "replace"))
+
+
+def split_keys(text: str) -> list[str]:
+    """The single keys in what one read gave."""
+    keys: list[str] = []
+    i = 0
+    while i < len(text):
+        if text[i] == ESCAPE and i + 1 < len(text) and text[i + 1] in "[O":
+            i += 2
+            while i < len(text) and not ("@" <= text[i] <= "~"):
+                i += 1
+        else:
+            keys.append(text[i])
+        i += 1
+    return keys
+
+
+@contextlib.contextmanager
+def cbreak(descriptor: int | None = None) -> Iterator[Keyboard]:
+    """A keyboard on a descriptor (standard input if not given), restored at the end.
+
+    Where the descriptor is no terminal the keyboard is silent, and nothing is changed.
+    """
+    if descriptor is None:
+        try:
+            descriptor = sys.stdin.fileno()
+        except (AttributeError, OSError, ValueError):
+            descriptor = -1
+    if descriptor < 0 or not os.isatty(descriptor):
+        yield Keyboard(None)
+        return
+    before = termios.tcgetattr(descriptor)
+    try:
+        tty.setcbreak(descriptor)
+        held = termios.tcgetattr(descriptor)
+        # Ctrl-Z would leave the shell with a screen that is not its own.
+        held[6][termios.VSUSP] = bytes([os.fpathconf(descriptor, "PC_VDISABLE") & 0xFF])
+        termios.tcsetattr(descriptor, termios.TCSANOW, held)
+        yield Keyboard(descriptor)
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+@contextlib.contextmanager
+def hold_stderr() -> Iterator[None]:
+    """Keep what is written to standard error, by anyone in this process, and repeat it at the end.
+
+    Without this a warning would be drawn over the screen and be gone with it. Where standard error
+    is no terminal it is left alone. The newest `HELD_BYTES` are repeated.
+    """
+    try:
+        descriptor = sys.stderr.fileno()
+        if not os.isatty(descriptor):
+            descriptor = -1
+    except (AttributeError, OSError, ValueError):
+        descriptor = -1
+    if descriptor < 0:
+        yield
+        return
+    sys.stderr.flush()
+    before = os.dup(descriptor)
+    with tempfile.TemporaryFile() as file:
+        try:
+            os.dup2(file.fileno(), descriptor)
+            yield
+        finally:
+            sys.stderr.flush()
+            os.dup2(before, descriptor)
+            os.close(before)
+            length = file.seek(0, os.SEEK_END)
+            file.seek(max(0, length - HELD_BYTES))
+            held = file.read()
+            if length > HELD_BYTES:
+                held = b"(earlier lines are left out)\n" + held.partition(b"\n")[2]
+            if held:
+                os.write(descriptor, held)

@@ -1,0 +1,238 @@
+"""Certificates for mutual TLS: one authority, one certificate a service, made with ``openssl``.
+
+The command line of OpenSSL (or LibreSSL) does the cryptography: it is on practically every machine
+and in every image that can open an HTTPS address, so no further dependency is carried for it.
+
+A folder of certificates::
+
+    ca.pem        the authority's certificate, the same for all
+    ca-key.pem    its private key: needed to make more certificates, and by no service
+    NAME/         what one service gets, whole: ca.pem, cert.pem, key.pem
+"""
+
+import ipaddress
+import os
+import re
+import secrets
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+AUTHORITY_CERTIFICATE: Final = "ca.pem"
+AUTHORITY_KEY: Final = "ca-key.pem"
+CERTIFICATE: Final = "cert.pem"
+KEY: Final = "key.pem"
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_HOST = re.compile(r"(?=.{1,253}$)[A-Za-z0-9_]([A-Za-z0-9_-]*[A-Za-z0-9_])?(\.[A-Za-z0-9_-]+)*")
+
+_REQUEST: Final = """\
+[req]
+prompt = no
+distinguished_name = name
+[name]
+CN = {name}
+[authority]
+basicConstraints = critical, CA:TRUE, pathlen:0
+keyUsage = critical, keyCertSign, cRLSign
+subjectKeyIdentifier = hash
+[service]
+basicConstraints = critical, CA:FALSE
+keyUsage = critical, digitalSignature
+extendedKeyUsage = serverAuth, clientAuth
+subjectKeyIdentifier = hash
+authorityKeyIdentifier = keyid
+subjectAltName = {hosts}
+"""
+
+
+class CertificateError(Exception):
+    """A certificate that cannot be made; the text is one line with the reason."""
+
+
+def check_name(name: str) -> str:
+    """Return ``name`` when it may be a certificate's common name and a folder's name.
+
+    Raises
+    ------
+    CertificateError
+        When it may not.
+    """
+    if not _NAME.fullmatch(name):
+        raise CertificateError(
+            f"name: got {name!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
+        )
+    return name
+
+
+def check_host(host: str) -> str:
+    """Return ``host`` as OpenSSL writes it in a list of alternative names.
+
+    Raises
+    ------
+    CertificateError
+        When it is neither an address nor a host's name.
+    """
+    try:
+        return f"IP:{ipaddress.ip_address(host)}"
+    except ValueError:
+        pass
+    if not _HOST.fullmatch(host):
+        raise CertificateError(f"host: got {host!r}, expected an IP address or a host's name")
+    return f"DNS:{host}"
+
+
+def make_authority(folder: Path, days: int) -> bool:
+    """Make the authority in ``folder``, unless it is there; say whether it was made.
+
+    Raises
+    ------
+    CertificateError
+        When half of it is there, or ``openssl`` fails.
+    """
+    certificate, key = folder / AUTHORITY_CERTIFICATE, folder / AUTHORITY_KEY
+    if certificate.exists() != key.exists():
+        there, gone = (certificate, key) if certificate.exists() else (key, certificate)
+        raise CertificateError(f"{there} is there and {gone} is not; expected both or neither")
+    if certificate.exists():
+        return False
+    _make_folder(folder)
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        # The name differs from one authority to the next, so that a certificate of an older one
+        # is refused for its issuer and not for its signature.
+        name = f"wyner authority {secrets.token_hex(4)}"
+        config = _write_request(Path(work), name, ["DNS:localhost"])
+        _make_key(Path(work) / "key")
+        _openssl(
+            "req", "-x509", "-new", "-sha256", "-key", f"{work}/key", "-config", str(config),
+            "-extensions", "authority", "-days", str(days), "-out", f"{work}/cert",
+        )  # fmt: skip
+        # The key first: a certificate without its key would be taken for damage.
+        (Path(work) / "key").replace(key)
+        (Path(work) / "cert").replace(certificate)
+    return True
+
+
+def make_certificate(folder: Path, name: str, hosts: Sequence[str], days: int) -> None:
+    """Make ``folder/name`` with a fresh key and a certificate of the authority in ``folder``.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the authority (:func:`make_authority`).
+    name : str
+        Common name, by which access is granted.
+    hosts : sequence of str
+        Host names and addresses under which the service may be reached.
+    days : int
+        Days for which it is valid.
+
+    Raises
+    ------
+    CertificateError
+        When a name or host is not usable, or ``openssl`` fails.
+    """
+    check_name(name)
+    if not hosts:
+        raise CertificateError(f"{name}: expected at least one host name or address")
+    alternative = [check_host(host) for host in hosts]
+    target = folder / name
+    _make_folder(target)
+    with tempfile.TemporaryDirectory(dir=target) as work:
+        config = _write_request(Path(work), name, alternative)
+        _make_key(Path(work) / "key")
+        _openssl(
+            "req", "-new", "-sha256", "-key", f"{work}/key", "-config", str(config),
+            "-out", f"{work}/request",
+        )  # fmt: skip
+        _openssl(
+            "x509", "-req", "-sha256", "-in", f"{work}/request",
+            "-CA", str(folder / AUTHORITY_CERTIFICATE), "-CAkey", str(folder / AUTHORITY_KEY),
+            "-set_serial", f"0x{secrets.randbits(127):x}", "-days", str(days),
+            "-extfile", str(config), "-extensions", "service", "-out", f"{work}/cert",
+        )  # fmt: skip
+        (Path(work) / "key").replace(target / KEY)
+        (Path(work) / "cert").replace(target / CERTIFICATE)
+    shutil.copyfile(folder / AUTHORITY_CERTIFICATE, target / AUTHORITY_CERTIFICATE)
+
+
+def is_current(folder: Path, name: str, margin_days: int = 1) -> bool:
+    """Whether ``folder/name`` is whole, of the authority in ``folder``, and valid for a while."""
+    target = folder / name
+    certificate, authority = target / CERTIFICATE, folder / AUTHORITY_CERTIFICATE
+    if not (certificate.exists() and (target / KEY).exists()):
+        return False
+    if not (target / AUTHORITY_CERTIFICATE).exists():
+        return False
+    if (target / AUTHORITY_CERTIFICATE).read_bytes() != authority.read_bytes():
+        return False
+    try:
+        _openssl("verify", "-CAfile", str(authority), str(certificate))
+        _openssl("x509", "-in", str(certificate), "-noout", "-checkend", str(margin_days * 86400))
+    except CertificateError:
+        return False
+    return True
+
+
+def ensure_certificates(folder: Path, hosts: Mapping[str, Sequence[str]], days: int) -> list[str]:
+    """Make what is missing or about to end in ``folder``; the names that were made, in order.
+
+    Raises
+    ------
+    CertificateError
+        As :func:`make_authority` and :func:`make_certificate`.
+    """
+    for name, theirs in hosts.items():
+        check_name(name)
+        for host in theirs:
+            check_host(host)
+    make_authority(folder, days)
+    missing = [name for name in hosts if not is_current(folder, name)]
+    for name in missing:
+        make_certificate(folder, name, hosts[name], days)
+    return missing
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise CertificateError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
+def _write_request(work: Path, name: str, hosts: Sequence[str]) -> Path:
+    config = work / "request.cnf"
+    config.write_text(_REQUEST.format(name=name, hosts=", ".join(hosts)), encoding="ascii")
+    return config
+
+
+def _make_key(path: Path) -> None:
+    # Made before openssl writes into it, so that the key is never readable to others.
+    path.touch(mode=0o600)
+    _openssl(
+        "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256",
+        "-pkeyopt", "ec_param_enc:named_curve", "-out", str(path),
+    )  # fmt: skip
+
+
+def _openssl(*arguments: str) -> None:
+    try:
+        done = subprocess.run(
+            ["openssl", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "LC_ALL": "C"},
+        )
+    except FileNotFoundError:
+        raise CertificateError("openssl: not found; expected the OpenSSL command line") from None
+    except subprocess.TimeoutExpired:
+        raise CertificateError(f"openssl {arguments[0]}: no answer within 60 s") from None
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or ["no reason given"]
+        raise CertificateError(f"openssl {arguments[0]}: {said[0]}")

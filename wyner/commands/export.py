@@ -1,0 +1,53 @@
+"""``wyner export``: write a capture as MCAP, CSV or Parquet."""
+
+import argparse
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "export",
+        help="write a capture as MCAP, CSV or Parquet",
+        description="Write a capture in a format that other tools open. CSV goes to standard "
+        "output unless a file is named.",
+    )
+    parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
+    parser.add_argument("--to", required=True, choices=("mcap", "csv", "parquet"))
+    parser.add_argument("--output", metavar="FILE", help="default: capture.mcap or .parquet here")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file and say how many messages it holds."""
+    import sys
+    from pathlib import Path
+
+    from protocol.runtime import DONE, Failure, UsageError
+    from tap_service.capture import CaptureError, CaptureReader
+    from tap_service.export import BINARY, ExportError, to_csv
+
+    try:
+        reader = CaptureReader(Path(args.capture))
+    except CaptureError as error:
+        raise UsageError(str(error)) from None
+    try:
+        if args.to != "csv":
+            path = Path(args.output or f"capture.{args.to}")
+            count = BINARY[args.to](reader, path)
+        elif args.output:
+            with Path(args.output).open("w", encoding="utf-8", newline="") as file:
+                count = to_csv(reader, file)
+        else:
+            count = to_csv(reader, sys.stdout)
+    except ExportError as error:
+        raise Failure(str(error)) from None
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise Failure(f"{args.output or args.to}: cannot be written: {error.strerror}") from None
+    reader.finish()
+    print(
+        f"{count} messages, {reader.garbage} undecodable left out, {reader.torn} torn lines",
+        file=sys.stderr,
+    )
+    return DONE
