@@ -1,0 +1,45 @@
+# One image for every service. The base is an argument: where no image registry is reached,
+# deploy/base-image makes one that stands in (BASE_IMAGE=wyner-base:local).
+ARG BASE_IMAGE=python:3.12-slim
+
+FROM ${BASE_IMAGE} AS build
+WORKDIR /build
+RUN python3 -m venv /opt/wyner
+# Dependencies first: they change seldom, and their layer is kept while they do not.
+COPY requirements/runtime.txt requirements/runtime.txt
+RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
+        --only-binary :all: --require-hashes --requirement requirements/runtime.txt
+COPY pyproject.toml LICENSE README.md ./
+COPY protocol protocol
+COPY controller_service controller_service
+COPY plant_service plant_service
+COPY tap_service tap_service
+COPY dashboard dashboard
+COPY experiments experiments
+COPY wyner wyner
+# setuptools came in with its hash above, so nothing is fetched here. What only builds or tests
+# (pip, the libraries' own test folders) stays out of the image.
+RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
+        --no-deps --no-build-isolation --no-index . \
+    && /opt/wyner/bin/python -m pip uninstall --yes --quiet pip \
+    && find /opt/wyner/lib -type d -name tests -prune -exec rm -rf {} + \
+    && /opt/wyner/bin/wyner --version
+
+FROM ${BASE_IMAGE}
+# A fixed number, so that what a volume holds keeps its owner from one image to the next. The
+# folders are made here because a new volume takes its owner from the folder it covers.
+RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
+    && echo 'wyner:x:10001:' >> /etc/group \
+    && install -d -o 10001 -g 10001 -m 700 /var/lib/wyner /var/lib/wyner/run \
+        /var/lib/wyner/knowledge /var/lib/wyner/certs /var/lib/wyner/certs/router \
+        /var/lib/wyner/certs/controller /var/lib/wyner/certs/plant /var/lib/wyner/certs/tap
+COPY --from=build /opt/wyner /opt/wyner
+COPY deploy/claim-loop /usr/local/bin/claim-loop
+ENV PATH=/opt/wyner/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    XDG_CACHE_HOME=/var/lib/wyner/run/cache
+USER wyner
+WORKDIR /var/lib/wyner
+STOPSIGNAL SIGTERM
+ENTRYPOINT ["wyner"]
+CMD ["--help"]
