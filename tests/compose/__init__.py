@@ -1,0 +1,1 @@
+"""The system in containers, for real; see conftest.py."""

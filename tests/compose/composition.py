@@ -1,0 +1,212 @@
+"""One composition under test: brought up, looked into, disturbed, and taken down."""
+
+import base64
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+BASE_IMAGE = "wyner-base:local"
+"""Made by deploy/base-image; used when it is there and the environment names no other."""
+
+RUN = "/var/lib/wyner/run"
+
+
+def docker(*arguments: str) -> str:
+    """Run the client and return what it printed."""
+    done = subprocess.run(
+        ["docker", *arguments], check=True, capture_output=True, text=True, timeout=120
+    )
+    return done.stdout
+
+
+def base_image() -> str | None:
+    """The base to build on; None for the Dockerfile's own."""
+    if os.environ.get("BASE_IMAGE"):
+        return os.environ["BASE_IMAGE"]
+    return BASE_IMAGE if docker("images", "--quiet", BASE_IMAGE).strip() else None
+
+
+def leftovers(project: str) -> list[str]:
+    """Containers, networks and volumes that still bear a project's label."""
+    label = f"label=com.docker.compose.project={project}"
+    return [
+        f"{kind} {name}"
+        for kind, command in (
+            ("container", ("ps", "--all", "--quiet")),
+            ("network", ("network", "ls", "--quiet")),
+            ("volume", ("volume", "ls", "--quiet")),
+        )
+        for name in docker(*command, "--filter", label).split()
+        if not (kind == "network" and miscounted(name))
+    ]
+
+
+def miscounted(network: str) -> bool:
+    """Whether the engine believes in endpoints of a network in which it knows no container.
+
+    Docker 20.10 now and then loses count when containers come and go at the same time
+    (github.com/moby/moby/issues/42119); until it is restarted nobody can remove the network.
+    """
+    inside = docker("network", "inspect", "--format", "{{len .Containers}}", network).strip()
+    attempt = subprocess.run(
+        ["docker", "network", "rm", network],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    return inside == "0" and "has active endpoints" in attempt.stderr
+
+
+class Composition:
+    """The compose file of this project, under a project name and a profile of its own."""
+
+    image = "wyner:test"
+
+    def __init__(
+        self, project: str, profile: str = "direct", variables: Mapping[str, str] | None = None
+    ) -> None:
+        self.project = project
+        self.profile = profile
+        self.environment = {**os.environ, **(variables or {})}
+        self.environment |= {"WYNER_IMAGE": self.image, "COMPOSE_PROGRESS": "plain"}
+        base = base_image()
+        if base is not None:
+            self.environment["BASE_IMAGE"] = base
+
+    def command(self, *arguments: str) -> list[str]:
+        """The command line of one call."""
+        # Named here, so that a file of the user's beside compose.yaml changes nothing.
+        options = ["-f", "compose.yaml", "-p", self.project, "--profile", self.profile]
+        return ["docker", "compose", *options, *arguments]
+
+    def compose(
+        self, *arguments: str, check: bool = True, timeout: float = 240
+    ) -> subprocess.CompletedProcess[str]:
+        """Run ``docker compose``."""
+        return subprocess.run(
+            self.command(*arguments),
+            cwd=ROOT,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            timeout=timeout,
+            check=check,
+        )
+
+    def up(self, *arguments: str) -> None:
+        """Start everything."""
+        started = self.compose("up", "--detach", "--no-build", *arguments, check=False)
+        assert started.returncode == 0, started.stderr[-3000:]
+
+    def down(self) -> None:
+        """Take everything down, volumes too: all profiles, for `run` makes networks of them all.
+
+        The containers go one by one, which keeps older engines from losing count (`miscounted`).
+        """
+        every = Composition(self.project, "*", self.environment)
+        for container in every.compose("ps", "--all", "--quiet").stdout.split():
+            docker("rm", "--force", container)
+        ended = every.compose("down", "--volumes", "--timeout", "5", check=False)
+        assert ended.returncode == 0 or "has active endpoints" in ended.stderr, ended.stderr
+
+    def container(self, service: str) -> str:
+        """The id of a service's container, running or not."""
+        return self.compose("ps", "--all", "--quiet", service).stdout.split()[0]
+
+    def inspect(self, service: str) -> dict[str, Any]:
+        """What the engine says of a service's container."""
+        found: list[dict[str, Any]] = json.loads(docker("inspect", self.container(service)))
+        return found[0]
+
+    def health(self, service: str) -> str:
+        """``starting``, ``healthy`` or ``unhealthy``."""
+        return str(self.inspect(service)["State"]["Health"]["Status"])
+
+    def execute(
+        self, service: str, *command: str, stdin: str = "", check: bool = True
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command in a service's container."""
+        return subprocess.run(
+            ["docker", "exec", "--interactive", self.container(service), *command],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=check,
+        )
+
+    def python(
+        self, service: str, program: str, *arguments: str, check: bool = True
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a Python program in a service's container."""
+        return self.execute(service, "python", "-", *arguments, stdin=program, check=check)
+
+    def status(self, service: str, vantage: str) -> dict[str, Any]:
+        """The newest status that a controller or plant wrote."""
+        path = f"{RUN}/{vantage}/status.json"
+        status: dict[str, Any] = json.loads(self.execute(service, "cat", path).stdout)
+        return status
+
+    def recovered(self, plant: str) -> list[str]:
+        """All messages that the plant has recovered, in order, from its trace."""
+        path = f"{RUN}/plant/trace.jsonl"
+        read = self.execute(plant, "grep", '"event":"recovered"', path, check=False)
+        events = [json.loads(line) for line in read.stdout.splitlines()]
+        return [base64.b64decode(event["payload"]).decode() for event in events]
+
+    def send(self, text: str) -> None:
+        """Hand the controller a message, as an operator does."""
+        self.compose("run", "--rm", "--no-deps", "operator", "send", text)
+
+    def kill(self, service: str) -> None:
+        """SIGKILL a service's process from outside, as the kernel would when memory runs out.
+
+        (`docker kill` counts as a wish, which the restart policy respects.)
+        """
+        victim = str(self.inspect(service)["State"]["Pid"])
+        docker(
+            "run", "--rm", "--network=none", "--pid=host", "--user=0", "--cap-drop=ALL",
+            "--cap-add=KILL", "--entrypoint=sh", self.image, "-c", f"kill -9 {victim}",
+        )  # fmt: skip
+
+
+def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
+    """The condition's first true value; fails when there is none in time."""
+    until = time.monotonic() + within_s
+    while True:
+        try:
+            value = condition()
+        except (subprocess.CalledProcessError, ValueError, LookupError):
+            value = None  # a container that starts or restarts right now
+        if value:
+            return value
+        assert time.monotonic() < until, f"not within {within_s:g} s: {what}"
+        time.sleep(0.3)
+
+
+def arrives(system: Composition, plant: str, text: str, within_s: float = 60) -> None:
+    """Wait until the plant has recovered a message."""
+    wait_for(lambda: text in system.recovered(plant), within_s, f"{text!r} recovered")
+
+
+def all_healthy(system: Composition, services: Sequence[str], within_s: float = 60) -> None:
+    """Wait until the engine calls every service healthy."""
+    wait_for(
+        lambda: {system.health(service) for service in services} == {"healthy"},
+        within_s,
+        f"{', '.join(services)} healthy",
+    )
+
+
+def advancing(system: Composition, plant: str = "plant", within_s: float = 60) -> None:
+    """Wait until the plant counts transitions: sooner known than the engine's word on health."""
+    first = wait_for(
+        lambda: system.status(plant, "plant")["transitions"] + 1,
+        within_s,
+        "a status",
+    )
+    wait_for(lambda: system.status(plant, "plant")["transitions"] > first, within_s, "transitions")

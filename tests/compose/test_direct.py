@@ -1,0 +1,179 @@
+"""Three services, connected directly: what arrives, what may be reached, and from where."""
+
+import json
+import subprocess
+
+import pytest
+
+from compose.composition import RUN, Composition, all_healthy, arrives, docker, wait_for
+
+SERVICES = ("controller", "plant", "tap")
+
+
+def test_every_service_becomes_healthy(direct: Composition) -> None:
+    all_healthy(direct, SERVICES)
+
+
+def test_the_message_of_the_start_arrives(direct: Composition) -> None:
+    arrives(direct, "plant", "the first message")
+
+
+def test_an_operators_message_arrives(direct: Composition) -> None:
+    direct.send("sent by hand: 50 °C")
+    arrives(direct, "plant", "sent by hand: 50 °C")
+
+
+def test_the_log_is_lines_with_time_service_and_level(direct: Composition) -> None:
+    lines = direct.compose("logs", "--no-log-prefix", "--no-color", "plant").stdout.splitlines()
+    assert lines
+    for line in lines:
+        # Compose puts a terminal's "erase line" before each, even into a pipe.
+        date, time, service, level = line.removeprefix("\x1b[2K").split()[:4]
+        assert (len(date), len(time), service) == (10, 12, "plant")
+        assert level in {"INFO", "WARNING"}
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_no_service_has_rights_it_does_not_need(direct: Composition, service: str) -> None:
+    settings = direct.inspect(service)
+    assert settings["Config"]["User"] == "wyner"
+    assert settings["HostConfig"]["ReadonlyRootfs"] is True
+    assert settings["HostConfig"]["CapDrop"] == ["ALL"]
+    assert settings["HostConfig"]["SecurityOpt"] == ["no-new-privileges:true"]
+    assert settings["HostConfig"]["RestartPolicy"]["Name"] == "on-failure"
+    status = direct.execute(service, "cat", "/proc/1/status").stdout
+    granted = {line.split()[0]: line.split()[1] for line in status.splitlines() if "Cap" in line}
+    assert set(granted.values()) == {"0" * 16}
+    assert direct.execute(service, "touch", "/opt/wyner/x", check=False).returncode != 0
+
+
+def test_nothing_is_published_to_the_machine(direct: Composition) -> None:
+    for service in SERVICES:
+        assert not direct.inspect(service)["HostConfig"]["PortBindings"]
+    for bus in ("field", "ops", "intel"):
+        network = json.loads(docker("network", "inspect", f"{direct.project}_{bus}"))[0]
+        assert network["Internal"] is True
+
+
+def test_the_tap_holds_no_scenario_journal_or_plaintext(direct: Composition) -> None:
+    looked = direct.execute(
+        "tap", "find", "/", "-xdev", "(", "-name", "*.toml", "-path", "*scenarios*", ")",
+        "-o", "-name", "journal.sqlite3", check=False,
+    )  # fmt: skip
+    assert looked.stdout == ""
+    mounted = {m["Destination"] for m in direct.inspect("tap")["Mounts"]}
+    assert mounted == {RUN, "/var/lib/wyner/knowledge"}
+    knowledge = json.loads(
+        direct.execute("tap", "cat", "/var/lib/wyner/knowledge/knowledge.json").stdout
+    )
+    assert knowledge["alpha"] is None
+    # D_e of the shipped scenario, and not D_c.
+    assert knowledge["disturbance_h"] == [0.96] * 4
+
+
+# --- networks -----------------------------------------------------------------------------------
+
+CONNECT = """
+import socket, sys
+from concurrent.futures import ThreadPoolExecutor
+def attempt(target):
+    host, _, port = target.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=2).close()
+    except OSError as error:
+        return f"{target} failed: {error}"
+    return f"{target} connected"
+with ThreadPoolExecutor() as pool:
+    print(*pool.map(attempt, sys.argv[1:]), sep="\\n")
+"""
+
+
+def outcomes(run: "subprocess.CompletedProcess[str]") -> dict[str, bool]:
+    return {line.split()[0]: line.endswith("connected") for line in run.stdout.splitlines()}
+
+
+def address(system: Composition, service: str, bus: str) -> str:
+    networks = system.inspect(service)["NetworkSettings"]["Networks"]
+    return str(networks[f"{system.project}_{bus}"]["IPAddress"])
+
+
+def test_the_tap_has_no_route_to_ops(direct: Composition) -> None:
+    all_healthy(direct, SERVICES)
+    plant, controller = (address(direct, s, "ops") for s in ("plant", "controller"))
+    plant_field, controller_field = (address(direct, s, "field") for s in ("plant", "controller"))
+    tried = outcomes(
+        direct.python(
+            "tap", CONNECT, "plant.ops:7463", "controller.ops:7464",
+            f"{plant}:7463", f"{controller}:7464",
+            # The same containers, by the address that the tap can reach: nobody listens there.
+            f"{plant_field}:7463", f"{controller_field}:7464",
+            # The control: what the tap may reach, it reaches.
+            f"{plant_field}:7461", f"{controller_field}:7462",
+        )
+    )  # fmt: skip
+    assert [target for target, connected in tried.items() if connected] == [
+        f"{plant_field}:7461",
+        f"{controller_field}:7462",
+    ]
+    assert len(tried) == 8
+    # The addresses were right: the controller reaches the plant's ops by the same one.
+    assert outcomes(direct.python("controller", CONNECT, f"{plant}:7463")) == {
+        f"{plant}:7463": True
+    }
+
+
+LISTEN = """
+import json, time
+from protocol.transport import ZenohBus
+heard = {}
+with ZenohBus(connect=json.loads(%r)) as bus:
+    bus.subscribe("**", lambda key, payload, t_ns: heard.update({key: heard.get(key, 0) + 1}))
+    time.sleep(4)
+print(json.dumps(heard))
+"""
+
+
+def test_a_listener_to_everything_hears_only_field_messages(direct: Composition) -> None:
+    all_healthy(direct, SERVICES)
+    field = json.dumps(["tcp/plant.field:7461", "tcp/controller.field:7462"])
+    heard = json.loads(direct.python("tap", LISTEN % field).stdout)
+    assert set(heard) == {"wyner/v1/loop/measurement", "wyner/v1/loop/offer"}
+    assert min(heard.values()) > 10
+    # The control: the same listener on ops does hear the statuses.
+    ops = json.dumps(["tcp/plant.ops:7463", "tcp/controller.ops:7464"])
+    heard = json.loads(direct.python("controller", LISTEN % ops).stdout)
+    assert "wyner/v1/loop/ops/plant/status" in heard
+
+
+def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:
+    arrives(direct, "plant", "the first message")
+    lines = direct.execute("tap", "cat", f"{RUN}/tap/capture.jsonl").stdout.splitlines()
+    assert len(lines) > 100
+    text = "\n".join(lines)
+    assert "the first message" not in text
+    assert "coin" not in text
+    assert '"symbol"' not in text
+
+
+FORGE = """
+import time
+from protocol.transport import ZenohBus
+with ZenohBus(connect=["tcp/plant.field:7461"]) as bus:
+    offer = bus.publisher("wyner/v1/loop/offer")
+    while not offer.matched():
+        time.sleep(0.05)
+    for _ in range(20):
+        offer.put(b"forged")
+        time.sleep(0.05)
+"""
+
+
+def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
+    direct: Composition,
+) -> None:
+    """What the profile `secure` prevents. Here it is counted as garbage, and harms nothing."""
+    all_healthy(direct, SERVICES)
+    direct.send("while the tap is forging")
+    direct.python("tap", FORGE)
+    arrives(direct, "plant", "while the tap is forging")
+    wait_for(lambda: direct.status("plant", "plant")["garbage"] > 0, 5, "garbage counted")

@@ -1,0 +1,109 @@
+"""What goes wrong with containers, and the message that arrives all the same."""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from compose.composition import ROOT, Composition, advancing, arrives, docker, wait_for
+
+SERVICES = ("controller", "plant", "tap")
+SYMBOLS_BEFORE = 20
+
+
+def under_way(system: Composition, text: str) -> None:
+    """Send a message and return when its first symbols have crossed, and the last have not."""
+    system.send(text)
+    begun = wait_for(
+        lambda: (
+            (s := system.status("controller", "controller"))["sending"] == text
+            and s["frame_symbols"] >= SYMBOLS_BEFORE
+            and s
+        ),
+        30,
+        f"{text!r} under way",
+    )
+    assert begun["frame_symbols"] < begun["frame_length"]
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_service_killed_in_the_middle_comes_back(direct: Composition, service: str) -> None:
+    advancing(direct)
+    text = f"{service} killed midway"
+    under_way(direct, text)
+    before = direct.inspect(service)
+    direct.kill(service)
+    arrives(direct, "plant", text)
+    after = direct.inspect(service)
+    assert after["RestartCount"] == before["RestartCount"] + 1
+    assert direct.recovered("plant").count(text) == 1
+
+
+@pytest.mark.parametrize("service", ["controller", "plant"])
+def test_a_paused_service_is_waited_for(direct: Composition, service: str) -> None:
+    advancing(direct)
+    partner = "plant" if service == "controller" else "controller"
+    text = f"{service} paused midway"
+    under_way(direct, text)
+    docker("pause", direct.container(service))
+    try:
+        time.sleep(3)
+        check = direct.execute(
+            partner, "wyner", "health", "--service", partner,
+            "--run-dir", "/var/lib/wyner/run", "--within", "1", check=False,
+        )  # fmt: skip
+    finally:
+        docker("unpause", direct.container(service))
+    # The partner runs, but the loop does not advance, and its health check says so.
+    assert check.returncode == 1
+    assert "stands still" in check.stderr
+    arrives(direct, "plant", text)
+
+
+def test_a_frozen_tap_holds_nobody_up(direct: Composition) -> None:
+    advancing(direct)
+    docker("pause", direct.container("tap"))
+    try:
+        direct.send("while the tap is frozen")
+        arrives(direct, "plant", "while the tap is frozen")
+    finally:
+        docker("unpause", direct.container("tap"))
+
+
+def test_the_plant_cut_off_its_networks_comes_back(direct: Composition) -> None:
+    advancing(direct)
+    text = "plant cut off midway"
+    under_way(direct, text)
+    plant = direct.container("plant")
+    missed = direct.status("plant", "plant")["missed"]
+    for bus in ("field", "ops"):
+        docker("network", "disconnect", f"{direct.project}_{bus}", plant)
+    time.sleep(4)
+    for bus in ("field", "ops"):
+        network = f"{direct.project}_{bus}"
+        docker("network", "connect", "--alias", f"plant.{bus}", network, plant)
+    arrives(direct, "plant", text)
+    # It was cut off: at this pace four seconds are 800 steps.
+    assert direct.status("plant", "plant")["missed"] > missed + 200
+
+
+def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path: Path) -> None:
+    """The run's files, collected from the three volumes, pass the replay of `wyner check`."""
+    direct.compose("stop")
+    for service in SERVICES:
+        source = f"{direct.container(service)}:/var/lib/wyner/run/{service}"
+        docker("cp", source, str(tmp_path / service))
+    shutil.copyfile(ROOT / "scenarios/sustained.toml", tmp_path / "scenario.toml")
+    checked = subprocess.run(
+        [sys.executable, "-m", "wyner.cli", "check", str(tmp_path), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert json.loads(checked.stdout)["skipped"] == 0, checked.stdout

@@ -1,0 +1,23 @@
+"""Fixtures that many tests share."""
+
+import pytest
+from hypothesis import settings
+
+from controller_service.laws import ControlLaw, make_law
+from controller_service.synthesis import synthesise
+from protocol.scenario import Scenario
+from wyner.loading import scenario_of
+
+# A busy machine is no failure: examples have no time limit, a test has pytest's.
+settings.register_profile("wyner", deadline=None, print_blob=True)
+settings.load_profile("wyner")
+
+
+@pytest.fixture(scope="session")
+def sustained() -> Scenario:
+    return scenario_of("sustained")
+
+
+@pytest.fixture(scope="session")
+def sustained_law(sustained: Scenario) -> ControlLaw:
+    return make_law(sustained, synthesise(sustained))

@@ -1,0 +1,205 @@
+"""Figures: the same bytes twice, from their data alone, with runs, seeds and intervals stated."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from experiments.engine import simulate_runs
+from experiments.figures import DATA, FIGURES, OUTPUT, alpha_of, draw, start_of, summaries
+from experiments.grid import ROOT
+from experiments.results import read_rows, summarise
+from experiments.statistics import normal_mean, wilson
+from experiments.studies import (
+    MEASUREMENTS,
+    centre_distances,
+    closed_form,
+    gauges_of,
+    measure_sets,
+    measure_taps,
+    system,
+)
+from protocol.agreement import NO_SYMBOL
+from wyner.cli import main
+
+DOCUMENT = ROOT / "docs" / "experiments.md"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
+    first = draw(name, output=tmp_path / "a")
+    again = draw(name, output=tmp_path / "b")
+    for one, other in zip(first, again, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+        assert 5_000 < one.stat().st_size < 200_000
+    assert first[0].read_text(encoding="utf-8").startswith("<?xml")
+    assert first[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
+    command = [sys.executable, "-m", "wyner.cli", "figures", "distance", "--output", "there"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    svg, png = draw("distance", output=tmp_path / "here")
+    assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
+    assert png.read_bytes() == (tmp_path / "there" / png.name).read_bytes()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    note = FIGURES[name].draw(figure, DATA)
+    assert re.search(r"\bruns?\b", note)
+    assert "seed 7" in note
+    # A picture of single runs has no interval; every figure with an estimate has.
+    assert ("95 %" in note) == (name != "sets")
+
+
+def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for name, kind in FIGURES.items():
+        assert f"figures/{name}.svg" in text
+        assert (OUTPUT / f"{name}.svg").exists()
+        assert (OUTPUT / f"{name}.png").exists()
+        for file in kind.data:
+            assert f"data/{file}.csv" in text
+            assert (DATA / f"{file}.csv").exists()
+            assert file in MEASUREMENTS
+
+
+def test_a_wrong_name_and_missing_data_are_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["figures", "nothing"]) == 2
+    assert "got 'nothing', expected rate-paper" in capsys.readouterr().err
+    assert main(["figures", "distance", "--data", str(tmp_path)]) == 1
+    assert main(["figures", "price", "--data", str(tmp_path)]) == 1
+    errors = capsys.readouterr().err.splitlines()
+    assert errors == [
+        f"wyner: {tmp_path / 'distance.csv'}: cannot be read: No such file or directory",
+        f"wyner: {tmp_path / 'price.csv'}: cannot be read: No such file or directory",
+    ]
+    shutil.copy(DATA / "price.csv", tmp_path)
+    (tmp_path / "out").write_text("in the way")
+    assert (
+        main(["figures", "price", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
+    )
+
+
+def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        measure_sets(tmp_path / name / "sets.csv")
+        MEASUREMENTS["fig7-paper-20"](tmp_path / name / "fig7.csv")
+    for file in ("sets.csv", "fig7.csv"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_the_shipped_data_are_what_the_code_gives(tmp_path: Path) -> None:
+    MEASUREMENTS["fig7-paper-20"](tmp_path / "now.csv")
+    now = summarise(read_rows(tmp_path / "now.csv"))
+    shipped = summarise(read_rows(DATA / "fig7-paper-20.csv"))
+    assert [s.first["task"] for s in now] == [s.first["task"] for s in shipped]
+    assert [s.histogram for s in now] == [s.histogram for s in shipped]
+
+
+def row_with(text: str, *cells: str) -> str:
+    """The one line of a table of the document that begins with these cells."""
+    start = "| " + " | ".join(cells)
+    (line,) = (line for line in text.splitlines() if line.startswith(start))
+    return line
+
+
+def test_the_documents_numbers_are_the_datas() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for s in summaries(DATA, "fig7-paper"):
+        if alpha_of(s) in (1.5, 3.0, 8.0):
+            cell = "{:.3f} [{:.3f}, {:.3f}]".format(*s.rate)
+            assert cell in row_with(text, start_of(s).removeprefix("x(0) = "))
+    for s in summaries(DATA, "sustained-long"):
+        if alpha_of(s) in (1.5, 3.0, 8.0):
+            assert "{:.2f} [{:.2f}, {:.2f}]".format(*s.rate) in text
+    for s in summaries(DATA, "price"):
+        kind = str(s.first["variant"])
+        same = "`paper` (the same as quiet, K x in T_0)"
+        named = {"sustained": "`sustained`", "paper": same, "quiet, K x in T_0": same}
+        line = row_with(text, named.get(kind, kind))
+        cost = normal_mean(s.sums["state_cost"], s.sums["state_cost_squares"], s.runs)
+        effort = normal_mean(s.sums["input_effort"], s.sums["input_effort_squares"], s.runs)
+        assert "{:.4f} [{:.4f}, {:.4f}]".format(*cost) in line
+        assert "{:.3f} [{:.3f}, {:.3f}]".format(*effort) in line
+    lines = {
+        "uniform": "uniform in",
+        "truncated Gaussian": "Gaussian truncated",
+        "sinusoid": "sinusoid",
+        "constant bias": "constant",
+        "corners of D": "corners of D |",
+        "corners of D_c": "corners of D_c",
+        "Gaussian, 3 % outside": "Gaussian, 3 %",
+        "Gaussian, 41 % outside": "Gaussian, 41 %",
+    }
+    found = {
+        str(s.first["variant"]): s for s in summaries(DATA, "disturbances") if alpha_of(s) == 8
+    }
+    for kind, start in lines.items():
+        line = row_with(text, start)
+        s = found[kind]
+        assert f"| {s.rate.value:.2f} |" in line
+        wrong = 100 * s.counts["mistaken"] / s.counts["agreements"]
+        assert ("never" if wrong == 0 else f"{wrong:.2g} % of keys") in line
+        assert (s.counts["nearest"] == s.counts["agreements"]) == ("always" in line)
+    for s in summaries(DATA, "plants"):
+        if alpha_of(s) in (1.5, 8.0):
+            name = str(s.first["scenario"]).replace("-", " ")
+            line = row_with(text, "paper's plant" if name == "sustained" else name)
+            assert f"{s.rate.value * s.first['period_s']:.3f}" in line
+
+
+# --- what the figures say ------------------------------------------------------------------------
+
+
+def test_the_closed_form_is_what_the_simulation_does() -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=99, runs=range(150), steps=100, record=True)
+    delta = centre_distances(runs)
+    distance = gauges_of(scenario, delta)
+    for alpha in (1.5, 3.0, 8.0):
+        expected = closed_form(delta, (0.1, 0.1), (0.12, 0.12), alpha)
+        assert ((expected >= -1e-12) & (expected <= 1 + 1e-12)).all()
+        in_diff = (runs.symbol != NO_SYMBOL) & (runs.largest <= alpha)
+        for low, high in ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, 20.0)):
+            here = (distance > low) & (distance <= high)
+            share = wilson(int(in_diff[here].sum()), int(here.sum()), confidence=0.9999)
+            assert share.low <= expected[here].mean() <= share.high
+
+
+def test_the_closed_form_at_its_limits() -> None:
+    D, D_c = (0.1, 0.1), (0.12, 0.12)
+
+    def at(distance: float, alpha: float) -> float:
+        return float(closed_form(np.array([[0.0, distance]]), D, D_c, alpha)[0])
+
+    assert at(0.0, 8.0) == 0.0, "the same centre twice: nothing to tell apart"
+    assert at(0.23, 8.0) == pytest.approx(1.0), "far apart for the defender, near for the other"
+    assert at(0.23, 1.0) == 0.0, "alpha = 1: no asymmetry"
+    assert at(1.2, 8.0) == 0.0, "too far apart for the eavesdropper too"
+    assert at(0.12, 8.0) == pytest.approx(0.5), "half of D is beyond the other's edge"
+
+
+@pytest.mark.slow
+def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
+    measure_taps(tmp_path / "taps.csv", runs=3, steps=1200)
+    lines = (tmp_path / "taps.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.rsplit(",", 4) for line in lines[1:]]
+    assert len(rows) == 8
+    for _, agreements, right, delivered, read in rows:
+        assert int(right) == int(agreements) > 0
+        assert int(read) <= int(delivered)
+    assert rows[0][3:] == ["3", "3"], "uniform: every message is read"
