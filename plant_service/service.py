@@ -186,10 +186,10 @@ class PlantService:
                 key, payload = self._queue.get(timeout=wait_s)
             except queue.Empty:
                 continue
-            if key != self._offer_key:
-                self._heard(payload)
-            elif not pacing.waiting:
+            if key == self._offer_key:
                 self._take(payload)
+            else:
+                self._heard(payload)
         return DONE
 
     def _finished(self) -> bool:
@@ -231,11 +231,13 @@ class PlantService:
         except ValueError as error:
             self._garbage.add(f"{error}; ignored")
             return
-        if what != "current":
-            # an answer to a repeated measurement is no late one when its step was made or told
-            if what == "stale" and offer.k > max(receiver.record.applied_k, self._latest_late_k):
-                self._latest_late_k = offer.k
-                self._news.late += 1
+        record = receiver.record
+        if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
+            # Its step was missed. (An answer to a repeated measurement, whose step was made, is
+            # not late; nor is it late twice.)
+            self._latest_late_k = offer.k
+            self._news.late += 1
+        if what != "current" or self._pacing.waiting:
             return
         move = self.plant.move(offer)
         report = receiver.moved(move.x_next).wire()

@@ -118,13 +118,16 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
     assert not plant
 
 
-def test_garbage_on_every_key_is_counted_and_ignored(system: System) -> None:
+@pytest.mark.parametrize("pace", ["fast", "x20"])
+def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
+    """With a deadline too, where most of it comes while the plant waits for the tick."""
     field, ops = MemoryBus(system.field), MemoryBus(system.ops)
     junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":2}', b'{"v":1,"session":"x"}', b"null" * 50]
     offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
     measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
-    with system.controller(b"one"), system.plant(steps=1500):
-        for _ in range(20):
+    rounds = 20
+    with system.controller(b"one"), system.plant(pace):
+        for i in range(rounds):
             for payload in junk:
                 for kind in (Measurement, Offer):
                     field.publisher(key_of(kind, "loop")).put(payload)
@@ -133,14 +136,34 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System) -> None:
             for message in (offer, measurement):
                 key = key_of(type(message), "loop")
                 field.publisher(key).put(message.wire())
-        system.wait(lambda: "plant" in system.codes)
-    assert system.recovered() == [b"one"]
+            system.wait(lambda i=i: system.k > 3 * i)  # type: ignore[misc]
+        system.wait(lambda: system.recovered() == [b"one"])
     plant = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
     controller = ControllerStatus.model_validate_json(
         (system.run_dir / CONTROLLER_HEALTH).read_bytes()
     )
-    assert plant.garbage >= 20 * len(junk)
-    assert controller.garbage >= 20 * len(junk)
+    assert plant.garbage == rounds * (2 * len(junk) + 1)
+    assert controller.garbage == rounds * (3 * len(junk) + 1)
+
+
+def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
+    """Whoever answers a measurement before it is sent cannot make the plant step twice a tick."""
+    forger = MemoryBus(system.field)
+    put = forger.publisher(key_of(Offer, "loop")).put
+    answered = set()
+
+    def hurry(_key: str, payload: bytes, _t_ns: int) -> None:
+        offer = Offer.model_validate_json(payload)
+        answered.add(offer.k)
+        put(offer.model_copy(update={"k": offer.k + 1}).wire())
+
+    with system.controller(b"one"), system.plant("x20", steps=60):
+        forger.subscribe(key_of(Offer, "loop"), hurry)  # last, so that the true offer goes first
+        system.wait(lambda: "plant" in system.codes)
+    events = read_trace(system.run_dir / PLANT_TRACE).of("transition")
+    assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
+    status = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    assert status.late <= status.missed
 
 
 def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) -> None:
