@@ -267,12 +267,15 @@ SHELLS: Final = ("service.py", "__main__.py", "design_cache.py")
 
 
 @cache
-def code_version() -> str:
-    """The package's version and a hash of the sources that the numbers come from."""
+def code_version(*more: str) -> str:
+    """The package's version and a hash of the sources that the numbers come from.
+
+    ``more`` are patterns of sources besides those of the loop.
+    """
     from importlib.metadata import version
 
     digest = hashlib.blake2b(digest_size=4)
-    for pattern in SOURCES:
+    for pattern in (*SOURCES, *more):
         for path in sorted(ROOT.glob(pattern)):
             if path.name not in SHELLS:
                 digest.update(path.name.encode() + b"\0" + path.read_bytes())

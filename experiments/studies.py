@@ -1,7 +1,8 @@
 """Data of the figures that no sweep gives: single transitions, taps, and sets in the plane."""
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,7 @@ from experiments.engine import Runs, simulate_runs, transfer
 from experiments.engine.taps import listen
 from experiments.grid import ROOT, Point, code_version, load_sweep, points_of
 from experiments.results import Results
+from experiments.secrecy.study import STUDIES, measure_study
 from experiments.sweep import SerialExecutor, run_sweep
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.scenario import Scenario, load_scenario
@@ -93,12 +95,21 @@ def gauges_of(scenario: Scenario, v: Array) -> Array:
 
 
 def write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file with a column ``version``."""
+    """Write a CSV file with a column ``version``; it replaces the one before when it is whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with anew(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("version", *columns))
         writer.writerows((code_version(), *row) for row in rows)
+
+
+@contextmanager
+def anew(path: Path) -> Iterator[Path]:
+    """Where to write a file that takes the place of ``path`` at the end, unless something fails."""
+    partial = path.with_name(f"{path.name}.partial")
+    partial.unlink(missing_ok=True)
+    yield partial
+    partial.replace(path)
 
 
 def measure_distance(path: Path) -> None:
@@ -209,14 +220,15 @@ def measure_sweep(name: str) -> Callable[[Path], None]:
     def measure(path: Path) -> None:
         file = ROOT / "sweeps" / f"{name}.toml"
         sweep = load_sweep(file)
-        path.unlink(missing_ok=True)
-        results = Results(path, list(sweep.grid), resume=False)
-        try:
-            failures = run_sweep(sweep, points_of(sweep, file.parent), results, SerialExecutor())
-        finally:
-            results.close()
-        if failures:
-            raise RuntimeError("; ".join(failures))
+        with anew(path) as partial:
+            results = Results(partial, list(sweep.grid), resume=False)
+            try:
+                points = points_of(sweep, file.parent)
+                failures = run_sweep(sweep, points, results, SerialExecutor())
+            finally:
+                results.close()
+            if failures:
+                raise RuntimeError("; ".join(failures))
 
     return measure
 
@@ -237,5 +249,6 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "taps": measure_taps,
     "widths": measure_widths,
     "sets": measure_sets,
+    **{f"secrecy-{study}": measure_study(study) for study in STUDIES},
 }
 """How each data file of docs/data is made."""

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.figures_secrecy import ALPHAS, heard_by, knowledge_for, said_about
-from experiments.secrecy_study import Run, simulate, text_of
+from experiments.secrecy.runs import Run, simulate, text_of
+from experiments.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 from protocol.knowledge import Knowledge
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.interface import Eavesdropper

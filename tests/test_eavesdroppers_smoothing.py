@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments.figures_secrecy import heard_by
-from experiments.secrecy_study import Run, simulate
+from experiments.secrecy.runs import Run, simulate
+from experiments.secrecy.study import heard_by
 from protocol.messages import Measurement, Offer
 from tap_service.law_pieces import UNKNOWN, LawNearby, LawPieces, learn_law
 from tap_service.smoothing import Smoother, Step

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments.engine import simulate_runs
-from experiments.figures import DATA, FIGURES, OUTPUT, alpha_of, draw, start_of, summaries
+from experiments.figures import DATA, FIGURES, OUTPUT, draw
+from experiments.figures.loop import alpha_of, start_of, summaries
 from experiments.grid import ROOT
 from experiments.results import read_rows, summarise
+from experiments.secrecy.tables import PAGE
 from experiments.statistics import normal_mean, wilson
 from experiments.studies import (
     MEASUREMENTS,
@@ -24,6 +27,7 @@ from experiments.studies import (
     measure_sets,
     measure_taps,
     system,
+    write,
 )
 from protocol.agreement import NO_SYMBOL
 from wyner.cli import main
@@ -58,14 +62,15 @@ def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
     FigureCanvasAgg(figure)
     note = FIGURES[name].draw(figure, DATA)
     assert re.search(r"\bruns?\b", note)
-    assert "seed 7" in note
+    assert re.search(r"seed 7\b|seeds 0 to \d+", note)
     # A picture of single runs has no interval; every figure with an estimate has.
     assert ("95 %" in note) == (name != "sets")
 
 
 def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
     for name, kind in FIGURES.items():
+        document = PAGE if name.startswith("secrecy-") else DOCUMENT
+        text = document.read_text(encoding="utf-8")
         assert f"figures/{name}.svg" in text
         assert (OUTPUT / f"{name}.svg").exists()
         assert (OUTPUT / f"{name}.png").exists()
@@ -100,6 +105,23 @@ def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
         MEASUREMENTS["fig7-paper-20"](tmp_path / name / "fig7.csv")
     for file in ("sets.csv", "fig7.csv"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_measurement_that_fails_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "some.csv"
+    write(path, ("a",), [(1,)])
+    before = path.read_bytes()
+
+    def failing() -> Iterator[tuple[int]]:
+        yield (2,)
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write(path, ("a",), failing())
+    assert path.read_bytes() == before
+    write(path, ("a",), [(3,)])
+    assert path.read_text(encoding="utf-8").endswith(",3\n")
+    assert [one.name for one in tmp_path.iterdir()] == ["some.csv"]
 
 
 def test_the_shipped_data_are_what_the_code_gives(tmp_path: Path) -> None:

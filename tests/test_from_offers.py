@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from controller_service.laws import ControlLaw
-from experiments.figures_secrecy import heard_by, said_about
-from experiments.secrecy_study import Run, law_of, scenario_at, simulate
+from experiments.secrecy.runs import Run, law_of, scenario_at, simulate
+from experiments.secrecy.study import heard_by, said_about
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario
 from tap_service.eavesdroppers.smoother import Smoother

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.secrecy_study import Run, simulate
+from experiments.secrecy.runs import Run, simulate
 from protocol.messages import FIELD
 from protocol.trace import CAPTURE, PLANT_TRACE, TraceWriter
 from tap_service.capture import CaptureReader, Limits, RotatingLog, mirror_line

@@ -205,14 +205,15 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("study", ["ladder", "learning", "view"])
 def test_the_page_shows_the_tables_of_its_data(study: str) -> None:
-    from experiments.figures_secrecy import DOCS, in_markdown, read_rows
+    from experiments.secrecy.tables import PAGE, in_markdown, read_rows
 
     assert read_rows(study)
-    assert in_markdown(study) in (DOCS / "secrecy.md").read_text(encoding="utf-8")
+    assert in_markdown(study) in PAGE.read_text(encoding="utf-8")
 
 
 def test_a_row_of_the_data_comes_out_again() -> None:
-    from experiments.figures_secrecy import measure, read_rows, tasks
+    from experiments.secrecy.study import measure, tasks
+    from experiments.secrecy.tables import read_rows
 
     rows = {row["task"]: row for study in ("ladder", "alpha") for row in read_rows(study)}
     again = [t for t in tasks(100) if t.id in rows][7:240:40]
@@ -220,3 +221,19 @@ def test_a_row_of_the_data_comes_out_again() -> None:
     for task in again:
         row = {name: str(value) for name, value in measure(task).items()}
         assert row | {"version": ""} == rows[task.id] | {"version": ""}
+
+
+def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
+    from experiments.secrecy.tables import DATA
+    from experiments.studies import MEASUREMENTS
+
+    whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
+    path = tmp_path / "secrecy-alpha.csv"
+    path.write_text("\n".join(whole[:-2]) + "\n", encoding="utf-8")
+    for _ in range(2):
+        MEASUREMENTS["secrecy-alpha"](path)
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert lines[:-2] == whole[:-2]
+        for line, shipped in zip(lines[-2:], whole[-2:], strict=True):
+            task, _, *measured = line.split(",")
+            assert [task, *measured] == shipped.split(",")[:1] + shipped.split(",")[2:]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.secrecy_study import Run, simulate
+from experiments.secrecy.runs import Run, simulate
 from protocol.keys import key_of
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.trace import CAPTURE

@@ -12,10 +12,15 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser(
         "figures",
         help="draw the figures from their data",
-        description="Draw the figures of docs/experiments.md, all or those named, as SVG and PNG.",
+        description="Draw the figures of docs/, all or those named, as SVG and PNG.",
     )
     parser.add_argument("name", nargs="*", metavar="NAME", help="which (default: all)")
-    parser.add_argument("--measure", action="store_true", help="make their data anew before")
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="make their data anew before; to those of a secrecy-* figure, whose runs take long, "
+        "only what they lack is added",
+    )
     parser.add_argument("--data", metavar="D", help="folder of the data (default: docs/data)")
     parser.add_argument("--output", metavar="D", help="folder to draw in (default: docs/figures)")
     parser.set_defaults(run=run)

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         if Path(args.figure).suffix not in (".svg", ".png"):
             raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
         try:
-            from experiments.figures_secrecy import draw_report
+            from experiments.figures.secrecy import draw_report
 
             draw_report(report, Path(args.figure))
         except ImportError:

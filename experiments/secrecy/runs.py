@@ -1,4 +1,4 @@
-"""Seeded runs of the closed loop for the secrecy study, and every eavesdropper's score on them.
+"""Seeded runs of the closed loop for the secrecy study.
 
 A run is the public transcript, message by message, and beside it the truth that only the scoring
 sees. The loop is the system's own: the law's candidates, the agreement rule, the automata and the
@@ -9,19 +9,17 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Final
 
 from controller_service.laws import ControlLaw, make_law
 from controller_service.synthesis import cached_design
+from experiments.grid import ROOT
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.automata import INITIAL, MESSAGE, advance_sender, encrypt
 from protocol.framing import IDLE, encode_frame, frame_length
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario, load_scenario
 from tap_service.secrecy import Truth
-
-SCENARIOS: Final = Path(__file__).resolve().parent.parent / "scenarios"
 
 SENTENCES: Final = (
     "We sail at dawn.",
@@ -51,14 +49,14 @@ SENTENCES: Final = (
 @cache
 def scenario_at(name: str, alpha: float) -> Scenario:
     """A shipped scenario with another alpha."""
-    s = load_scenario(SCENARIOS / f"{name}.toml")
+    s = load_scenario(ROOT / "scenarios" / f"{name}.toml")
     return s.model_copy(update={"secrecy": s.secrecy.model_copy(update={"alpha": alpha})})
 
 
 @cache
 def law_of(name: str) -> ControlLaw:
     """Its law; alpha does not matter to it."""
-    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    scenario = load_scenario(ROOT / "scenarios" / f"{name}.toml")
     return make_law(scenario, cached_design(scenario))
 
 

@@ -1,72 +1,20 @@
-"""The figures of docs/experiments.md, each from its data files: SVG and PNG, the same bytes twice.
+"""The figures of docs/experiments.md: rates, agreements, disturbances, price, plants, sets."""
 
-A figure's note states its runs, seeds and intervals, all read from the data.
-"""
-
-import csv
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments.grid import ROOT, Row, SweepError
+from experiments.figures.style import COLOURS, MARKERS, FigureError, plain_rows
+from experiments.grid import SweepError
 from experiments.results import Summary, read_rows, summarise
 from experiments.statistics import Interval, normal_mean, wilson
 
-DATA: Final = ROOT / "docs" / "data"
-OUTPUT: Final = ROOT / "docs" / "figures"
-
-STYLE: Final[dict[str, Any]] = {
-    "svg.hashsalt": "wyner",
-    "svg.fonttype": "path",
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.markersize": 4,
-}
-"""Everything that a figure's bytes depend on besides its data and the library's version."""
-
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-MARKERS: Final = ("o", "s", "^", "D", "v", "P")
-DPI: Final = 110
-
 FEWEST: Final = 20
 """Transitions below which a bin of the figure ``distance`` is left out."""
-
-Rows = list[Row]
-Drawing = Callable[[Figure, Path], str]
-
-
-class FigureError(Exception):
-    """A figure that cannot be drawn; the text names the data file."""
-
-
-def plain_rows(path: Path) -> Rows:
-    """The rows of a data file that is no sweep's, with numbers as numbers."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return [{k: _number(v) for k, v in row.items()} for row in csv.DictReader(file)]
-    except OSError as error:
-        raise FigureError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _number(text: str) -> Any:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
 
 
 def summaries(data: Path, name: str) -> list[Summary]:
@@ -404,45 +352,3 @@ def draw_sets(figure: Figure, data: Path) -> str:
     return (
         f"one run each, seed {rows[0]['seed']}; right: step {step['c_0']['index']} of law sustained"
     )
-
-
-class Kind(NamedTuple):
-    """One figure: how it is drawn, from which data files, and its size in inches."""
-
-    draw: Drawing
-    data: tuple[str, ...]
-    size: tuple[float, float]
-
-
-FIGURES: Final[dict[str, Kind]] = {
-    "rate-paper": Kind(draw_paper, ("fig7-paper", "fig7-paper-20"), (6.4, 4.2)),
-    "rate-sustained": Kind(draw_sustained, ("fig7-sustained", "sustained-long"), (6.4, 4.2)),
-    "distance": Kind(draw_distance, ("distance",), (6.4, 4.0)),
-    "disturbances": Kind(draw_disturbances, ("disturbances", "taps"), (9.0, 4.2)),
-    "price": Kind(draw_price, ("price",), (8.0, 3.8)),
-    "plants": Kind(draw_plants, ("plants", "widths"), (8.0, 3.8)),
-    "sets": Kind(draw_sets, ("sets",), (9.0, 4.4)),
-}
-"""The figures, in the order of docs/experiments.md."""
-
-
-def draw(name: str, data: Path = DATA, output: Path = OUTPUT) -> tuple[Path, Path]:
-    """Draw one figure; returns the paths of its SVG and its PNG.
-
-    Raises
-    ------
-    FigureError
-        When its data cannot be read.
-    """
-    kind = FIGURES[name]
-    output.mkdir(parents=True, exist_ok=True)
-    style: dict[Any, Any] = {**mpl.rcParamsDefault, **STYLE}  # not the user's own
-    with mpl.rc_context(style):
-        figure = Figure(figsize=kind.size, layout="constrained")
-        FigureCanvasAgg(figure)
-        note = kind.draw(figure, data)
-        figure.supxlabel(note, fontsize=6.5, color="0.35")
-        svg, png = output / f"{name}.svg", output / f"{name}.png"
-        figure.savefig(svg, metadata={"Date": None, "Creator": None})
-        figure.savefig(png, dpi=DPI, metadata={"Software": None})
-    return svg, png

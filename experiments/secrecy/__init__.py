@@ -1,0 +1,1 @@
+"""The secrecy study: seeded runs, what each eavesdropper made of them, and the tables."""
