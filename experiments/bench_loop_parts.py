@@ -201,8 +201,8 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     from controller_service.service import ControllerConfig, ControllerService
     from controller_service.synthesis import cached_design
     from plant_service.service import PlantConfig, PlantService
+    from protocol.memory_bus import MemoryBus, MemoryHub
     from protocol.runtime import Pace, logger
-    from protocol.transport import MemoryBus, MemoryHub
 
     logs = [logger(name) for name in ("plant", "controller")]
     levels = [log.level for log in logs]

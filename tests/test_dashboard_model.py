@@ -33,8 +33,8 @@ from dashboard.score import (
 )
 from dashboard.source import BusSource
 from protocol.keys import key_of
+from protocol.memory_bus import MemoryBus, MemoryHub
 from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
-from protocol.transport import MemoryBus, MemoryHub
 
 
 @cache

@@ -94,7 +94,7 @@ def test_the_rooms_are_as_they_are_drawn() -> None:
     rooms = set(re.findall(r"^([a-z_]+)/ ", text, re.MULTILINE))
     assert rooms >= {"protocol", "plant_service", "wyner"}
     assert {room for room in rooms if (ROOT / room).is_dir()} == rooms
-    drawn = set(re.findall(r"^  ([a-z]+\.py) ", text, re.MULTILINE))
+    drawn = set(re.findall(r"^  ([a-z_]+\.py) ", text, re.MULTILINE))
     there = {path.name for path in (ROOT / "protocol").glob("*.py")} - {"__init__.py"}
     assert drawn == there
 

@@ -15,6 +15,7 @@ from controller_service.service import CONTROLLER_HEALTH, ControllerConfig, Cont
 from plant_service.service import PLANT_HEALTH, PlantConfig, PlantService
 from protocol.journal import CONTROLLER_JOURNAL, PLANT_JOURNAL, ControllerJournal, PlantJournal
 from protocol.keys import key_of
+from protocol.memory_bus import MemoryBus, MemoryHub
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -28,7 +29,6 @@ from protocol.messages import (
 from protocol.runtime import DONE, USAGE, Pace, UsageError
 from protocol.scenario import Scenario
 from protocol.trace import CONTROLLER_TRACE, PLANT_TRACE, read_trace
-from protocol.transport import MemoryBus, MemoryHub
 
 
 class System:

@@ -15,9 +15,10 @@ import pytest
 
 from experiments.secrecy.runs import Run, simulate
 from protocol.keys import key_of
+from protocol.memory_bus import MemoryBus, MemoryHub
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.trace import CAPTURE
-from protocol.transport import Endpoints, MemoryBus, MemoryHub, ZenohBus, free_endpoints
+from protocol.transport import Endpoints, ZenohBus, free_endpoints
 from tap_service import service as tap
 from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
 from tap_service.capture import CaptureReader, Limits

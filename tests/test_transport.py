@@ -14,12 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from protocol.memory_bus import MemoryBus, MemoryHub
 from protocol.transport import (
     OPEN_MS,
     Bus,
     Endpoints,
-    MemoryBus,
-    MemoryHub,
     TlsFiles,
     TransportError,
     ZenohBus,
