@@ -5,10 +5,8 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
-from protocol.transport import Deliver, TransportError
+from protocol.transport import Bus, Deliver, TransportError
 
 Fault = Callable[[str, bytes], Sequence[bytes]]
 """Takes key and payload; answers what arrives: nothing, the payload, several, another one."""
@@ -73,7 +71,7 @@ class MemoryPublisher:
         return bool(self.bus.hub.listeners(self.bus, self.key))
 
 
-class MemoryBus:
+class MemoryBus(Bus):
     """A `Bus` within the process. Key expressions are keys, in which ``**`` fits any chunks."""
 
     def __init__(self, hub: MemoryHub) -> None:
@@ -99,17 +97,6 @@ class MemoryBus:
         """End all subscriptions."""
         self._closed = True
         self.hub.remove(self)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _pattern(key_expr: str) -> re.Pattern[str]:

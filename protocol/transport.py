@@ -65,14 +65,16 @@ class Bus(Protocol):
     def close(self) -> None:
         """End all subscriptions and publishers; closing twice is allowed."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         traceback: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.close()
 
 
 # --- endpoints -----------------------------------------------------------------------------------
@@ -169,7 +171,7 @@ class ZenohPublisher:
         return bool(status.matching)
 
 
-class ZenohBus:
+class ZenohBus(Bus):
     """A `Bus` over one Zenoh session; opened by the constructor.
 
     Peers talk only to peers they are connected with (nothing is relayed), so every pair needs one
@@ -266,17 +268,6 @@ class ZenohBus:
         """Close the session; an attempt to connect that is under way can hold this up for 1 s."""
         session: Any = self._session  # its stub leaves close() untyped
         session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def open_bus(endpoints: Endpoints) -> ZenohBus:
