@@ -6,13 +6,14 @@ STAMPS := $(VENV)/.stamps
 PACKAGES := protocol controller_service plant_service tap_service dashboard experiments wyner
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-.PHONY: demo test test-fast test-compose lint figures bench lock clean help
+.PHONY: demo dev test test-fast test-compose lint figures bench lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          all tests, with ruff and mypy"
 	@echo "make test-fast     the tests without the slow ones"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
+	@echo "make dev           $(VENV) with all that the tests need"
 	@echo "make lint          ruff and mypy"
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make bench         every benchmark, beside its reference"
@@ -36,13 +37,15 @@ $(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
 demo: $(STAMPS)/runtime
 	$(BIN)/wyner up --scenario sustained --pace x10 --until-delivered
 
+dev: $(STAMPS)/dev
+
 lint: $(STAMPS)/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(PACKAGES) tests
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # Needs a Docker engine; says how to get one where none runs.
 test-compose: $(STAMPS)/dev
