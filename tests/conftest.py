@@ -1,5 +1,7 @@
 """Fixtures that many tests share."""
 
+import signal
+
 import pytest
 from hypothesis import settings
 
@@ -11,6 +13,11 @@ from wyner.loading import scenario_of
 # A busy machine is no failure: examples have no time limit, a test has pytest's.
 settings.register_profile("wyner", deadline=None, print_blob=True)
 settings.load_profile("wyner")
+
+# Whoever starts the tests in the background may have these ignored, and so would every process
+# that a test starts: it could not be interrupted.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -226,13 +226,18 @@ def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: P
         publishers = [field.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)]
         publishers += [bus.publisher(key_of(kind, "loop")) for kind in (PlantHello, SendCommand)]
         wait_for(lambda: all(p.matched() for p in publishers))
-        for _ in range(50):
+
+        def counted() -> bool:
             for publisher in publishers:
                 publisher.put(b"\x00garbage")
+            garbage = [
+                status(by_hand.run_dir, one).get("garbage", 0) for one in ("plant", "controller")
+            ]
+            return bool(min(garbage) > 50)
+
+        wait_for(counted)
     wait_for(lambda: recovered(by_hand.run_dir) == 2)
     assert by_hand.stop() == {"controller": 0, "tap": 0, "plant": 0}
-    assert status(by_hand.run_dir, "plant")["garbage"] >= 50
-    assert status(by_hand.run_dir, "controller")["garbage"] >= 100
     checked = wyner("check", str(by_hand.run_dir))
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
