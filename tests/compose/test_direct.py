@@ -176,4 +176,4 @@ def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     direct.send("while the tap is forging")
     direct.python("tap", FORGE)
     arrives(direct, "plant", "while the tap is forging")
-    wait_for(lambda: direct.status("plant", "plant")["garbage"] > 0, 5, "garbage counted")
+    wait_for(lambda: direct.status("plant", "plant")["garbage"] >= 10, 20, "garbage counted")
