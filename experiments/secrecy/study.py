@@ -194,10 +194,14 @@ def measure_study(study: str) -> Callable[[Path], None]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a+", encoding="utf-8", newline="") as file:
             file.seek(0)
-            done = {row["task"] for row in csv.DictReader(file)}
+            lines = file.read().splitlines(keepends=True)
+            whole = [line for line in lines if line.endswith("\n")]
+            if len(whole) < len(lines):  # the last was torn by a kill
+                file.truncate(len("".join(whole).encode()))
+            done = {row["task"] for row in csv.DictReader(whole)}
             todo = [t for t in tasks() if t.study == study and t.id not in done]
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            if not done:
+            if not whole:
                 writer.writeheader()
             for number, task in enumerate(todo, 1):
                 writer.writerow(measure(task))

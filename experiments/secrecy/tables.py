@@ -1,14 +1,17 @@
 """The tables of docs/secrecy.md, from the study's rows.
 
-``python -m experiments.secrecy.tables`` writes them between their marks on the page.
+``python -m experiments.secrecy.tables`` writes them between their marks on the page; with
+``--measure`` it first adds the rows that their data lack.
 """
 
+import argparse
 import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from experiments.grid import ROOT
+from experiments.secrecy.study import measure_study
 from tap_service.report import Share
 from tap_service.secrecy import Proportion
 
@@ -87,4 +90,9 @@ def write_tables() -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Write the tables of docs/secrecy.md.")
+    parser.add_argument("--measure", action="store_true", help="add first what their data lack")
+    if parser.parse_args().measure:
+        for name in TABLES:
+            measure_study(name)(DATA / f"secrecy-{name}.csv")
     write_tables()
