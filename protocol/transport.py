@@ -36,6 +36,8 @@ OPEN_MS: Final = 1000
 """Longest attempt to reach a partner. A session that is closed waits for the one under way, and a
 stopped container's address answers nothing."""
 
+_JSON: Final = "application/json"
+
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?")
 
 
@@ -218,6 +220,8 @@ class ZenohBus(Bus):
     def publisher(self, key: str) -> ZenohPublisher:
         """A publisher on one key: congestion control DROP, express, remote subscribers only.
 
+        Every message names its key a second time, as the schema of its encoding: see `subscribe`.
+
         Raises
         ------
         TransportError
@@ -229,6 +233,7 @@ class ZenohBus(Bus):
             return ZenohPublisher(
                 self._session.declare_publisher(
                     key,
+                    encoding=f"{_JSON};{key}",
                     congestion_control=zenoh.CongestionControl.DROP,
                     express=True,
                     allowed_destination=zenoh.Locality.REMOTE,
@@ -240,6 +245,10 @@ class ZenohBus(Bus):
     def subscribe(self, key_expr: str, deliver: Deliver) -> None:
         """Call ``deliver`` on Zenoh's thread with every message of others that fits.
 
+        A message whose encoding names another key than the one it came under is dropped. Peers
+        agree on numbers for keys, and where one of them was frozen and the other has connected
+        anew, Zenoh 1.10 now and then reads a number as it was before.
+
         Raises
         ------
         TransportError
@@ -248,9 +257,13 @@ class ZenohBus(Bus):
         import zenoh
 
         def receive(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr)
+            encoding, _, named = str(sample.encoding).partition(";")
+            if encoding == _JSON and named not in ("", key):
+                return
             stamp = sample.timestamp
             deliver(
-                str(sample.key_expr),
+                key,
                 sample.payload.to_bytes(),
                 time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
             )

@@ -394,6 +394,15 @@ def test_a_failure_says_where(copied: Path) -> None:
     assert "controller's verdict" in place.text
 
 
+def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
+    shout_on_the_field_bus(copied)
+    place = findings(copied)["public-fields"].tally.first
+    assert place is not None
+    assert place.text == (
+        "capture.jsonl line 51: neither Measurement nor Offer (wyner/v1/loop/offer: b'hi')"
+    )
+
+
 def test_a_key_reuse_says_where(copied: Path) -> None:
     use_a_key_twice(copied)
     lines = read_lines(copied / PLANT_TRACE)

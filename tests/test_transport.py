@@ -1,5 +1,6 @@
 """The transport: the in-memory bus, and real Zenoh on free loopback ports."""
 
+import json
 import os
 import queue
 import signal
@@ -273,6 +274,28 @@ def test_a_side_that_comes_back_is_found_again(restarted: str) -> None:
                 publisher.put(b"welcome")
                 assert at_other.take()[1] == b"welcome"
             until(lambda: not publisher.matched(), "notice of the other side's end")
+
+
+@pytest.mark.integration
+def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None:
+    import zenoh
+
+    endpoints = free_endpoints(1)
+    config = zenoh.Config()
+    config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with ZenohBus(listen=endpoints) as plant, zenoh.open(config) as stranger:
+        at_plant = Inbox(plant)
+        publisher = stranger.declare_publisher(KEY)
+        until(lambda: bool(publisher.matching_status.matching), "the subscription")  # type: ignore[attr-defined]
+        own, others = f"application/json;{KEY}", "application/json;wyner/v1/loop/measurement"
+        publisher.put(b"misread on its way", encoding=others)
+        # What names no key may come from anywhere, and is judged by its content.
+        accepted = {own: b"ours", "application/json": b"no name", "zenoh/bytes": b"no encoding"}
+        for encoding, payload in accepted.items():
+            publisher.put(payload, encoding=encoding)
+        assert [at_plant.take()[:2] for _ in accepted] == [(KEY, p) for p in accepted.values()]
+        assert at_plant.queue.empty()
 
 
 @pytest.mark.integration

@@ -4,6 +4,7 @@ Nothing here judges. A side that was killed may have written one (session, j) tw
 counts), and may have left a torn last line; both are kept apart from what is malformed.
 """
 
+import base64
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,6 +28,9 @@ from protocol.trace import (
 from tap_service.capture import parts_of
 
 Vector = tuple[float, ...]
+
+SHOWN: Final = 60
+"""Bytes of garbage that are shown."""
 
 
 @checked_dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
@@ -264,9 +268,18 @@ def wire_of(path: Path) -> Wire | None:
                         )
                     )
                 else:
-                    text = f"{value.get('key', 'no message')}" if event == "garbage" else str(event)
+                    text = _garbage(value) if event == "garbage" else str(event)
                     strange.append(Problem(where=where, text=text))
     return Wire(tuple(seen), tuple(strange), torn, blurred) if parts else None
+
+
+def _garbage(line: dict[str, Any]) -> str:
+    """What a capture's line of garbage holds: its key, and how its bytes begin."""
+    try:
+        content = base64.b64decode(str(line.get("base64")))
+    except ValueError:
+        content = b""
+    return f"{line.get('key')}: {content[:SHOWN]!r}"
 
 
 def read_evidence(run_dir: Path) -> Evidence:
