@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,8 +17,8 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.trace import CAPTURE
-from tap_service.capture import CaptureReader, Limits, RotatingLog
-from tap_service.eavesdroppers import named
+from tap_service.capture import CaptureError, CaptureReader, Limits, RotatingLog
+from tap_service.eavesdroppers import Guess, named
 from tap_service.status import Listener, belief_record, guess_line, status_of
 from tap_service.transcript import Transcript, Transition
 
@@ -73,10 +74,14 @@ class Ears:
                 guess = listener.observe(transition)
                 if guess is not None and self._log is not None:
                     self._log.write(guess_line(transition.session, listener.name, guess))
+                self._note(listener, listener.settled())
 
     def review(self, listener: Listener) -> None:
         """Log one's second thoughts."""
-        for guess in listener.review():
+        self._note(listener, listener.review())
+
+    def _note(self, listener: Listener, thoughts: Sequence[Guess]) -> None:
+        for guess in thoughts:
             if self._log is not None:
                 self._log.write(guess_line(self.session, listener.name, guess, "review"))
 
@@ -89,11 +94,7 @@ def listeners_of(names: Iterable[str], knowledge: dict[str, Knowledge]) -> list[
     KnowledgeError
         When one cannot be found or is not told enough.
     """
-    listeners = []
-    for name in names:
-        kind = named(name)
-        listeners.append(Listener(kind(knowledge[name]), kind.name))
-    return listeners
+    return [Listener.of(named(name), knowledge[name]) for name in names]
 
 
 def analyse(assignment: Assignment, pipe: Connection) -> None:
@@ -101,8 +102,15 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(10)  # the loop and the mirror come first
-    from protocol.runtime import logger
+    with suppress(EOFError, ConnectionError):  # the other end is gone: so is this one
+        _analyse(assignment, pipe)
 
+
+def _analyse(assignment: Assignment, pipe: Connection) -> None:
+    """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
+    from protocol.runtime import Complaints, logger
+
+    complaints = Complaints(logger("tap.analysis"))
     log = RotatingLog(
         assignment.run_dir / ANALYSIS_GUESSES,
         assignment.header,
@@ -110,26 +118,32 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
         logger("tap.analysis"),
     )
     ears = Ears(listeners_of(assignment.names, assignment.knowledge), log)
-    reader = CaptureReader(assignment.run_dir / CAPTURE)
+    while True:
+        try:
+            reader = CaptureReader(assignment.run_dir / CAPTURE, assignment.header)
+            break
+        except CaptureError as error:
+            complaints.add(str(error))
+        if pipe.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
+            log.close()
+            pipe.send(None)
+            return
     transcript = Transcript()
-    records = reader.records()
     finishing = False
     next_belief = 0.0
     while True:
         start = time.monotonic()
         until = start + SLICE_S
         empty = False
-        for _t_ns, message in records:
+        for _t_ns, message in reader.records():
             ears.feed(transcript.hear(message))
             if time.monotonic() >= until:
                 break
         else:
             empty = True
-            records = reader.records()
         log.flush()
         if not finishing and reader.behind_bytes > FAR_BEHIND:
-            reader.skip_to_last_part()
-            records = reader.records()
+            reader.skip(FAR_BEHIND // 2)
         if empty and finishing:
             ears.feed(transcript.flush())
         now = time.monotonic()
@@ -144,11 +158,8 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
             return
         worked = time.monotonic() - start
         pause = 0.0 if finishing else max(worked * REST_RATIO, 0.02 if empty else 0.0)
-        try:
-            if pipe.poll(pause):
-                finishing = pipe.recv() == "finish"
-        except (EOFError, OSError):
-            return
+        if pipe.poll(pause):
+            finishing = pipe.recv() == "finish"
 
 
 def _report(ears: Ears, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
@@ -162,7 +173,5 @@ def _report(ears: Ears, reader: CaptureReader, pipe: Connection, *, last: bool) 
             "dropped": reader.skipped,
         }
         status = status_of(listener, belief, counts)
-        record = belief_record(listener.name, ears.session, listener, belief)
-        if not last:
-            record["symbols"] = ()
+        record = belief_record(ears.session, listener, belief, last=last)
         pipe.send((status, record))

@@ -179,6 +179,13 @@ class Beam:
         first["lo"], first["hi"] = lo, hi
         first["edge_lo"], first["edge_hi"] = edge_lo, edge_hi
 
+    def widen(self, factor: float) -> None:
+        """Let every hypothesis hold thresholds that are so much smaller and larger too."""
+        rows = self._rows[: self._n]
+        for low, high in (("lo", "hi"), ("edge_lo", "edge_hi")):
+            rows[low] /= factor
+            rows[high] *= factor
+
     def split_evenly(self, edges: Sequence[float]) -> None:
         """Cut the one hypothesis of the beginning at each t_c of ``edges``."""
         for edge in edges:

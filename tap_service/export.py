@@ -6,13 +6,15 @@ schema of the type itself.
 
 import csv
 import json
+import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.keys import key_of
 from protocol.messages import FIELD, Measurement, Offer
-from tap_service.capture import CaptureReader
+from tap_service.capture import CaptureReader, first_part, parts_of
 
 Record = tuple[int, Measurement | Offer]
 
@@ -22,6 +24,29 @@ ROWS_AT_ONCE: Final = 20_000
 
 class ExportError(Exception):
     """The format's library is not installed; one line that says how to get it."""
+
+
+def is_part(reader: CaptureReader, output: Path) -> bool:
+    """Whether ``output`` is a part of the recording that is read."""
+    return output.resolve() in {p.resolve() for p in parts_of(first_part(reader.path))}
+
+
+@contextmanager
+def replacing(output: Path) -> Iterator[Path]:
+    """A file to write that takes the place of ``output`` at the end, and is removed on an error.
+
+    What is no regular file, a pipe or a device, is written to itself.
+    """
+    if output.exists() and not output.is_file():
+        yield output
+        return
+    target = output.resolve()
+    partial = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        yield partial
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _loop(reader: CaptureReader) -> str:

@@ -117,13 +117,3 @@ def class_of(byte: NDArray[np.integer]) -> NDArray[np.intp]:
     """The class of each byte: its place among the printable characters, or :data:`OTHER`."""
     classes: NDArray[np.intp] = _classes()[byte]
     return classes
-
-
-def plausibility(text: bytes) -> float:
-    """Log ratio of ``text`` as English over random bytes; positive for text."""
-    ratios, classes = table(), _classes()
-    before, last, total = OTHER, OTHER, 0.0
-    for byte in text:
-        total += float(ratios[before, last, byte])
-        before, last = last, int(classes[byte])
-    return total

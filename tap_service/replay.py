@@ -8,7 +8,7 @@ from typing import Any
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
 from tap_service.capture import CaptureError, CaptureReader
-from tap_service.eavesdroppers import ORACLE, KnowledgeError, named
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError, named
 from tap_service.secrecy import Said, Step
 from tap_service.status import Listener, status_of
 from tap_service.transcript import Transcript
@@ -70,7 +70,7 @@ class Replay:
                 mine = oracle_knowledge
             else:
                 mine = told(self.knowledge, kind, self.view)
-            self.listeners.append(Listener(kind(mine), kind.name))
+            self.listeners.append(Listener.of(kind, mine))
         self.transcript = Transcript()
         self.session = ""
         self.transitions = 0
@@ -92,8 +92,7 @@ class Replay:
             self.reader.finish()
             self._feed(self.transcript.flush())
             for listener in self.listeners:
-                for guess in listener.review():
-                    self._reviews[listener.name][self.session, guess.k] = guess.best
+                self._note(listener, listener.review())
             self.finished = True
         return False
 
@@ -114,6 +113,12 @@ class Replay:
                 guess = listener.observe(t)
                 if guess is not None:
                     self._guesses[listener.name][t.session, t.k] = guess.best
+                self._note(listener, listener.settled())
+
+    def _note(self, listener: Listener, thoughts: Sequence[Guess]) -> None:
+        reviews = self._reviews[listener.name]
+        for guess in thoughts:
+            reviews[guess.session or self.session, guess.k] = guess.best
 
     def statuses(self) -> list[TapStatus]:
         """The status of each eavesdropper now."""
@@ -134,6 +139,7 @@ class Replay:
                     symbols=dict(b.symbols),
                     message=b.message,
                     whole=b.whole,
+                    whole_count=b.whole_count,
                     candidates_left=b.candidates_left,
                     solved_k=b.solved_k,
                     confidence=b.confidence,
@@ -159,6 +165,8 @@ class Replay:
             "transitions": self.transitions,
             "sessions": self.transcript.sessions,
             "holes": self.transcript.holes,
+            "jumped": self.transcript.jumped,
+            "late": self.transcript.late,
             "torn_lines": self.reader.torn,
             "garbage": self.reader.garbage,
             "parts_missing": self.reader.parts_missing,

@@ -89,6 +89,10 @@ class TapReport:
         Median of the candidate messages that remained.
     broken_k : tuple of int
         Steps at which she first was sure of a whole message, run by run; -1 never.
+    not_on_record : int
+        Agreed steps for which there is no word of hers, because her log was cut or she was gone.
+    size : int
+        M.
     """
 
     name: str
@@ -102,6 +106,8 @@ class TapReport:
     left_bits: float | None
     list_size: float | None
     broken_k: tuple[int, ...]
+    not_on_record: int
+    size: int
 
     @property
     def median_broken(self) -> float | None:
@@ -145,7 +151,8 @@ class Report:
         if strongest is None or strongest.left_bits is None or self.claimed_bits == 0:
             return False
         return strongest.left_bits < 0.99 * self.claimed_bits and (
-            strongest.symbol_errors.high < 0.5 or (strongest.exact.value or 0) > 0
+            strongest.symbol_errors.high < 1 - 1 / strongest.size
+            or (strongest.exact.value or 0) > 0
         )
 
     def verdict(self) -> str:
@@ -190,8 +197,10 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
     if entropy is not None:
         # where she has every message, nothing of that run's keys is left
         left = sum(
-            0.0 if t.messages.of and t.messages.right == t.messages.of else entropy * t.keys.of
-            for t in scores
+            0.0
+            if t.messages.of and t.messages.right == t.messages.of
+            else entropy * len(s.truth.keys)
+            for s, t in mine
         )
     lists = [t.candidates_left for t in scores if t.candidates_left]
     return TapReport(
@@ -206,6 +215,8 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
         left_bits=left,
         list_size=statistics.median(lists) if lists else None,
         broken_k=tuple(t.solved_k for t in scores),
+        not_on_record=sum(len(s.truth.keys) - t.keys.of for s, t in mine),
+        size=size,
     )
 
 
@@ -238,6 +249,7 @@ def as_json(r: Report) -> dict[str, Any]:
                 "list_size": t.list_size,
                 "list_size_log2": None if not t.list_size else math.log2(t.list_size),
                 "broken_at_k": list(t.broken_k),
+                "not_on_record": t.not_on_record,
             }
             for t in r.taps
         },

@@ -17,6 +17,7 @@ from pydantic_core import from_json
 from protocol.trace import PLANT_TRACE, Trace, TraceError, read_trace
 from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
 from tap_service.capture import parts_of
+from tap_service.eavesdroppers.interface import KEPT_SYMBOLS
 
 Z: Final = 1.959963984540054
 """Normal quantile of a two-sided 95 % interval."""
@@ -53,10 +54,6 @@ class Proportion:
         high = 1.0 if p == 1 else min(1.0, (centre + spread) / scale)
         return low, high
 
-    def plus(self, other: "Proportion") -> "Proportion":
-        """Both together."""
-        return Proportion(self.right + other.right, self.of + other.of)
-
 
 @dataclass(frozen=True, slots=True)
 class Truth:
@@ -86,6 +83,17 @@ class Truth:
     def claimed_bits(self) -> float:
         """What the paper's rule counts: log2 M secret bits for each agreement."""
         return len(self.keys) * math.log2(self.size)
+
+    def between(self, first: int | None, last: int | None) -> "Truth":
+        """The truth of the steps from and to which a run was decoded, both included."""
+        low, high = first or 0, math.inf if last is None else last
+        return Truth(
+            self.size,
+            {at: key for at, key in self.keys.items() if low <= at[1] <= high},
+            {at: symbol for at, symbol in self.symbols.items() if low <= at[1] <= high},
+            tuple((k, payload) for k, payload in self.whole if low <= k <= high),
+            self.transitions,
+        )
 
 
 def truth_of(trace: Trace) -> Truth:
@@ -121,15 +129,20 @@ def truth_of(trace: Trace) -> Truth:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief."""
+    """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
+
+    ``symbols`` is None where she was not heard to the end. ``whole`` are the last of her
+    ``whole_count`` messages.
+    """
 
     name: str
     live: Mapping[Step, int]
     reviewed: Mapping[Step, int]
     session: str
-    symbols: Mapping[int, int]
+    symbols: Mapping[int, int] | None
     message: bytes
     whole: tuple[bytes, ...]
+    whole_count: int
     candidates_left: int
     solved_k: int
     confidence: float
@@ -144,13 +157,17 @@ class TapScore:
     ----------
     name : str
     keys : Proportion
-        Agreed steps on which her likeliest symbol, right after the step, was the key symbol.
+        Agreed steps on which her likeliest symbol, right after the step, was the key symbol; one
+        that she missed counts as a blind guess. Steps before the first and after the last that is
+        on record of her are left out: she was not there, or her log was cut.
     keys_reviewed : Proportion
         The same with her second thoughts, where she has any.
     bits : Proportion
         Message symbols she got right, step by step; one that she missed counts as a blind guess.
+        Where she was not heard to the end, there are none.
     messages : Proportion
-        Messages that she had whole and exact, of those the plant recovered.
+        Messages that she had whole and exact, of those the plant recovered; where she keeps only
+        the last of hers, of as many of the plant's last.
     candidates_left : int
         Candidate messages that remain; 0 where they are not counted.
     solved_k : int
@@ -180,11 +197,6 @@ class TapScore:
         share = self.keys_reviewed.share
         return None if share is None else max(share, 1.0 / self.size)
 
-    @property
-    def left_bits_per_key(self) -> float | None:
-        """Min-entropy that she leaves of one key symbol, in bits."""
-        return None if self.guessing is None else abs(math.log2(self.guessing))
-
 
 @dataclass(frozen=True, slots=True)
 class RunScore:
@@ -197,38 +209,65 @@ class RunScore:
 
 def score(truth: Truth, said: Said) -> TapScore:
     """Compare what one eavesdropper said with what happened."""
-    live = sum(said.live.get(at) == key for at, key in truth.keys.items())
-    reviewed = {**said.live, **said.reviewed}
-    second = sum(reviewed.get(at) == key for at, key in truth.keys.items())
     blind = 1.0 / truth.size
-    right = 0.0
-    scored = 0
-    oldest = min(said.symbols, default=0)
-    for (session, k), symbol in truth.symbols.items():
-        if session != said.session or (said.symbols and k < oldest):
-            continue  # she was asked at the end, and keeps a bounded number of the newest
-        scored += 1
-        guess = said.symbols.get(k)
-        right += blind if guess is None else float(guess == symbol)
+    keys = _on_record(truth, said)
+
+    def right(guesses: Mapping[Step, int]) -> float:
+        missed = sum(at not in guesses for at in keys)
+        return sum(guesses.get(at) == key for at, key in keys.items()) + blind * missed
+
+    recovered = [payload for _, payload in truth.whole]
+    if said.whole_count > len(said.whole):
+        recovered = recovered[-len(said.whole) :]
     unclaimed = list(said.whole)
     exact = 0
-    for _k, payload in truth.whole:
+    for payload in recovered:
         if payload in unclaimed:
             unclaimed.remove(payload)
             exact += 1
-    n = len(truth.keys)
     return TapScore(
         name=said.name,
-        keys=Proportion(live, n),
-        keys_reviewed=Proportion(second, n),
-        bits=Proportion(right, scored),
-        messages=Proportion(exact, len(truth.whole)),
+        keys=Proportion(right(said.live), len(keys)),
+        keys_reviewed=Proportion(right({**said.live, **said.reviewed}), len(keys)),
+        bits=_bits(truth, said),
+        messages=Proportion(exact, len(recovered)),
         candidates_left=said.candidates_left,
         solved_k=said.solved_k,
         size=truth.size,
         guess=said.message.decode("utf-8", errors="replace"),
         failed=said.failed,
     )
+
+
+def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
+    """The keys of the steps between the first and the last guess of hers in each session.
+
+    Of one who was there to the end and heard nothing at all, every key counts.
+    """
+    if not said.live:
+        return {} if said.symbols is None else truth.keys
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for session, k in said.live:
+        first[session] = min(k, first.get(session, k))
+        last[session] = max(k, last.get(session, k))
+    return {
+        (session, k): key
+        for (session, k), key in truth.keys.items()
+        if session in first and first[session] <= k <= last[session]
+    }
+
+
+def _bits(truth: Truth, said: Said) -> Proportion:
+    """Message symbols right, of her last session's; of the newest only, where she kept no more."""
+    if said.symbols is None:
+        return Proportion(0.0, 0)
+    oldest = min(said.symbols) if len(said.symbols) >= KEPT_SYMBOLS else 0
+    asked = {k: s for (session, k), s in truth.symbols.items() if session == said.session}
+    asked = {k: s for k, s in asked.items() if k >= oldest}
+    missed = sum(k not in said.symbols for k in asked)
+    right = sum(said.symbols.get(k) == symbol for k, symbol in asked.items())
+    return Proportion(right + missed / truth.size, len(asked))
 
 
 def read_said(run_dir: Path) -> list[Said]:
@@ -258,14 +297,16 @@ def read_said(run_dir: Path) -> list[Said]:
 
 def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> Said:
     """What one eavesdropper said, from her record and her guesses by kind."""
+    symbols = record["symbols"]
     return Said(
         name=record["name"],
         live=guesses.get("guess", {}),
         reviewed=guesses.get("review", {}),
         session=record["session"],
-        symbols={int(k): int(v) for k, v in record["symbols"]},
+        symbols=None if symbols is None else {int(k): int(v) for k, v in symbols},
         message=base64.b64decode(record["message"]),
         whole=tuple(base64.b64decode(w) for w in record["whole"]),
+        whole_count=record["whole_count"],
         candidates_left=record["candidates_left"],
         solved_k=record["solved_k"],
         confidence=record["confidence"],
@@ -318,6 +359,7 @@ def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
             "symbol_accuracy": tap.keys_reviewed.share,
             "symbol_accuracy_live": tap.keys.share,
             "agreed_steps": tap.keys.of,
+            "agreed_steps_not_on_record": len(run.truth.keys) - tap.keys.of,
             "message_bit_accuracy": tap.bits.share,
             "messages_exact": int(tap.messages.right),
             "candidates_left": tap.candidates_left,

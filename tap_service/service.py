@@ -9,12 +9,14 @@ import logging
 import multiprocessing
 import os
 import queue
+import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from dataclasses import field as default
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -147,9 +149,9 @@ def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
     Raises
     ------
     KnowledgeError
-        When an eavesdropper cannot be made; nothing has started then.
+        When an eavesdropper cannot be made.
     protocol.transport.TransportError
-        When a bus cannot be opened.
+        When a bus cannot be opened; nothing has started in either case.
     """
     from protocol.transport import open_bus
 
@@ -157,10 +159,10 @@ def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
         own_process = stopping is None
         if stopping is None:
             stopping = stack.enter_context(stop_on_signals())
-        service = TapService(config)
-        stack.callback(service.close)
         field_bus = stack.enter_context(open_bus(config.field))
         intel_bus = stack.enter_context(open_bus(config.intel))
+        service = TapService(config)
+        stack.callback(service.close)
         service.attach(field_bus, intel_bus)
         if own_process:
             # On Linux this is the calling thread's alone: the transport's threads, already
@@ -211,7 +213,14 @@ class TapService:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._analysis = context.Process(target=analyse, args=(assignment, theirs), daemon=True)
-        self._analysis.start()
+        # Ctrl-C in a terminal reaches both, and is not for the child, even before it runs. The
+        # tracker would be started here too, and unblock the signal.
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._analysis.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         theirs.close()
 
     # --- the wire ---------------------------------------------------------------------------------
@@ -309,11 +318,11 @@ class TapService:
         for listener in self._ears.listeners:
             self._ears.review(listener)
         self._guesses.flush()
-        self.publish()
-        self._write_beliefs(whole=True)
+        self.publish(last=True)
+        self._write_beliefs()
         if self._pipe is not None:
             self._finish_analysis(self._pipe)
-            self.publish()
+            self.publish(last=True)
 
     def _finish_analysis(self, pipe: Connection) -> None:
         deadline = time.monotonic() + self._config.finish_s
@@ -326,7 +335,7 @@ class TapService:
                 if report is None:
                     return
                 self._note(*report)
-                self._write_beliefs(whole=True)
+                self._write_beliefs()
         except (EOFError, OSError):
             self.log.error("the heavy eavesdroppers' process is gone")
             return
@@ -351,12 +360,12 @@ class TapService:
         self._analysis_status[status.name] = status
         self._records[status.name] = record
 
-    def publish(self) -> None:
+    def publish(self, *, last: bool = False) -> None:
         """Publish the status of every eavesdropper."""
         statuses = []
         for listener in self._ears.listeners:
             belief = listener.belief()
-            record = belief_record(listener.name, self._ears.session, listener, belief)
+            record = belief_record(self._ears.session, listener, belief, last=last)
             self._records[listener.name] = record
             counts = self._counts() | {"behind": self._queue.qsize()}
             statuses.append(status_of(listener, belief, counts))
@@ -377,12 +386,9 @@ class TapService:
             for status in statuses:
                 self._put(status.wire())
 
-    def _write_beliefs(self, *, whole: bool = False) -> None:
-        records = self._records
-        if not whole:  # the symbols are long, and scoring needs them at the end only
-            records = {name: {**r, "symbols": ()} for name, r in records.items()}
+    def _write_beliefs(self) -> None:
         try:
-            write_atomically(self._config.run_dir / BELIEFS, beliefs_json(records))
+            write_atomically(self._config.run_dir / BELIEFS, beliefs_json(self._records))
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

@@ -1,15 +1,19 @@
 """From what an eavesdropper says to what is published, logged and kept of it."""
 
 import base64
+from array import array
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
+from itertools import chain
+from math import isfinite
+from operator import index
+from typing import Any, Final, Self
 
 from pydantic_core import to_json
 
+from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
-from tap_service.eavesdroppers.interface import Belief, Eavesdropper, Guess
+from tap_service.eavesdroppers.interface import Belief, Eavesdropper, Guess, KnowledgeError
 from tap_service.transcript import Transition
 
 TAIL: Final = 32
@@ -18,40 +22,86 @@ TAIL: Final = 32
 SHOWN_TEXT: Final = 2000
 """Characters of a message that a status shows."""
 
+MOST: Final = 1.0 + 1e-9
+"""A probability at most; a sum of shares may exceed 1 by a rounding."""
 
-@dataclass(slots=True)
+
 class Listener:
-    """An eavesdropper with the last of her guesses and the count of her steps."""
+    """An eavesdropper with the last of her guesses and the count of her steps.
 
-    tap: Eavesdropper
-    name: str
-    steps: int = 0
-    holes: int = 0
-    failed: str = ""
-    tail: deque[Guess] = field(default_factory=lambda: deque(maxlen=TAIL))
+    She may be the user's: whatever she raises, or answers that is no answer, stops her and nobody
+    else, and is told in ``failed``.
+
+    Parameters
+    ----------
+    tap : Eavesdropper
+    name : str
+    size : int
+        M.
+    """
+
+    def __init__(self, tap: Eavesdropper, name: str, size: int) -> None:
+        self.tap = tap
+        self.name = name
+        self.steps = 0
+        self.holes = 0
+        self.failed = ""
+        self.tail: deque[Guess] = deque(maxlen=TAIL)
+        self._size = size
+
+    @classmethod
+    def of(cls, kind: type[Eavesdropper], knowledge: Knowledge) -> Self:
+        """Make one of a kind.
+
+        Raises
+        ------
+        KnowledgeError
+            When she cannot be made: she lacks knowledge, or her constructor raises.
+        """
+        try:
+            return cls(kind(knowledge), kind.name, knowledge.candidates)
+        except KnowledgeError:
+            raise
+        except Exception as error:
+            raise KnowledgeError(
+                f"eavesdropper {kind.name}: cannot be made: {_in_short(error)}"
+            ) from None
 
     def observe(self, transition: Transition) -> Guess | None:
-        """Feed her one transition; None once she has failed, which stops her and nobody else."""
+        """Feed her one transition; None once she has failed."""
         if self.failed:
             return None
         try:
-            guess = self.tap.observe(transition)
-        except Exception as error:  # she may be the user's: one eavesdropper never stops the tap
-            self.failed = f"step {transition.k}: {type(error).__name__}: {error}"
+            guess = sound_guess(self.tap.observe(transition), self._size)
+        except Exception as error:
+            self._fail(f"step {transition.k}", error)
             return None
         self.steps += 1
         self.holes += not transition.whole
         self.tail.append(guess)
         return guess
 
+    def settled(self) -> Sequence[Guess]:
+        """Take off her last thoughts on the transitions that she has let go."""
+        found = getattr(self.tap, "settled", None)
+        if not found or self.failed:
+            return ()
+        try:
+            guesses = [sound_guess(g, self._size) for g in found]
+            found.clear()
+        except Exception as error:
+            self._fail("settled", error)
+            return ()
+        return guesses
+
     def review(self) -> Sequence[Guess]:
-        """Her second thoughts."""
+        """Her second thoughts on the transitions that she keeps."""
         if self.failed:
             return ()
         try:
-            return self.tap.review()
+            return [sound_guess(g, self._size) for g in self.tap.review()]
         except Exception as error:
-            self.failed = f"review: {type(error).__name__}: {error}"
+            self._fail("review", error)
             return ()
 
     def belief(self) -> Belief:
@@ -59,10 +109,71 @@ class Listener:
         if self.failed:
             return Belief()
         try:
-            return self.tap.belief()
+            return sound_belief(self.tap.belief())
         except Exception as error:
-            self.failed = f"belief: {type(error).__name__}: {error}"
+            self._fail("belief", error)
             return Belief()
+
+    def _fail(self, where: str, error: Exception) -> None:
+        self.failed = f"{where}: {_in_short(error)}"
+
+
+def _in_short(error: Exception) -> str:
+    """An error on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def sound_guess(guess: object, size: int) -> Guess:
+    """The guess, in plain numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When it is none, or not of M probabilities.
+    """
+    if not isinstance(guess, Guess):
+        raise TypeError(f"expected a Guess, got {guess!r}")
+    symbol = tuple(map(float, guess.symbol))
+    agreed = float(guess.agreed)
+    if len(symbol) != size or not all(0.0 <= p <= MOST for p in (*symbol, agreed)):
+        raise ValueError(f"expected {size} probabilities and that of an agreement, got {guess}")
+    return Guess(index(guess.k), symbol, agreed, str(guess.session))
+
+
+def sound_belief(belief: object) -> Belief:
+    """The belief, in plain numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When it is none, or a part of it is not what it should be.
+    """
+    if not isinstance(belief, Belief):
+        raise TypeError(f"expected a Belief, got {belief!r}")
+    for payload in (belief.message, *belief.whole):
+        if not isinstance(payload, bytes):
+            raise TypeError(f"expected messages as bytes, got {payload!r}")
+    confidence = float(belief.confidence)
+    if not 0.0 <= confidence <= MOST:
+        raise ValueError(f"expected a confidence from 0 to 1, got {confidence}")
+    A = tuple(tuple(map(float, row)) for row in belief.A)
+    B = tuple(tuple(map(float, row)) for row in belief.B)
+    if not all(map(isfinite, chain.from_iterable((*A, *B)))):
+        raise ValueError(f"expected a finite model, got A {A}, B {B}")
+    flat = array("q", chain.from_iterable(belief.symbols))
+    if len(flat) != 2 * len(belief.symbols):
+        raise ValueError("expected symbols as pairs of step and symbol")
+    return Belief(
+        message=belief.message,
+        whole=tuple(belief.whole),
+        whole_count=max(index(belief.whole_count), len(belief.whole)),
+        confidence=confidence,
+        candidates_left=max(index(belief.candidates_left), 0),
+        solved_k=max(index(belief.solved_k), -1),
+        symbols=belief.symbols,
+        A=A,
+        B=B,
+    )
 
 
 def printable(message: bytes) -> str:
@@ -94,19 +205,27 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
 
 
 def guess_line(session: str, name: str, guess: Guess, event: str = "guess") -> bytes:
-    """The log line of one guess: step, likeliest symbol and its probability, agreement's."""
+    """The log line of one guess: step, likeliest symbol and its probability, agreement's.
+
+    ``session`` is the newest, for a guess that names none.
+    """
     p = max(guess.symbol)
     text = (
-        f'{{"event":"{event}","name":"{name}","session":"{session}","k":{guess.k},'
+        f'{{"event":"{event}","name":"{name}","session":"{guess.session or session}","k":{guess.k},'
         f'"symbol":{guess.symbol.index(p)},"p":{p:.6g},"agreed":{guess.agreed:.6g}}}'
     )
     return text.encode()
 
 
-def belief_record(name: str, session: str, listener: Listener, belief: Belief) -> dict[str, Any]:
-    """One belief as it is written to ``beliefs.json``; payloads as base64."""
+def belief_record(
+    session: str, listener: Listener, belief: Belief, *, last: bool
+) -> dict[str, Any]:
+    """One belief as it is written to ``beliefs.json``; payloads as base64.
+
+    The symbols are long, and scoring needs them at the end only: before, they are None.
+    """
     return {
-        "name": name,
+        "name": listener.name,
         "session": session,
         "steps": listener.steps,
         "failed": listener.failed,
@@ -116,7 +235,7 @@ def belief_record(name: str, session: str, listener: Listener, belief: Belief) -
         "confidence": belief.confidence,
         "candidates_left": belief.candidates_left,
         "solved_k": belief.solved_k,
-        "symbols": belief.symbols,
+        "symbols": [(int(k), int(s)) for k, s in belief.symbols] if last else None,
         "A": belief.A,
         "B": belief.B,
     }

@@ -96,7 +96,6 @@ class Transcript:
     def __init__(self, patience: int = PATIENCE) -> None:
         self.patience = patience
         self.sessions = 0
-        self.repeated = 0
         self.late = 0
         self.holes = 0
         self.jumped = 0
@@ -138,10 +137,8 @@ class Transcript:
         if isinstance(message, Offer):
             if k < self._next:
                 self.late += 1
-            elif k in self._offers:
-                self.repeated += 1
             else:
-                self._offers[k] = message
+                self._offers.setdefault(k, message)
         else:
             self._note(message)
         kind = type(message)
@@ -157,10 +154,7 @@ class Transcript:
     def _note(self, message: Measurement) -> None:
         k, applied = message.k, message.applied_k
         if k >= self._next:
-            if k in self._x:
-                self.repeated += 1
-            else:
-                self._x[k] = message.x
+            self._x.setdefault(k, message.x)
         if applied >= self._next:
             self._after[applied] = message.x_after
         # the steps between the last applied offer and this measurement had none

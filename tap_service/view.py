@@ -83,7 +83,6 @@ class Ear:
 
     def __init__(self, view: View) -> None:
         self.view = view
-        self.missed = 0
         self._draw = random.Random(f"view {view.seed}")
         self._held: deque[tuple[int, Measurement | Offer]] = deque()
 
@@ -95,7 +94,6 @@ class Ear:
         if view.view != "both" and (view.view == "offers") != isinstance(message, Offer):
             return
         if view.loss and self._draw.random() < view.loss:
-            self.missed += 1
             return
         if view.noise or view.quantise:
             message = self._blur(message)

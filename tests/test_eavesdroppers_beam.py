@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import tap_service.beam as beam_module
 from protocol.framing import encode_frame
 from tap_service.beam import Beam, bytes_of
-from tap_service.plausibility import SAMPLE, plausibility
+from tap_service.plausibility import OTHER, SAMPLE, class_of, table
 
 STEP = tuple[list[float], int]
 
@@ -191,6 +191,12 @@ def test_a_new_session_keeps_the_thresholds_and_starts_the_frame_again() -> None
 def test_bytes_of_symbols() -> None:
     assert bytes_of([0, 1, 0, 0, 0, 0, 0, 1, 1], 2) == b"A"
     assert bytes_of([1, 0, 0, 1], 4) == b"A"
+
+
+def plausibility(text: bytes) -> float:
+    """Log ratio of a text as English over random bytes."""
+    classes = [OTHER, OTHER, *class_of(np.frombuffer(text, dtype=np.uint8)).tolist()]
+    return sum(float(table()[classes[i], classes[i + 1], byte]) for i, byte in enumerate(text))
 
 
 def test_english_is_more_plausible_than_noise_at_any_length() -> None:

@@ -1,20 +1,25 @@
 """The ladder on seeded runs: what each must get, and the controls that must fail."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic_core import from_json
 
 from experiments.secrecy.runs import Run, simulate, text_of
 from experiments.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 from protocol.knowledge import Knowledge
-from tap_service.eavesdroppers import KnowledgeError, named
-from tap_service.eavesdroppers.interface import Eavesdropper
+from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.list_decoder import ListDecoder
-from tap_service.secrecy import Said, TapScore, score
-from tap_service.status import Listener
+from tap_service.replay import COUNTS
+from tap_service.secrecy import Proportion, Said, TapScore, score
+from tap_service.status import Listener, belief_record, beliefs_json, status_of
+from tap_service.transcript import Transition
 from tap_service.view import View
 
 CLEAR = View()
@@ -44,9 +49,7 @@ def test_nearest_centre_on_other_systems(name: str) -> None:
 
 def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
     scores = [play(simulate(1000, seed), "set-membership")[1] for seed in range(4)]
-    keys = scores[0].keys
-    for s in scores[1:]:
-        keys = keys.plus(s.keys)
+    keys = Proportion(sum(s.keys.right for s in scores), sum(s.keys.of for s in scores))
     low, high = keys.interval
     assert low < 0.5 < high
 
@@ -127,6 +130,38 @@ def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
     assert scored.bits.right == scored.bits.of
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["list-decoder", "learning", "smoother", "oracle"])
+def test_a_run_longer_than_she_keeps_loses_no_message(name: str) -> None:
+    """Messages one after the other, across the steps at which she lets go of the older half."""
+    payloads = [b"message number %02d" % i for i in range(30)]
+    run = simulate(9000, 1, payloads=payloads)
+    said, scored = play(run, name)
+    assert len(run.truth.whole) >= 10
+    assert said.whole == tuple(p for _, p in run.truth.whole)
+    assert scored.keys_reviewed.right == scored.keys_reviewed.of
+    assert (scored.bits.share or 0) > 0.999
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["learning", "smoother"])
+def test_a_message_longer_than_she_keeps_is_had(name: str) -> None:
+    text = (b"It was a quiet night at the harbour and nobody saw the boats leave. " * 5)[:300]
+    run = simulate(11_000, 1, payloads=[text])
+    assert [p for _, p in run.truth.whole] == [text]
+    assert play(run, name)[0].whole == (text,)
+
+
+@pytest.mark.slow
+def test_second_thoughts_on_what_she_lets_go_are_told() -> None:
+    run = simulate(4200, 3, payloads=[b"let go"])
+    view = View(loss=0.02, seed=1)
+    said, scored = play(run, "smoother", view)
+    oldest = [at for at in said.live if at[1] < 2000]
+    assert all(at in said.reviewed for at in oldest)
+    assert scored.keys_reviewed.right > scored.keys.right
+
+
 # --- negative controls ---------------------------------------------------------------------------
 
 
@@ -137,20 +172,30 @@ def test_alpha_one_agrees_no_key() -> None:
 def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
     _, scored = play(simulate(1000, 5), "oracle")
     assert scored.guessing == 1.0
-    assert scored.left_bits_per_key == 0.0
 
 
-@pytest.mark.parametrize("name", ["set-membership", "nearest-centre", "list-decoder", "smoother"])
+@pytest.mark.parametrize("name", LADDER)
 def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
     run = simulate(300, 6)
-    kind = named(name)
+    tap = named(name)(knowledge_for(run, named(name), CLEAR))
+    holes = [Transition(t.session, t.k, None, None, None, None) for t in heard_by(run, CLEAR)]
+    said = said_about(tap, holes)
+    assert not said.whole
+    guesses = [*map(tap.observe, holes), *tap.review()]
+    assert max(max(g.symbol) for g in guesses) == 0.5
+    right = score(run.truth, said).keys
+    assert 0.35 < (right.share or 0) < 0.65  # the first of two equals, on some 65 keys
+
+
+@pytest.mark.parametrize("name", LADDER)
+def test_who_was_there_and_heard_no_message_is_scored_as_a_blind_guess(name: str) -> None:
+    run = simulate(300, 6)
     heard = heard_by(run, View(loss=1.0))
     assert heard == []
-    said = said_about(kind(knowledge_for(run, kind, CLEAR)), heard)
+    said = said_about(named(name)(knowledge_for(run, named(name), CLEAR)), heard)
     scored = score(run.truth, said)
+    assert scored.keys.of == len(run.truth.keys)
     assert scored.guessing == 0.5
-    assert scored.left_bits_per_key == 1.0
-    assert not said.whole
 
 
 @pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])
@@ -212,20 +257,137 @@ def test_the_oracle_needs_alpha() -> None:
         named("oracle")(run.scenario.knowledge())
 
 
+class Odd(Eavesdropper):
+    """Answers whatever it is told to."""
+
+    name = "odd"
+    guess: object = Guess(0, (0.5, 0.5), 0.5)
+    thoughts: object = ()
+    last_belief: object = Belief()
+
+    def observe(self, transition: Transition) -> Guess:
+        return cast("Guess", self.guess)
+
+    def review(self) -> Sequence[Guess]:
+        return cast("Sequence[Guess]", self.thoughts)
+
+    def belief(self) -> Belief:
+        return cast("Belief", self.last_belief)
+
+
+def odd(**answers: object) -> Listener:
+    run = simulate(3, 0)
+    listener = Listener.of(Odd, run.scenario.knowledge())
+    for name, answer in answers.items():
+        setattr(listener.tap, name, answer)
+    for transition in heard_by(run, CLEAR):
+        listener.observe(transition)
+    return listener
+
+
+@pytest.mark.parametrize(
+    ("guess", "expected"),
+    [
+        (None, "TypeError: expected a Guess, got None"),
+        (Guess(0, (), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, 0.6, 0.1), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, float("nan")), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, 0.5), 1.5), "ValueError: expected 2 probabilities"),
+        (Guess(0.5, (0.5, 0.5), 0.5), "TypeError: 'float' object"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_guess_that_is_none_stops_her_alone(guess: object, expected: str) -> None:
+    listener = odd(guess=guess)
+    assert listener.failed.startswith(f"step 0: {expected}")
+    assert listener.steps == 0
+
+
+@pytest.mark.parametrize(
+    ("belief", "expected"),
+    [
+        (None, "TypeError: expected a Belief, got None"),
+        (Belief(message="hello"), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        (Belief(whole=("a",)), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        (Belief(confidence=2.0), "ValueError: expected a confidence"),
+        (Belief(A=((float("inf"),),)), "ValueError: expected a finite model"),
+        (Belief(symbols=((1, 0), (2,))), "ValueError: expected symbols as pairs"),  # type: ignore[arg-type]
+        (Belief(symbols=(("k", 0),)), "TypeError"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_belief_that_is_none_stops_her_alone(belief: object, expected: str) -> None:
+    listener = odd(last_belief=belief)
+    assert listener.belief() == Belief()
+    assert listener.failed.startswith(f"belief: {expected}")
+    assert "\n" not in listener.failed
+
+
+def test_second_thoughts_that_are_none_stop_her_alone() -> None:
+    listener = odd(thoughts=None)
+    assert listener.review() == ()
+    assert listener.failed.startswith("review: TypeError")
+    listener = odd()
+    listener.tap.settled = [Guess(0, (1.0,), 0.0)]
+    assert listener.settled() == ()
+    assert listener.failed.startswith("settled: ValueError")
+
+
+def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:
+    symbol = np.array([0.25, 0.75])
+    listener = odd(
+        guess=Guess(np.int64(3), symbol, np.float32(0.5)),  # type: ignore[arg-type]
+        last_belief=Belief(symbols=[(np.int64(1), np.int8(0))], A=np.eye(2)),  # type: ignore[arg-type]
+    )
+    assert not listener.failed
+    assert list(listener.tail) == [Guess(3, (0.25, 0.75), 0.5)] * 3
+    belief = listener.belief()
+    status = status_of(listener, belief, dict.fromkeys(COUNTS, 0))
+    assert status.tail_symbol == (1, 1, 1)
+    record = belief_record("s", listener, belief, last=True)
+    assert from_json(beliefs_json({"odd": record}))["odd"]["symbols"] == [[1, 0]]
+
+
+def test_one_who_cannot_be_made_is_one_line() -> None:
+    class Fragile(Odd):
+        name = "fragile"
+
+        def __init__(self, knowledge: Knowledge) -> None:
+            raise ValueError("no\nway")
+
+    class Abstract(Eavesdropper):
+        name = "abstract"
+
+    knowledge = simulate(1, 0).scenario.knowledge()
+    for kind, expected in ((Fragile, "ValueError: no way"), (Abstract, "TypeError: ")):
+        with pytest.raises(KnowledgeError, match=f"{kind.name}: cannot be made: {expected}") as e:
+            Listener.of(kind, knowledge)
+        assert "\n" not in str(e.value)
+
+
+def test_a_file_with_a_dataclass_and_late_annotations_is_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+        "from tap_service.eavesdroppers import Eavesdropper\n"
+        "@dataclass\nclass Note:\n    k: int\n"
+        "class Late(Eavesdropper):\n    name = 'late'\n"
+    )
+    assert named(f"{file}:Late").name == "late"
+
+
 def test_one_who_fails_stops_alone() -> None:
-    class Broken(Eavesdropper):
+    class Broken(Odd):
         name = "broken"
 
-        def observe(self, transition):  # type: ignore[no-untyped-def]
-            raise RuntimeError("no idea")
+        def observe(self, transition: Transition) -> Guess:
+            raise RuntimeError("no\nidea")
 
-        def belief(self):  # type: ignore[no-untyped-def]
+        def belief(self) -> Belief:
             raise AssertionError("not asked any more")
 
     run = simulate(3, 0)
-    listener = Listener(Broken(run.scenario.knowledge()), "broken")
+    listener = Listener.of(Broken, run.scenario.knowledge())
     for transition in heard_by(run, CLEAR):
         assert listener.observe(transition) is None
-    assert listener.failed.startswith("step 0: RuntimeError: no idea")
+    assert listener.failed == "step 0: RuntimeError: no idea"
     assert listener.belief().message == b""
     assert listener.review() == ()

@@ -1,11 +1,15 @@
 """`wyner replay`, `secrecy`, `export` and the options of `wyner tap`, as a user calls them."""
 
 import csv
+import errno
 import io
+import itertools
 import json
 import logging
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -208,6 +212,79 @@ def test_a_torn_capture_is_exported_without_its_last_line(
     assert "1 torn lines" in err
     reader = CaptureReader(path)
     assert len(out.splitlines()) - 1 == sum(1 for _ in reader.records())
+
+
+@pytest.mark.parametrize("to", ["csv", "mcap", "parquet"])
+@pytest.mark.parametrize("capture", ["capture.jsonl", "capture.0002.jsonl"])
+def test_export_refuses_to_write_over_the_capture(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], to: str, capture: str
+) -> None:
+    tap = run_dir / "tap"
+    before = {p: p.read_bytes() for p in tap.iterdir()}
+    assert tap / "capture.0001.jsonl" in before
+    link = tmp_path / "link.csv"
+    link.symlink_to(tap / "capture.0001.jsonl")
+    for output in (tap / "capture.jsonl", tap / ".." / "tap" / "capture.0001.jsonl", link):
+        code, out, err = call(capsys, "export", tap / capture, "--to", to, "--output", output)
+        assert (code, out) == (2, "")
+        assert err == f"wyner: --output: {output}: is a part of the capture itself\n"
+    assert {p: p.read_bytes() for p in tap.iterdir()} == before
+
+
+@pytest.mark.parametrize("to", ["csv", "mcap", "parquet"])
+def test_a_failed_export_leaves_what_was_there(
+    run_dir: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    to: str,
+) -> None:
+    pytest.importorskip("pyarrow" if to == "parquet" else to)
+    output = tmp_path / f"c.{to}"
+    output.write_text("mine")
+    records = CaptureReader.records
+
+    def breaks(self: CaptureReader) -> Iterator[object]:
+        yield from itertools.islice(records(self), 10)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(CaptureReader, "records", breaks)
+    code, _, err = call(capsys, "export", run_dir, "--to", to, "--output", output)
+    assert (code, err) == (1, f"wyner: {output}: cannot be written: No space left on device\n")
+    assert [p.name for p in tmp_path.iterdir()] == [output.name]
+    assert output.read_text() == "mine"
+    monkeypatch.undo()
+    assert call(capsys, "export", run_dir, "--to", to, "--output", output)[0] == 0
+    assert [p.name for p in tmp_path.iterdir()] == [output.name]
+    assert len(output.read_bytes()) > 1000
+
+
+def test_export_writes_to_a_device_itself_and_through_a_link(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(capsys, "export", run_dir, "--to", "csv", "--output", os.devnull)[0] == 0
+    assert Path(os.devnull).is_char_device()
+    link, target = tmp_path / "link.csv", tmp_path / "target.csv"
+    link.symlink_to(target)
+    assert call(capsys, "export", run_dir, "--to", "csv", "--output", link)[0] == 0
+    assert link.is_symlink()
+    assert target.read_text().startswith("t_ns,")
+
+
+def test_a_capture_of_two_taps_is_refused_in_one_line(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = (run_dir / CAPTURE).read_bytes()
+    (tmp_path / "tap").mkdir()
+    (tmp_path / CAPTURE).write_bytes(first)
+    header = first.splitlines()[0].replace(b'"loss":0.0', b'"loss":0.5')
+    later = tmp_path / "tap" / "capture.0001.jsonl"
+    later.write_bytes(header + b"\n")
+    for args in (("export", tmp_path, "--to", "csv"), ("replay", tmp_path)):
+        code, out, err = call(capsys, *args)
+        assert (code, out) == (2, "")
+        assert err.startswith(f"wyner: {later}: line 1: view: differs from the first part's")
+        assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from protocol.trace import PLANT_TRACE, TraceWriter
 from tap_service import report as reporting
 from tap_service.analysis import BELIEFS, GUESSES
+from tap_service.eavesdroppers.interface import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.report import Share, report
 from tap_service.secrecy import (
     Proportion,
@@ -39,7 +41,8 @@ def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> 
     live = {at: v if i < right else 1 - v for i, (at, v) in enumerate(t.keys.items())}
     symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
     found = (b"word",) if whole else ()
-    return Said(name, live, {}, S, symbols, b"word", found, 7, 20 if whole else -1, 0.5)
+    solved_k = 20 if whole else -1
+    return Said(name, live, {}, S, symbols, b"word", found, len(found), 7, solved_k, 0.5)
 
 
 def test_wilson_against_published_values() -> None:
@@ -70,28 +73,77 @@ def test_a_score_counts_keys_bits_and_messages() -> None:
     assert (s.bits.right, s.bits.of) == (7, 10)
     assert (s.messages.right, s.messages.of) == (1, 1)
     assert s.guessing == 0.7
-    assert s.left_bits_per_key == pytest.approx(-math.log2(0.7))
 
 
 def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
     first = said(5)
-    better = Said(**{f: getattr(first, f) for f in Said.__slots__} | {"reviewed": truth().keys})
-    s = score(truth(), better)
+    s = score(truth(), replace(first, reviewed=truth().keys))
     assert s.keys.share == 0.5
     assert s.keys_reviewed.share == 1.0
     assert s.guessing == 1.0
 
 
 def test_a_missed_bit_is_a_blind_guess() -> None:
-    silent = Said("tap", {}, {}, S, {}, b"", (), 0, -1, 0.0)
+    silent = Said("tap", {}, {}, S, {}, b"", (), 0, 0, -1, 0.0)
     s = score(truth(), silent)
-    assert s.bits.share == 0.5
-    assert s.guessing == 0.5  # never below a blind guess
+    assert s.bits == Proportion(5, 10)
+    assert s.keys == Proportion(5, 10)
+    assert s.guessing == 0.5
+    once = replace(said(10), symbols={19: truth().symbols[S, 19]})
+    assert score(truth(), once).bits == Proportion(1 + 9 / 2, 10)
+
+
+def test_only_what_she_no_longer_keeps_is_left_out_of_the_bits() -> None:
+    n = KEPT_SYMBOLS + 5
+    t = truth(n)
+    kept = {k: v for (_, k), v in list(t.symbols.items())[5:]}
+    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(KEPT_SYMBOLS, KEPT_SYMBOLS)
+    kept.pop(2 * n - 1)
+    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(n - 6 + 6 / 2, n)
+
+
+def test_one_who_was_not_heard_to_the_end_has_no_bits_but_her_keys() -> None:
+    s = score(truth(), replace(said(7), symbols=None))
+    assert s.bits.share is None
+    assert s.keys == Proportion(7, 10)
+    nothing = replace(said(7), live={}, symbols=None)
+    assert score(truth(), nothing).keys.share is None
+
+
+def test_steps_that_are_not_on_record_are_left_out_and_said() -> None:
+    """A log that was cut at its front, and a hole in the middle, which counts as a blind guess."""
+    whole = said(10)
+    cut = {at: v for at, v in whole.live.items() if at[1] >= 8 and at[1] != 12}
+    s = score(truth(), replace(whole, live=cut))
+    assert s.keys == Proportion(5 + 1 / 2, 6)
+    r = report([RunScore("r", truth(), (s,))])
+    assert r.taps[0].not_on_record == 4
+    assert reporting.as_json(r)["taps"]["tap"]["not_on_record"] == 4
+    # the bits that she leaves are those of all the keys
+    assert r.taps[0].left_bits == pytest.approx(10 * -math.log2(5.5 / 6))
+
+
+def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
+    recovered = tuple((k, b"%d" % k) for k in range(71))
+    t = Truth(2, {}, {}, recovered, 71)
+    whole = tuple(p for _, p in recovered[-KEPT_MESSAGES:])
+    s = Said("tap", {}, {}, S, {}, b"", whole, 71, 0, 5, 1.0)
+    assert score(t, s).messages == Proportion(KEPT_MESSAGES, KEPT_MESSAGES)
+    assert score(t, replace(s, whole_count=len(whole))).messages == Proportion(KEPT_MESSAGES, 71)
+
+
+def test_a_stretch_is_compared_with_its_own_truth() -> None:
+    stretch = truth().between(5, 12)
+    assert list(stretch.keys) == [(S, k) for k in (6, 8, 10, 12)]
+    assert list(stretch.symbols) == [(S, k) for k in (5, 7, 9, 11)]
+    assert stretch.whole == ()
+    assert truth().between(None, None) == truth()
+    assert truth().between(20, None).whole == truth().whole
 
 
 def test_a_wrong_message_counts_for_nothing_and_one_twice_for_one() -> None:
     t = Truth(2, {}, {}, ((5, b"a"), (9, b"a"), (12, b"b")), 20)
-    s = Said("tap", {}, {}, S, {}, b"", (b"a", b"x", b"b"), 0, 5, 1.0)
+    s = Said("tap", {}, {}, S, {}, b"", (b"a", b"x", b"b"), 3, 0, 5, 1.0)
     assert score(t, s).messages == Proportion(2, 3)
 
 
@@ -121,6 +173,15 @@ def test_claimed_above_true_is_said_in_words() -> None:
     assert "EXCEEDS" not in blind.verdict()
     nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
     assert "No key was agreed" in report([nothing]).verdict()
+
+
+def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
+    keys = {(S, 2 * k): k % 4 for k in range(1000)}
+    t = Truth(4, keys, {}, (), 2000)
+    for right, exceeds in ((450, True), (250, False)):
+        live = {at: v if i < right else (v + 1) % 4 for i, (at, v) in enumerate(keys.items())}
+        s = Said("tap", live, {}, S, {}, b"", (), 0, 0, -1, 0.0)
+        assert report([RunScore("r", t, (score(t, s),))]).exceeds == exceeds
 
 
 def test_the_strongest_is_the_one_who_leaves_least() -> None:
@@ -173,7 +234,8 @@ def write_run(run_dir: Path) -> None:
     (run_dir / GUESSES).write_text(json.dumps(guess) + '\n{"torn')
     record = {
         "name": "t", "session": S, "failed": "", "message": "bQ==", "whole": ["bQ=="],
-        "candidates_left": 1, "solved_k": 2, "confidence": 1.0, "symbols": [[1, 1]],
+        "whole_count": 1, "candidates_left": 1, "solved_k": 2, "confidence": 1.0,
+        "symbols": [[1, 1]],
     }  # fmt: skip
     (run_dir / BELIEFS).write_text(json.dumps({"t": record}))
 
@@ -190,6 +252,17 @@ def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
     assert summary["message_bit_accuracy"] == 1.0
     assert summary["messages_exact"] == 1
     assert summary["guessed_text"] == "m"
+
+
+def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    beliefs = json.loads((tmp_path / BELIEFS).read_text())
+    beliefs["t"]["symbols"] = None  # as they stand before the end
+    (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
+    run = score_run(tmp_path)
+    assert summary_of(run)["t"]["symbol_accuracy"] == 1.0
+    assert summary_of(run)["t"]["message_bit_accuracy"] is None
+    assert reporting.rows(report([run]))[0][2] == "-"
 
 
 def test_missing_files_are_one_line(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def simulate(
     payloads : sequence of bytes, optional
         Messages, one after the other; one drawn from :data:`SENTENCES` by default.
     raw : bool
-        Send the text's bits without frames, again and again from its beginning.
+        Send the text's bits without frames, and idle symbols after it.
     corrupt : int, optional
         Encrypt the message symbol of this index under a wrong key: a negative control.
     """

@@ -125,7 +125,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
     """Feed an eavesdropper and collect what she says."""
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
-    reviewed = {(session, g.k): g.best for g in tap.review()}
+    reviewed = {(session, g.k): g.best for g in (*tap.settled, *tap.review())}
     belief = tap.belief()
     return Said(
         name=tap.name,
@@ -135,6 +135,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
         symbols=dict(belief.symbols),
         message=belief.message,
         whole=belief.whole,
+        whole_count=belief.whole_count,
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         confidence=belief.confidence,
@@ -153,10 +154,10 @@ def measure(task: Task) -> dict[str, object]:
     tap = ListDecoder(knowledge, framed=False) if task.raw else kind(knowledge)
     said = said_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
-        said = Said(tap.name, {}, {}, next(iter(run.truth.symbols))[0], {}, b"", (), 0, -1, 0.0)
+        session = next(iter(run.truth.symbols))[0]
+        said = Said(tap.name, {}, {}, session, {}, b"", (), 0, 0, -1, 0.0)
     scored = score(run.truth, said)
-    early = {at: key for at, key in run.truth.keys.items() if at[1] < EARLY}
-    guesses = {**said.live, **said.reviewed}
+    early = score(run.truth.between(None, EARLY - 1), said).keys_reviewed
     exact, messages = scored.messages.right, scored.messages.of
     if task.raw:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]
@@ -171,10 +172,10 @@ def measure(task: Task) -> dict[str, object]:
         "seed": task.seed,
         "steps": task.steps,
         "keys": scored.keys.of,
-        "keys_right": int(scored.keys.right),
-        "keys_right_reviewed": int(scored.keys_reviewed.right),
-        "early_keys": len(early),
-        "early_right": sum(guesses.get(at) == key for at, key in early.items()),
+        "keys_right": f"{scored.keys.right:g}",
+        "keys_right_reviewed": f"{scored.keys_reviewed.right:g}",
+        "early_keys": early.of,
+        "early_right": f"{early.right:g}",
         "bits": scored.bits.of,
         "bits_right": scored.bits.right,
         "messages": messages,

@@ -7,6 +7,7 @@ user's own. Modules are loaded when they are asked for.
 import importlib
 import importlib.util
 import re
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -66,6 +67,7 @@ def _load_file(path: Path, name: str) -> ModuleType:
     if spec is None or spec.loader is None or not path.is_file():
         raise KnowledgeError(f"eavesdropper: got {name!r}, expected an existing Python file")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # a dataclass looks its own module up there
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # the file is the user's: whatever it raises is told in one line

@@ -46,11 +46,14 @@ class Guess:
         The probability of each candidate to be the applied one.
     agreed : float
         The probability that a key symbol was agreed here.
+    session : str
+        In second thoughts the transition's session; empty for that of the newest one.
     """
 
     k: int
     symbol: Vector
     agreed: float
+    session: str = ""
 
     @property
     def best(self) -> int:
@@ -102,6 +105,12 @@ class Eavesdropper(ABC):
     a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
     f_c nor D_e, unless the model she is told is wrong on purpose.
 
+    Attributes
+    ----------
+    settled : list of Guess
+        Last thoughts on transitions that she lets go, because she keeps a bounded number of them.
+        Whoever feeds her takes them off.
+
     Raises
     ------
     KnowledgeError
@@ -115,6 +124,7 @@ class Eavesdropper(ABC):
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
         self.size = knowledge.candidates
+        self.settled: list[Guess] = []
 
     @abstractmethod
     def observe(self, transition: Transition) -> Guess:
@@ -125,7 +135,7 @@ class Eavesdropper(ABC):
         """Her best message by now. May be costly; it is asked for at a bounded rate."""
 
     def review(self) -> Sequence[Guess]:
-        """Second thoughts on past transitions, with all that she knows now; none by default."""
+        """Second thoughts on the transitions that she keeps; none by default."""
         return ()
 
 
@@ -195,7 +205,6 @@ class Follower:
         self._symbols = bytearray()
         self.whole: list[bytes] = []
         self.whole_count = 0
-        self.refused = 0
         self.solved_k = -1
         self._deframer = Deframer(size)
 
@@ -225,7 +234,6 @@ class Follower:
         if frame is None:
             return
         if not frame.intact or not frame.payload:
-            self.refused += 1
             return
         self.whole.append(frame.payload)
         del self.whole[:-KEPT_MESSAGES]

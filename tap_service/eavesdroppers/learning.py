@@ -4,10 +4,11 @@ She is told the number of candidates and nothing else that matters: no A, no B, 
 identifies the model and the disturbance's support from the transcript (:mod:`tap_service.identify`)
 and decodes it with both thresholds hidden (:mod:`tap_service.beam`), in units of the support that
 she found. Each time she has heard a quarter more she learns again and decodes her past anew, so
-that what she misread at first is read in the end.
+that what she misread at first is read in the end. When she has heard as much as she keeps, the past
+stays as she read it last: she goes on learning A and B, measures in the support that she has found
+by then, and decodes on from where she is.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from typing import ClassVar, Final
 
@@ -30,16 +31,20 @@ from tap_service.identify import Array, identify
 from tap_service.transcript import Transition
 
 KEPT: Final = 4096
-"""Transitions that she keeps and decodes anew; at this many the older half goes."""
+"""Transitions that she keeps to learn from; at this many the older half goes."""
 
 GROWTH: Final = 1.25
 """She learns again when she has heard this many times as much."""
 
 CAP: Final = 800
-"""Hypotheses she keeps: with two thresholds hidden the list always fills its bound."""
+"""Hypotheses she keeps while she decodes her past anew again and again: with two thresholds hidden
+the list always fills its bound."""
 
 NEAR: Final = 1.2
 """Factor about thresholds that once gave a message within which she looks from then on."""
+
+ERROR: Final = 1.001
+"""Factor by which a gauge may be wrong for what her model still is; twice what was measured."""
 
 SMALL_OFFSET: Final = 0.1
 """Offset over half-width below which she takes the disturbance for centred."""
@@ -55,7 +60,8 @@ class Learning(Eavesdropper):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._even = even(self.size)
-        self._kept: deque[Transition] = deque()
+        self._kept: list[Transition] = []
+        self._past_stays = False
         self._whole: dict[tuple[str, int], bytes] = {}
         self._whole_count = 0
         self._solved_k = -1
@@ -76,9 +82,6 @@ class Learning(Eavesdropper):
         """Guess with what she has learned so far, then learn from the step."""
         t = transition
         self._kept.append(t)
-        if len(self._kept) >= KEPT:
-            for _ in range(KEPT // 2):
-                self._kept.popleft()
         self._heard += t.whole
         guess = self._decode(self._beam, t)
         if self._next_fit == 0 and t.x is not None and t.candidates is not None:
@@ -88,10 +91,19 @@ class Learning(Eavesdropper):
             self.learn()
             self._next_fit = self._heard + min(max(8, int(self._heard * (GROWTH - 1))), KEPT // 4)
         self._collect(t.k)
+        if len(self._kept) >= KEPT:
+            self._let_go(KEPT // 2)
         return guess
 
+    def _let_go(self, count: int) -> None:
+        """Learn from all that is kept once more, and keep the newer ones to learn from."""
+        self.learn()
+        self.settled += map(self._second_thought, self._kept[:count])
+        self._past_stays = self._model is not None
+        self._kept = self._kept[count:]
+
     def learn(self) -> None:
-        """Identify the model from all that is kept, and decode it anew."""
+        """Identify the model from all that is kept; while it is the whole past, decode it anew."""
         whole = [t for t in self._kept if t.whole]
         if not whole:
             return
@@ -103,12 +115,18 @@ class Learning(Eavesdropper):
             starts.append((np.array(self._model.A), np.array(self._model.B)))
         fit = identify(x, candidates, x_next, starts)
         offset = np.where(np.abs(fit.offset) < SMALL_OFFSET * fit.widths, 0.0, fit.offset)
+        self._offset = tuple(offset.tolist())
+        if self._past_stays and self._model is not None:
+            # thresholds are in units of the support found before
+            self._model = Model(_rows(fit.A), _rows(fit.B), self._model.gauge)
+            self._beam.widen(ERROR)
+            return
         gauge = Gauge(half_widths=tuple(fit.widths.tolist()))
         self._model = Model(_rows(fit.A), _rows(fit.B), gauge)
-        self._offset = tuple(offset.tolist())
         found = self._beam.thresholds() if self._beam.whole_count else self._found
         self._found = found
-        self._beam = Beam(self.size, cap=CAP)
+        full = len(self._kept) >= KEPT  # decoded for the last time
+        self._beam = Beam(self.size) if full else Beam(self.size, cap=CAP)
         if found is not None:  # she found a message with these: others are near, in any unit
             lo, hi, edge_lo, edge_hi = found
             self._beam.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)
@@ -155,12 +173,12 @@ class Learning(Eavesdropper):
     def review(self) -> Sequence[Guess]:
         """Her guesses of the steps she kept, with the model that she has now."""
         self.learn()
-        guesses = []
-        for t in self._kept:
-            gauges = self._gauges(t)
-            if gauges is not None:
-                guesses.append(Guess(t.k, self._shares(gauges), 0.5))
-        return guesses
+        return [self._second_thought(t) for t in self._kept]
+
+    def _second_thought(self, t: Transition) -> Guess:
+        gauges = self._gauges(t)
+        shares = self._even if gauges is None else self._shares(gauges)
+        return Guess(t.k, shares, 0.5, t.session)
 
     def belief(self) -> Belief:
         """The last whole message, the model, and what there is of the message under way."""

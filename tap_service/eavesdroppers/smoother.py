@@ -7,8 +7,8 @@ threshold. She has to hear what came after before she can infer what was lost, s
 that she keeps anew each time she has heard twice as much as before.
 """
 
-from collections import deque
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import ClassVar, Final
 
 import numpy as np
@@ -32,7 +32,7 @@ from tap_service.smoothing import Step
 from tap_service.transcript import Transition
 
 KEPT: Final = 4096
-"""Transitions that she keeps; at this many the older half goes."""
+"""Transitions that she keeps; at this many she lets the older half go, decoded for good."""
 
 GROWTH: Final = 2.0
 """She decodes anew when she has heard this many times as much."""
@@ -45,6 +45,9 @@ GRID: Final = 200
 
 FINEST: Final = 0.0045
 """Relative distance of these thresholds at least."""
+
+ALL: Final = (0.02, 1.0)
+"""Thresholds from and to, in units of D_e, where nothing is known of them."""
 
 WIDEST: Final = 3.0
 """Where something was missed, a defender's set is taken for at most so many times as wide as the
@@ -71,7 +74,8 @@ class Smoother(Eavesdropper):
         self._law = KnownLaw.of(knowledge)
         if self._law is not None:
             self._reader = OffersReader(A, B, self._shape, self._law, self._noise)
-        self._kept: deque[Transition] = deque()
+        self._kept: list[Transition] = []
+        self._before: Beam | None = None  # the list as it stood before the first that is kept
         self._whole: dict[tuple[str, int], bytes] = {}
         self._whole_count = 0
         self._solved_k = -1
@@ -79,12 +83,13 @@ class Smoother(Eavesdropper):
         self._heard = 0
         self._decoded = 0
         self._steps: list[Step] = []
+        self._among = ALL
         self._beam = self._new_beam(None)
 
     def _new_beam(self, among: tuple[float, float] | None) -> Beam:
         """A list of thresholds from and to, or of all where every step was heard."""
         beam = Beam(self.size, edge=1.0)
-        low, high = among or (0.02, 1.0)
+        low, high = among or ALL
         if among:
             beam.restrict(low, high, 1.0, float(np.nextafter(1.0, 2.0)))
         count = min(2 + int(np.log(high / low) / FINEST), GRID)
@@ -95,29 +100,52 @@ class Smoother(Eavesdropper):
         """Take the nearest candidate where the step was heard; what was lost must wait."""
         t = transition
         self._kept.append(t)
-        if len(self._kept) >= KEPT:
-            for _ in range(KEPT // 2):
-                self._kept.popleft()
         self._heard += 1
         if self._heard >= self._next:
             self.decode()
             self._next = self._heard + min(int(self._heard * (GROWTH - 1)), KEPT // 2)
+        if len(self._kept) >= KEPT:
+            self._let_go(KEPT // 2)
         if t.x is None or t.candidates is None or t.x_next is None:
             return Guess(t.k, self._even, 0.5)
         gauges = self._model.gauges(t.x, t.candidates, t.x_next)
         return Guess(t.k, nearest(gauges), 0.5 if max(gauges) <= 1.0 else 0.0)
 
     def decode(self) -> None:
-        """Infer and decode all that is kept."""
+        """Infer and decode all that is kept, from where what was let go leaves off."""
         if self._decoded == self._heard:
             return
         self._decoded = self._heard
-        among = self._infer()
+        self._among = self._infer()
         if all(t.cipher is None for t in self._kept):
             return  # the message is safe from her
-        clear = all(s.samples is not None and len(s.samples) == 1 for s in self._steps)
-        beam = self._new_beam(None if clear else among)
-        for step in self._steps:
+        self._beam = self._follow(self._steps)
+        for at, payload in self._beam.whole_at:
+            if at not in self._whole:
+                self._whole[at] = payload
+                self._whole_count += 1
+                if self._solved_k < 0:
+                    self._solved_k = self._kept[-1].k
+        while len(self._whole) > KEPT_MESSAGES:
+            del self._whole[next(iter(self._whole))]
+
+    def _let_go(self, count: int) -> None:
+        """Decode the oldest for good."""
+        self.decode()
+        oldest = self._steps[:count]
+        self.settled += [self._second_thought(step) for step in oldest]
+        if any(t.cipher is not None for t in self._kept):
+            self._before = self._follow(oldest)
+        self._kept, self._steps = self._kept[count:], self._steps[count:]
+
+    def _follow(self, steps: Sequence[Step]) -> Beam:
+        """The list after these steps, which come right after what was let go."""
+        if self._before is None:
+            clear = all(s.samples is not None and len(s.samples) == 1 for s in self._steps)
+            beam = self._new_beam(None if clear else self._among)
+        else:
+            beam = deepcopy(self._before)
+        for step in steps:
             t = step.transition
             if t.start or t.gap:
                 beam.restart()
@@ -129,15 +157,7 @@ class Smoother(Eavesdropper):
                 beam.step(t.k, step.samples[0].tolist(), t.cipher)
             else:
                 beam.step_sampled(t.k, step.samples, t.cipher)
-        self._beam = beam
-        for at, payload in beam.whole_at:
-            if at not in self._whole:
-                self._whole[at] = payload
-                self._whole_count += 1
-                if self._solved_k < 0:
-                    self._solved_k = self._kept[-1].k
-        while len(self._whole) > KEPT_MESSAGES:
-            del self._whole[next(iter(self._whole))]
+        return beam
 
     def _infer(self) -> tuple[float, float]:
         """Infer what is kept by what was heard of it; the thresholds that remain, in units of D_e.
@@ -145,7 +165,7 @@ class Smoother(Eavesdropper):
         By the law that she was told, where it says enough: everything with its facets, each
         direction alone without them. Else by what she learns of the law from states and offers.
         """
-        kept = list(self._kept)
+        kept = self._kept
         if self._law is not None and all(t.x is None and t.x_next is None for t in kept):
             self._steps = self._reader.infer(kept)
             return self._reader.width or _among(self._reader.support)
@@ -165,15 +185,14 @@ class Smoother(Eavesdropper):
     def review(self) -> Sequence[Guess]:
         """What she takes each step for, with what came after it."""
         self.decode()
-        guesses = []
-        for step in self._steps:
-            if step.samples is None:
-                guesses.append(Guess(step.transition.k, self._even, 0.5))
-                continue
-            counts = np.bincount(step.samples.argmin(axis=1), minlength=self.size)
-            shares = tuple((counts / counts.sum()).tolist())
-            guesses.append(Guess(step.transition.k, shares, 0.5))
-        return guesses
+        return [self._second_thought(step) for step in self._steps]
+
+    def _second_thought(self, step: Step) -> Guess:
+        t = step.transition
+        if step.samples is None:
+            return Guess(t.k, self._even, 0.5, t.session)
+        counts = np.bincount(step.samples.argmin(axis=1), minlength=self.size)
+        return Guess(t.k, tuple((counts / counts.sum()).tolist()), 0.5, t.session)
 
     def belief(self) -> Belief:
         """The last whole message, else what the best decoding spells so far."""

@@ -24,27 +24,30 @@ def run(args: argparse.Namespace) -> int:
 
     from protocol.runtime import DONE, Failure, UsageError
     from tap_service.capture import CaptureError, CaptureReader
-    from tap_service.export import BINARY, ExportError, to_csv
+    from tap_service.export import BINARY, ExportError, is_part, replacing, to_csv
 
+    output = args.output or (None if args.to == "csv" else f"capture.{args.to}")
     try:
         reader = CaptureReader(Path(args.capture))
+        if output is None:
+            count = to_csv(reader, sys.stdout)
+        elif is_part(reader, Path(output)):
+            raise UsageError(f"--output: {output}: is a part of the capture itself")
+        else:
+            with replacing(Path(output)) as path:
+                if args.to == "csv":
+                    with path.open("w", encoding="utf-8", newline="") as file:
+                        count = to_csv(reader, file)
+                else:
+                    count = BINARY[args.to](reader, path)
     except CaptureError as error:
         raise UsageError(str(error)) from None
-    try:
-        if args.to != "csv":
-            path = Path(args.output or f"capture.{args.to}")
-            count = BINARY[args.to](reader, path)
-        elif args.output:
-            with Path(args.output).open("w", encoding="utf-8", newline="") as file:
-                count = to_csv(reader, file)
-        else:
-            count = to_csv(reader, sys.stdout)
     except ExportError as error:
         raise Failure(str(error)) from None
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise
-        raise Failure(f"{args.output or args.to}: cannot be written: {error.strerror}") from None
+        raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
     reader.finish()
     print(
         f"{count} messages, {reader.garbage} undecodable left out, {reader.torn} torn lines",

@@ -117,13 +117,16 @@ def run(args: argparse.Namespace) -> int:
         )
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None
-    if args.watch:
-        _watch(replay)
-    replay.run()
+    try:
+        if args.watch:
+            _watch(replay)
+        replay.run()
+    except CaptureError as error:  # of a part that came later
+        raise UsageError(str(error)) from None
     report = replay.report()
     if args.score is not None:
         try:
-            truth = read_truth(Path(args.score))
+            truth = read_truth(Path(args.score)).between(args.first, args.last)
         except ScoreError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())

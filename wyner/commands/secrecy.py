@@ -44,6 +44,10 @@ def run(args: argparse.Namespace) -> int:
     from wyner.commands.tap import names_of
 
     names = names_of(args.eavesdropper)
+    if args.scenario is not None and not names:
+        raise UsageError(
+            "--scenario: tells replayed eavesdroppers a model, expected --eavesdropper"
+        )
     scores: list[RunScore] = []
     for text in args.run_dirs:
         run_dir = Path(text)
@@ -90,9 +94,9 @@ def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None
         knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
     try:
         replay = Replay(run_dir, names, knowledge=knowledge, oracle_knowledge=oracle)
+        replay.run()
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None
-    replay.run()
     return RunScore(run_dir.name, truth, tuple(score(truth, said) for said in replay.said()))
 
 
@@ -108,6 +112,9 @@ def _print(report: object, *, color: bool) -> None:
         print(
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
+    for tap in report.taps:
+        if tap.not_on_record:
+            print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
     print()
     print(
         f"{len(report.runs)} runs, {report.transitions} transitions; claimed: "
