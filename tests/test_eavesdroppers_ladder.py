@@ -228,7 +228,8 @@ def test_the_documented_eavesdropper_runs(tmp_path: Path) -> None:
         ("nobody", "expected set-membership"),
         ("missing.py:Tap", "expected an existing Python file"),
         ("{file}:Absent", "expected a class Absent"),
-        ("{file}:Nameless", "expected a class attribute name"),
+        ("{file}:Nameless", "expected a class attribute name .* got None"),
+        ("{file}:Quoted", "expected a class attribute name .* got 'my \"tap\"'"),
         ("{broken}:Tap", "cannot be loaded: ZeroDivisionError"),
     ],
 )
@@ -236,6 +237,7 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, name: str, expected: str) -> N
     file, broken = tmp_path / "mine.py", tmp_path / "broken.py"
     file.write_text(
         "from tap_service.eavesdroppers import Eavesdropper\nclass Nameless(Eavesdropper): pass\n"
+        "class Quoted(Eavesdropper): name = 'my \"tap\"'\n"
     )
     broken.write_text("1 / 0\n")
     with pytest.raises(KnowledgeError, match=expected) as error:

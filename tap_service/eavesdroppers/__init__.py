@@ -84,6 +84,10 @@ def _class_in(module: ModuleType, class_name: str, name: str) -> type[Eavesdropp
             f"eavesdropper: got {name!r}, expected a class {class_name} that extends "
             "tap_service.eavesdroppers.Eavesdropper"
         )
-    if not isinstance(getattr(found, "name", None), str):
-        raise KnowledgeError(f"eavesdropper: {name!r}: expected a class attribute name: str")
+    own = getattr(found, "name", None)
+    if not (isinstance(own, str) and re.fullmatch(r"[\w.-]{1,64}", own)):
+        raise KnowledgeError(
+            f"eavesdropper: {name!r}: expected a class attribute name of 1 to 64 letters, digits, "
+            f"dots, dashes or underscores, got {own!r}"
+        )
     return found
