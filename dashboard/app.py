@@ -106,7 +106,7 @@ class Watch:
             shown, now_ns = self._held, self._held_ns
             wishes = replace(
                 wishes,
-                held_steps=_steps(self.board) - _steps(shown),
+                held_steps=_steps_between(shown, self.board),
             )
         return screen(shown, *size, wishes, now_ns)
 
@@ -218,8 +218,13 @@ def speaks_unicode(stream: IO[str]) -> bool:
     return True
 
 
-def _steps(board: Board) -> int:
-    return board.plant.k if board.plant is not None else 0
+def _steps_between(held: Board, board: Board) -> int | None:
+    """Steps that the plant made since; None when its session is another one."""
+    if board.plant is None:
+        return 0
+    if held.plant is None or held.plant.session != board.plant.session:
+        return None
+    return max(0, board.plant.k - held.plant.k)
 
 
 def _size(stream: IO[str]) -> Size:

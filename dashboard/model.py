@@ -60,13 +60,15 @@ class Guess:
 class TapView:
     """One eavesdropper as the dashboard sees her.
 
-    ``exact`` is set by the dashboard, never by the tap: her message was, at least once, a true one.
+    ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
+    once, a true one; she was heard before she was sure of any, beside somebody who knows the truth.
     """
 
     status: TapStatus
     seen_ns: int
     guesses: Mapping[int, Guess] = field(default_factory=dict)
     exact: bool = False
+    watched: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +260,9 @@ def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
         status,
         t_ns,
         _newest(guesses, STEPS_KEPT),
-        before.exact if before is not None else False,
+        exact=before is not None and before.exact,
+        watched=(before is not None and before.watched)
+        or (status.solved_k < 0 and bool(board.texts)),
     )
     return _judge(replace(board, taps={**board.taps, status.name: tap}))
 

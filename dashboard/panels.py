@@ -1,10 +1,12 @@
 """The panels of the screen, each a function of the board to lines of a given width."""
 
 import itertools
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from rich.cells import cell_len
+from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
 from dashboard import plane
@@ -15,26 +17,34 @@ from dashboard.text import (
     LABEL,
     STYLES,
     UNICODE,
+    component,
     count,
     fit,
+    glyph,
+    letters,
     longest,
     number,
-    printable,
     row,
     sparkline,
 )
+
+Letters = tuple[str, ...]
+
+STATE_CELLS: Final = 13
+"""Cells of a component of the state with its name, its history aside."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
     """What the user asked of the view, and what the terminal can show.
 
-    ``held_steps`` counts the steps made since the view was frozen; ``typing`` is set while the
-    filter is being typed; ``note`` stands in the last line instead of the keys.
+    ``held_steps`` counts the steps made since the view was frozen, None when another session began
+    meanwhile; ``typing`` is set while the filter is being typed; ``note`` stands in the last line
+    instead of the keys.
     """
 
     frozen: bool = False
-    held_steps: int = 0
+    held_steps: int | None = 0
     help: bool = False
     filter: str = ""
     typing: bool = False
@@ -73,33 +83,55 @@ class Panels:
         if plant is None:
             return [*lines, Text(" no word from the plant yet"), Text(), Text(), Text()]
         seconds = plant.k * plant.period_s
-        lines.append(Text(f" step k {plant.k}   {seconds:.1f} s of plant time"))
+        step = f" step k {plant.k}"
+        time = longest(width - len(step), f"   {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
+        lines.append(Text(step + time))
         states = [self.board.states[k] for k in sorted(self.board.states)]
         lines += self._states(plant.x, states, width, 2 + max(0, extra))
-        index = f" set i(k) {controller.set_index} of {controller.horizon}" if controller else ""
-        line = Text(index)
-        line.append("  missed ")
-        line.append(str(plant.missed), style=STYLES["bad"] if plant.missed else "")
-        line.append("  late ")
-        line.append(str(plant.late), style=STYLES["bad"] if plant.late else "")
-        lines.append(line)
+        trouble = Text("  missed ")
+        trouble.append(count(plant.missed), style=STYLES["bad"] if plant.missed else "")
+        trouble.append("  late ")
+        trouble.append(count(plant.late), style=STYLES["bad"] if plant.late else "")
+        index = ""
+        if controller is not None:
+            at, horizon = count(controller.set_index), count(controller.horizon)
+            index = longest(
+                width - trouble.cell_len,
+                f" set i(k) {at} of {horizon}",
+                f" set i(k) {at}",
+                f" i(k) {at}",
+            )
+        lines.append(Text.assemble(index, trouble))
         if extra > 0:
-            errors = f" {plant.rate_hz:.1f} steps/s  session {plant.sessions}"
-            lines.append(Text(f"{errors}  unlike b_r {plant.symbol_errors}"))
+            errors = f"unlike b_r {count(plant.symbol_errors)}"
+            session = f"session {count(plant.sessions)}"
+            rate = number(plant.rate_hz)
+            line = longest(
+                width,
+                f" {plant.rate_hz:.1f} steps/s  {session}  {errors}",
+                f" {rate} steps/s  {session}  {errors}",
+                f" {rate}/s  {session}  {errors}",
+                f" {rate}/s  {errors}",
+            )
+            lines.append(Text(line))
         return lines
 
     def _states(
         self, x: Sequence[float], states: Sequence[Sequence[float]], width: int, rows: int
     ) -> list[Text]:
-        """Each component with its history: one to a row, or where rows are short two."""
-        per_row = 1 if len(x) <= rows else -(-len(x) // rows)
+        """Each component with its history: one to a row, or where rows are short more."""
+        per_row = max(1, min(-(-len(x) // rows), (width - 1) // STATE_CELLS))
         each = (width - 1) // per_row
         bars = max(0, each - 14)
+        room = per_row * rows
         cells = []
         for i, value in enumerate(x):
+            if i == room - 1 < len(x) - 1:
+                cells.append(f" {len(x) - i} more")
+                break
             history = [state[i] for state in states if i < len(state)][-bars:] if bars else []
             bar = sparkline(history, self.glyphs.levels)
-            cells.append(f" x{i + 1} {value:+8.3f}  {bar}".ljust(each)[:each])
+            cells.append(f" x{i + 1} {component(value, '+'):>8}  {bar}"[:each].ljust(each))
         lines = [Text("".join(cells[i : i + per_row])) for i in range(0, len(cells), per_row)]
         return lines + [Text()] * (min(2, rows) - len(lines))
 
@@ -134,7 +166,7 @@ class Panels:
                 row(f"{marks.plain.count('^')} wrong", marks),
             ]
         else:
-            lines += [row("no tap heard", Text()), Text()]
+            lines += self._nobody()
         lines += self.automata()
         return lines
 
@@ -188,18 +220,19 @@ class Panels:
             lines.append(line)
         agreed = plant.pictured_symbol >= 0
         lines.append(Text(f" {plane.verdict(plant)}", style=STYLES["good"] if agreed else ""))
-        gauges = "  ".join(f"g{i} {g:.2f}" for i, g in enumerate(plant.pictured_gauges))
-        lines.append(Text(f" {gauges}  (D_c 1, D_e {number(plant.alpha)})"))
+        gauges = "  ".join(
+            f"g{i} {longest(6, f'{g:.2f}', number(g))}" for i, g in enumerate(plant.pictured_gauges)
+        )
+        edges = f"  (D_c 1, D_e {number(plant.alpha)})"
+        lines.append(Text(f" {gauges}" + longest(width - len(gauges) - 1, edges)))
         return [fit(line, width) for line in lines]
 
     def message(self, taps: int) -> list[Text]:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
         board = self.board
-        sent, recovered = board.sent, board.recovered
-        room = self.width - LABEL - 2
-        start = 0
-        if len(sent) > room:
-            start = min(max(0, len(recovered) - room * 3 // 4), len(sent) - room)
+        sent, recovered = letters(board.sent), letters(board.recovered)
+        shown = [tap for tap, _ in self.filtered()[:taps]]
+        start = self._start(sent, len(recovered))
         notes = [f"{len(recovered)} of {len(sent)} characters"]
         if board.controller is not None:
             its = board.controller
@@ -207,30 +240,51 @@ class Panels:
             done = f"{its.delivered} delivered, {its.queue} queued"
             notes[:0] = [f"{notes[0]}, {done}", f"{notes[1]}, {done}"]
         lines = [self.rule("Message", self.width, *notes)]
-        lines.append(row("sent", self._text(sent, start, room)))
-        lines.append(row("recovered", self._marked(recovered, sent, start, room)[0]))
-        shown = [tap for tap, _ in self.filtered()[:taps]]
+        lines.append(row("sent", Text("".join(cell for _, cell in self._cells(sent, sent, start)))))
+        lines.append(row("recovered", self._marked(recovered, sent, start)[0]))
         for tap in shown:
-            truth = truth_for(board, tap.status.message)
+            truth = letters(truth_for(board, tap.status.message))
             same = truth == sent
-            guess, marks = self._marked(tap.status.message, truth, start if same else 0, room)
+            guess, marks = self._marked(letters(tap.status.message), truth, start if same else 0)
             lines.append(row(tap.status.name, guess))
             wrong = f"{marks.plain.count('^')} wrong"
             lines.append(row(wrong if same else f"{wrong}, old", marks))
         if not shown:
-            lines += [row("no tap heard", Text()), Text()]
+            lines += self._nobody()
         return lines
 
-    def _text(self, text: str, start: int, room: int) -> Text:
-        return Text(printable(text[start : start + room]))
+    def _start(self, sent: Letters, grown: int) -> int:
+        """The first character shown of a message that has grown so far."""
+        room = self.width - LABEL - 2
+        at = list(itertools.accumulate((cell_len(glyph(c)) for c in sent), initial=0))
+        if at[-1] <= room:
+            return 0
+        wanted = at[min(grown, len(sent))] - room * 3 // 4
+        return bisect_left(at, min(max(0, wanted), at[-1] - room))
 
-    def _marked(self, text: str, truth: str, start: int, room: int) -> tuple[Text, Text]:
+    def _cells(self, text: Letters, truth: Letters, start: int) -> Iterator[tuple[int, str]]:
+        """The characters that there is room for, each as wide as the true one in its place."""
+        room = self.width - LABEL - 2
+        for i in range(start, len(text)):
+            shown = glyph(text[i])
+            width = cell_len(glyph(truth[i]) if i < len(truth) else shown)
+            room -= width
+            if room < 0:
+                break
+            yield i, set_cell_size(shown if cell_len(shown) <= width else "·", width)
+
+    def _marked(self, text: Letters, truth: Letters, start: int) -> tuple[Text, Text]:
         shown, marks = Text(), Text()
-        for i in range(start, min(len(text), start + room)):
+        for i, cell in self._cells(text, truth, start):
             right = i < len(truth) and text[i] == truth[i]
-            shown.append(printable(text[i]), style=STYLES["good" if right else "wrong"])
-            marks.append(" " if right else "^", style=STYLES["bad"])
+            shown.append(cell, style=STYLES["good" if right else "wrong"])
+            marks.append(("" if right else "^").ljust(cell_len(cell)), style=STYLES["bad"])
         return shown, marks
+
+    def _nobody(self) -> list[Text]:
+        """Two lines in place of a tap."""
+        why = "none by that name" if self.taps else "no tap heard"
+        return [Text(f" {why}", style=STYLES["label"]), Text()]
 
     def filtered(self) -> list[tuple[TapView, Score]]:
         """The taps that the filter lets through, strongest first."""

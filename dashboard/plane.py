@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
+from math import isfinite
 from typing import Final, Literal
 
 from protocol.messages import PlantStatus
@@ -84,9 +85,13 @@ def verdict(status: PlantStatus) -> str:
 
 
 def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list[list[Cell]]:
-    """The pictured transition as ``height`` rows of ``width`` cells; blank before the first one."""
+    """The pictured transition as ``height`` rows of ``width`` cells.
+
+    Blank before the first one, and where it is too far out for a float to span.
+    """
+    blank = [[Cell(" ", "")] * width for _ in range(height)]
     if status.pictured_k < 0 or not status.pictured_candidates or width < 4 or height < 2:
-        return [[Cell(" ", "")] * width for _ in range(height)]
+        return blank
     axes = axes_of(status.B, status.defender_H, status.defender_h)
     shape = outline(status.defender_H, status.defender_h, axes)
     centres = [
@@ -96,6 +101,8 @@ def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list
     fallen = _project(status.pictured_x_next, axes)
     wide = [(status.alpha * a, status.alpha * b) for a, b in shape]
     points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in wide] + [fallen]
+    if not isfinite(sum(abs(v) for point in points for v in point)):
+        return blank
     canvas = _Canvas(width, height, points, unicode)
     for c in centres:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in wide], "eavesdropper")

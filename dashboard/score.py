@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dashboard.model import Board, TapView
+from dashboard.text import letters
 
 SCORED_AT_LEAST: Final = 8
 """Agreed steps needed before a guessing probability is quoted; fewer say nothing."""
@@ -145,7 +146,7 @@ def truth_for(board: Board, text: str) -> str:
 def characters_right(board: Board, tap: TapView) -> tuple[int, int]:
     """How many characters of the tap's message are right, and how many the true message has."""
     truth = truth_for(board, tap.status.message)
-    return _right(truth, tap.status.message), len(truth)
+    return _right(truth, tap.status.message), len(letters(truth))
 
 
 def model_error(board: Board, tap: TapView) -> float | None:
@@ -166,4 +167,4 @@ def _entries(matrix: tuple[tuple[float, ...], ...]) -> list[float]:
 
 
 def _right(truth: str, text: str) -> int:
-    return sum(a == b for a, b in zip(truth, text, strict=False))
+    return sum(a == b for a, b in zip(letters(truth), letters(text), strict=False))

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from dashboard.model import Board, TapView
 from dashboard.score import Score, Secrecy, characters_right, model_error
-from dashboard.text import LABEL, STYLES, count, figure, longest, number, percent, row
+from dashboard.text import LABEL, STYLES, count, drawn, figure, longest, number, percent, row
 
 _COLUMNS: Final = (
     ("right", 6),
@@ -42,12 +42,13 @@ def verdict(its: Secrecy, width: int) -> Text:
         return Text(f"{claimed}true: unknown, no tap was scored yet")
     left = f"{its.left_bits:.0f} bit"
     room = width - len(claimed)
+    strongest = drawn(its.strongest)
     if not its.exceeds:
-        return Text(claimed + longest(room, f"true: at most {left} ({its.strongest})", left))
+        return Text(claimed + longest(room, f"true: at most {left} ({strongest})", left))
     loud = longest(
         room,
-        f"CLAIMED EXCEEDS TRUE: {its.strongest} leaves {left}",
-        f"EXCEEDS TRUE: {its.strongest} leaves {left}",
+        f"CLAIMED EXCEEDS TRUE: {strongest} leaves {left}",
+        f"EXCEEDS TRUE: {strongest} leaves {left}",
         f"EXCEEDS TRUE, {left}",
     )
     return Text.assemble(claimed, (loud, STYLES["bad"]))
@@ -101,7 +102,7 @@ def _columns(board: Board, width: int) -> list[_Column]:
         ),
         "model off": lambda tap, _: _model_off(board, tap),
         "text": lambda tap, _: _message_right(board, tap),
-        "broke it": lambda tap, _: _broke(board, tap),
+        "broke it": lambda tap, _: _broke(tap),
         "behind": lambda tap, _: count(tap.status.behind),
         "lost": lambda tap, _: count(tap.status.lost),
     }
@@ -110,7 +111,7 @@ def _columns(board: Board, width: int) -> list[_Column]:
 
 def _message_right(board: Board, tap: TapView) -> str:
     right, total = characters_right(board, tap)
-    return f"{right}/{total}" if total else "-"
+    return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
 
 
 def _model_off(board: Board, tap: TapView) -> str:
@@ -120,9 +121,11 @@ def _model_off(board: Board, tap: TapView) -> str:
     return "0 %" if off == 0 else f"{number(100 * off)} %"
 
 
-def _broke(board: Board, tap: TapView) -> str:
-    if tap.status.solved_k >= 0 and not board.texts:
-        return f"k {tap.status.solved_k}"  # a replay: nobody here knows the truth
-    if tap.status.solved_k >= 0:
-        return f"k {tap.status.solved_k} " + ("exact" if tap.exact else "WRONG")
-    return "exact, unsure" if tap.exact else "not yet"
+def _broke(tap: TapView) -> str:
+    solved = tap.status.solved_k
+    if solved < 0:
+        return "exact, unsure" if tap.exact else "not yet"
+    if tap.exact or tap.watched:
+        judged = "exact" if tap.exact else "WRONG"
+        return longest(14, f"k {solved} {judged}", f"k {count(solved)} {judged}")
+    return f"k {solved}"  # a replay, or heard late: nobody here knows what it was

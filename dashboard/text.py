@@ -1,14 +1,24 @@
 """Lines and figures as text: exact widths, short numbers, nothing that could move a cursor."""
 
+import math
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import accumulate
 from typing import Final
 
-from rich.cells import cell_len
-from rich.text import Text
+from rich.cells import cell_len, set_cell_size
+from rich.text import Span, Text
 
 LABEL: Final = 14
 """Columns of the labels at the left."""
+
+FIGURE: Final = 8
+"""Cells of a component of the state, its sign included."""
+
+MARKS: Final = 4
+"""Combining marks that a character keeps; those beyond stand by themselves."""
 
 STYLES: Final[dict[str, str]] = {
     "rule": "cyan",
@@ -49,10 +59,14 @@ def fit(line: Text, width: int, style: str = "") -> Text:
 
 
 def in_ascii(line: Text) -> Text:
-    """The same line in ASCII, character for character."""
+    """The same line in ASCII, cell for cell."""
     known = {"…": "~", "·": "."}
-    text = "".join(c if c.isascii() else known.get(c, "?") for c in line.plain)
-    return Text(text, style=line.style, spans=line.spans)
+    shown = [
+        c if c.isascii() else set_cell_size(known.get(c, "?"), cell_len(c)) for c in line.plain
+    ]
+    at = list(accumulate(map(len, shown), initial=0))
+    spans = [Span(at[span.start], at[span.end], span.style) for span in line.spans]
+    return Text("".join(shown), style=line.style, spans=spans)
 
 
 def longest(room: int, *texts: str) -> str:
@@ -61,8 +75,48 @@ def longest(room: int, *texts: str) -> str:
 
 
 def printable(text: str) -> str:
-    """Text from elsewhere with everything that could move a cursor shown as ``·``."""
-    return "".join(c if c.isprintable() and cell_len(c) == 1 else "·" for c in text)
+    """Text from elsewhere, for a plain line: what could move a cursor is shown as ``·``."""
+    return "".join(c if c.isprintable() else "·" for c in text)
+
+
+def drawn(text: str) -> str:
+    """Text from elsewhere, for the screen, where every character has its cells."""
+    return "".join(map(glyph, letters(text)))
+
+
+@lru_cache(maxsize=128)
+def letters(text: str) -> tuple[str, ...]:
+    """The characters as a reader counts them, each with the combining marks that follow it."""
+    if text.isascii():
+        return tuple(text)
+    found: list[str] = []
+    for c in text:
+        if _is_mark(c) and found and len(found[-1]) <= MARKS:
+            found[-1] += c
+        else:
+            found.append(c)
+    return tuple(found)
+
+
+@lru_cache(maxsize=4096)
+def glyph(letter: str) -> str:
+    """One of the `letters` in one cell or two; ``·`` where it has none of its own.
+
+    What would change the width of the character before it, as an emoji's skin tone, is left out:
+    terminals do not agree on it.
+    """
+    base, marks = letter[0], letter[1:]
+    if not base.isprintable() or not 1 <= cell_len(base) <= 2:
+        return "·"
+    return base + "".join(c for c in marks if not _changes_width(c))
+
+
+def _is_mark(c: str) -> bool:
+    return unicodedata.category(c) in ("Mn", "Me") or _changes_width(c)
+
+
+def _changes_width(c: str) -> bool:
+    return "\ufe00" <= c <= "\ufe0f" or "\U0001f3fb" <= c <= "\U0001f3ff"
 
 
 def sparkline(values: Sequence[float], levels: str) -> str:
@@ -73,7 +127,9 @@ def sparkline(values: Sequence[float], levels: str) -> str:
     if high == low:
         return levels[len(levels) // 2] * len(values)
     top = len(levels) - 1
-    return "".join(levels[round((v - low) / (high - low) * top)] for v in values)
+    scale = 0.5 if math.isinf(high - low) else 1.0
+    span = high * scale - low * scale
+    return "".join(levels[round((v * scale - low * scale) / span * top)] for v in values)
 
 
 def number(value: float) -> str:
@@ -82,7 +138,17 @@ def number(value: float) -> str:
         return "0"
     if 0.01 <= abs(value) < 1000:
         return f"{value:.3g}"
-    return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    return _scientific(f"{value:.0e}")
+
+
+def component(value: float, sign: str = "-") -> str:
+    """A component of the state in at most `FIGURE` characters; ``sign`` is that of a format."""
+    short = _scientific(f"{value:{sign}.1e}")
+    return longest(FIGURE, f"{value:{sign}.3f}", f"{value:{sign}.1f}", short)
+
+
+def _scientific(text: str) -> str:
+    return text.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 
 def count(value: int) -> str:
@@ -106,7 +172,5 @@ def figure(value: float | None) -> str:
 
 def row(label: str, value: Text) -> Text:
     """A labelled line."""
-    label = printable(label)
-    if len(label) > LABEL:
-        label = label[: LABEL - 1] + "…"
-    return Text.assemble((f" {label:<{LABEL}} ", STYLES["label"]), value)
+    label = fit(Text(drawn(label)), LABEL).plain
+    return Text.assemble((f" {label} ", STYLES["label"]), value)

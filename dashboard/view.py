@@ -13,7 +13,7 @@ from dashboard import keymap
 from dashboard.model import Board
 from dashboard.panels import Panels, Wishes
 from dashboard.secrecy_panel import explanation, table, verdict
-from dashboard.text import count, fit, in_ascii, number, printable, row
+from dashboard.text import count, drawn, fit, in_ascii, longest, number, row
 
 __all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "Wishes", "screen"]
 
@@ -21,13 +21,19 @@ WHOLE: Final = (80, 24)
 """The size, columns and rows, from which every panel is shown."""
 
 SMALLEST: Final = (40, 8)
-"""Below this only a line that says so is shown."""
+"""Below this only a line that says so is shown, and the secrecy verdict."""
 
 DROPPED_FIRST: Final = ("picture", "key symbols and automata", "taps", "loop", "message")
 """Panels that a small screen does without, in turn; the secrecy verdict always stays."""
 
 SILENT_AFTER_NS: Final = 2_000_000_000
 """A service that has not been heard for this long is called silent."""
+
+DETAIL_AT_LEAST: Final = 12
+"""Cells to which a reason in the first line is cut; it gets more where there is room."""
+
+DETAIL_RANK: Final = 6
+"""Where a reason stands among the parts of the first line, of which the highest goes first."""
 
 FOOTER_NAMED: Final = 60
 """From this width on the last line says what its keys do; ? always does."""
@@ -116,16 +122,38 @@ class _Page(Panels):
 
     def header(self) -> Text:
         """One line: what is watched and how it is; the less telling parts go where it is narrow."""
+        parts = self._parts()
+
+        def least(part: tuple[int, str]) -> int:
+            rank, text = part
+            return min(cell_len(text), DETAIL_AT_LEAST) if rank == DETAIL_RANK else cell_len(text)
+
+        def spare() -> int:
+            return self.width - sum(2 + least(part) for part in parts)
+
+        while len(parts) > 1 and spare() < 0:
+            parts.remove(max(parts, key=lambda part: part[0]))
+        left = spare()
+        line = Text(" ")
+        for part in parts:
+            text = fit(Text(part[1]), min(cell_len(part[1]), least(part) + max(0, left)))
+            left -= text.cell_len - least(part)
+            line.append_text(text)
+            line.append("  ")
+        return fit(line[:-2], self.width, style="reverse")
+
+    def _parts(self) -> list[tuple[int, str]]:
+        """What the first line says, each with its rank: the highest goes first."""
         plant = self.board.plant
         parts: list[tuple[int, str]] = [(0, "wyner")]
         if plant is None:
             parts.append((0, "waiting for the plant"))
         else:
             parts += [
-                (5, printable(plant.scenario)),
-                (4, printable(plant.pace)),
-                (6, f"alpha {number(plant.alpha)}"),
-                (7, f"session {plant.session[:8]}"),
+                (5, drawn(plant.scenario)),
+                (4, drawn(plant.pace)),
+                (7, f"alpha {number(plant.alpha)}"),
+                (8, f"session {plant.session[:8]}"),
                 (2, plant.phase),
             ]
             if plant.seeded:
@@ -133,18 +161,16 @@ class _Page(Panels):
             if plant.frames_refused:
                 parts.append((2, f"{count(plant.frames_refused)} frames refused"))
             if plant.detail:
-                parts.append((2, printable(plant.detail)))
+                parts.append((DETAIL_RANK, drawn(plant.detail)))
         controller = self.board.controller
         if controller is not None and controller.phase != "running":
             parts.append((1, f"controller {controller.phase}"))
             if controller.detail:
-                parts.append((2, printable(controller.detail)))
+                parts.append((DETAIL_RANK, drawn(controller.detail)))
         if self.wishes.frozen:
-            parts.append((0, f"FROZEN, {self.wishes.held_steps} steps on"))
-        parts += [(1, f"{name} silent") for name in self._silent()]
-        while len(parts) > 1 and sum(2 + len(text) for _, text in parts) > self.width:
-            parts.remove(max(parts, key=lambda part: part[0]))
-        return fit(Text(" " + "  ".join(text for _, text in parts)), self.width, style="reverse")
+            steps = self.wishes.held_steps
+            parts.append((0, f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}"))
+        return parts + [(1, f"{name} silent") for name in self._silent()]
 
     def _silent(self) -> list[str]:
         seen = {
@@ -162,20 +188,25 @@ class _Page(Panels):
     def footer(self) -> Text:
         """One line: the filter being typed, a note, or the keys."""
         if self.wishes.typing:
-            return Text(f" show taps whose name holds: {printable(self.wishes.filter)}_")
+            return Text(f" show taps whose name holds: {drawn(self.wishes.filter)}_")
         if self.wishes.note:
             return Text(f" {self.wishes.note}", style="bold")
+        messages = f"{count(self.board.received)} messages"
+        garbage = f"{count(self.board.garbage)} garbage"
+        tails = (f"{messages}, {garbage}", garbage) if self.board.garbage else (messages,)
+        line = self._keys(named=self.width >= FOOTER_NAMED)
+        if self.board.garbage and line.cell_len + len(garbage) + 2 > self.width:
+            line = self._keys(named=False)
+        tail = longest(self.width - line.cell_len - 2, *tails)
+        if tail:
+            line.append(tail.rjust(self.width - line.cell_len - 1), style="dim")
+        return line
+
+    def _keys(self, *, named: bool) -> Text:
         line = Text()
-        named = self.width >= FOOTER_NAMED
         for key in keymap.KEYS:
             line.append(f" {key.label} ", style="reverse")
             line.append(f" {key.short}  " if named else " ")
-        tail = f"{count(self.board.received)} messages"
-        if self.board.garbage:
-            tail += f", {count(self.board.garbage)} garbage"
-        gap = self.width - cell_len(line.plain) - cell_len(tail) - 1
-        if gap > 0:
-            line.append(" " * gap + tail, style="dim")
         return line
 
     def _top(self, shown: set[str], extra: int) -> list[Text]:
@@ -203,7 +234,7 @@ class _Page(Panels):
         shown = self.filtered()
         note = ""
         if self.wishes.filter:
-            note = f"/{printable(self.wishes.filter)}: {len(shown)} of {len(self.taps)} taps"
+            note = f"/{drawn(self.wishes.filter)}: {len(shown)} of {len(self.taps)} taps"
         elif len(shown) > rows and with_table:
             note = f"the strongest {rows} of {len(shown)} taps"
         lines = [self.rule("Secrecy", self.width, note), verdict(self.secrecy, self.width)]

@@ -13,19 +13,26 @@ import termios
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dashboard.app import Ending, Watch, has_screen, speaks_unicode
-from dashboard.headless import LINES_AT_ONCE, Reporter, run_headless
+from dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from dashboard.keymap import KEYS
 from dashboard.model import Arrival, Board, reduce_all
 from dashboard.rehearsal import MESSAGE_TEXT, Rehearsal
 from dashboard.source import ScriptedSource
 from dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
+from protocol.messages import PlantStatus
 
 SIZE = (80, 24)
+
+
+def plant_of(board: Board) -> PlantStatus:
+    assert board.plant is not None
+    return board.plant
 
 
 def source(steps: int = 300) -> ScriptedSource:
@@ -60,6 +67,26 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     watch.press(" ", SIZE, 0)
     assert "FROZEN" not in text_of(watch)
     assert "step k 100 " in text_of(watch)
+
+
+def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> None:
+    script = source()
+    for _ in range(20):
+        watch.take(script)
+    watch.press(" ", SIZE, 0)
+    plant = plant_of(watch.board)
+    fresh = {"session": "f" * 16, "k": 3, "seq": 0, "t_ns": plant.t_ns + 1}
+    watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
+    assert "FROZEN, new session" in text_of(watch)
+    watch.press(" ", SIZE, 0)
+    assert "step k 3 " in text_of(watch)
+
+
+def test_frozen_before_the_plant_was_heard_counts_no_steps(watch: Watch) -> None:
+    watch.press(" ", SIZE, 0)
+    assert "FROZEN, 0 steps on" in text_of(watch)
+    watch.take(source())
+    assert "FROZEN, new session" in text_of(watch)
 
 
 def test_help_comes_and_goes(watch: Watch) -> None:
@@ -346,14 +373,14 @@ def test_headless_lines_tell_the_story_without_control_codes(
     text = headless(2000, monkeypatch)
     assert all(c.isprintable() for c in text.replace("\n", ""))
     for told in (
-        "session 3f2a9c51d07be684 began",
+        "session 3f2a9c51d07be684: rehearsal",
         "an experiment, nothing here is secret",
         "plant running",
         "controller running",
         "tap nearest-centre heard",
         f'message 1 recovered at k 1170: "{MESSAGE_TEXT}"',
-        "tap list-decoder holds the true message",
-        "and it is the true one",
+        f'tap list-decoder holds the true message at k 1100: "{MESSAGE_TEXT}"',
+        "tap list-decoder was sure of a message at k 1163, and it is the true one",
     ):
         assert text.count(told) == 1, told
     assert "CLAIMED EXCEEDS TRUE" in text.splitlines()[-1]
@@ -388,6 +415,124 @@ def test_nothing_new_says_nothing() -> None:
     for second in range(1, 60):
         again, reporter = reporter.report(board, second * 1_000_000_000)
         assert again == []
+
+
+def after(steps: int) -> Board:
+    return reduce_all(Board(), (a for batch in Rehearsal().arrivals(steps) for a in batch))
+
+
+def with_plant(board: Board, **changes: object) -> Board:
+    """The board after one more plant status; the step stands still unless it is changed."""
+    plant = plant_of(board)
+    later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
+    arrival = Arrival(board.plant_seen_ns + 1, plant.model_copy(update=later))
+    return reduce_all(board, [arrival])
+
+
+def with_controller(board: Board, **changes: object) -> Board:
+    assert board.controller is not None
+    later = {"seq": board.controller.seq + 1, "t_ns": board.controller.t_ns + 1, **changes}
+    arrival = Arrival(board.plant_seen_ns, board.controller.model_copy(update=later))
+    return reduce_all(board, [arrival])
+
+
+def test_what_happens_while_no_step_is_made_is_said_once() -> None:
+    board = after(20)
+    _, reporter = Reporter().report(board, 0)
+    trouble = with_plant(
+        board,
+        phase="refused",
+        detail="another model",
+        symbol_errors=2,
+        frames_refused=1,
+        messages=1,
+        last_message="Hello",
+    )
+    said = []
+    for glance in range(70):
+        lines, reporter = reporter.report(trouble, glance * 100_000_000)
+        said += lines
+    assert said == [
+        "plant refused: another model",
+        "2 symbols decoded unlike b_r at k 20",
+        "1 frames refused by their check at k 20",
+        'message 1 recovered at k 20: "Hello"',
+    ]
+    back, _ = reporter.report(with_plant(trouble, phase="running", detail=""), 0)
+    assert back == ["plant running"]
+
+
+def test_progress_is_told_of_a_new_session_that_stands_at_the_same_step() -> None:
+    board = after(20)
+    _, reporter = Reporter().report(board, 0)
+    lines, _ = reporter.report(with_plant(board, session="f" * 16), 3_000_000_000)
+    assert lines[0].startswith(f"session {'f' * 16} began: ")
+    assert lines[-1].startswith("k 20  x (")
+
+
+def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
+    whole = after(2000)
+    text = "A second message."
+    board = Board()
+    for message in (
+        plant_of(with_plant(whole, partial="A sec")),
+        with_controller(whole, sending=text, frame_symbols=40, frame_length=200).controller,
+        whole.taps["list-decoder"].status,
+    ):
+        assert message is not None
+        board = reduce_all(board, [Arrival(1, message)])
+    lines, _ = Reporter().report(board, 0)
+    assert lines[0].startswith("session 3f2a9c51d07be684: rehearsal")
+    assert f'message 1 is the last recovered: "{MESSAGE_TEXT}"' in lines
+    assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
+    assert "tap list-decoder was sure of a message at k 1163" in lines
+    assert not any(word in "\n".join(lines) for word in (" began", " at k 2000", " steps:"))
+    assert lines[-1].endswith("62/62 characters, old")
+    assert progress(whole).endswith("62/62 characters")
+
+
+def test_a_truth_that_comes_last_gives_no_step_to_the_tap_that_held_it() -> None:
+    whole = after(2000)
+    tap = whole.taps["list-decoder"].status
+    board = reduce_all(Board(), [Arrival(1, tap)])
+    _, reporter = Reporter().report(board, 0)
+    lines, _ = reporter.report(reduce_all(board, [Arrival(2, plant_of(whole))]), 0)
+    assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
+
+
+@pytest.mark.parametrize(("heard", "judged"), [(False, ""), (True, ", but it is not a true one")])
+def test_only_who_was_heard_before_is_called_wrong(heard: bool, judged: str) -> None:
+    board = after(500)
+    if not heard:
+        board = replace(board, taps={})
+    tap = after(500).taps["list-decoder"].status
+    sure = {"solved_k": 490, "message": "wrong", "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    later = reduce_all(board, [Arrival(board.plant_seen_ns, tap.model_copy(update=sure))])
+    lines, _ = Reporter(board).report(later, 0)
+    assert f"tap list-decoder was sure of a message at k 490{judged}" in lines
+
+
+def test_lines_stay_short_when_the_state_runs_away() -> None:
+    line = progress(with_plant(after(20), x=(4e200, -123456.789)))
+    assert "x (4.0e200, -1.2e5)" in line
+    assert len(line) < 150
+
+
+def test_lines_show_all_that_is_printable_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    message = "第二の手紙 second ✓ e\u0301"
+    board = after(20)
+    board = with_controller(board, sending=message)
+    board = with_plant(board, law="\x1b[2J", messages=1, last_message=message)
+    tap = board.taps["list-decoder"].status
+    named = {"name": "\x1b[31mtap", "message": message, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    board = reduce_all(board, [Arrival(1, tap.model_copy(update=named))])
+    lines = [*Reporter().report(board, 0)[0], secrecy_line(board)]
+    assert f'message 1 is the last recovered: "{message}"' in lines
+    assert f'tap ·[31mtap holds the true message: "{message}"' in lines
+    assert "·[31mtap leaves at most 0 bit" in lines[-1]
+    assert all(c.isprintable() for line in lines for c in line)
 
 
 def quiet_batches() -> Sequence[Sequence[Arrival]]:

@@ -314,6 +314,22 @@ def test_text_is_judged_against_the_true_message_it_fits_best() -> None:
     assert truth_for(board, "") == MESSAGE_TEXT
 
 
+def test_a_character_counts_once_with_its_combining_marks() -> None:
+    text = "e\u0301te\u0301 第"
+    board = with_plant(board_after(20), last_message=text)
+    near = with_tap(board, "list-decoder", message="ete\u0301 第")
+    assert characters_right(near, near.taps["list-decoder"]) == (4, 5)
+
+
+def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
+    assert board_after(2000).taps["list-decoder"].watched
+    assert board_after(2000).taps["list-decoder"].status.solved_k >= 0
+    late = with_tap(board_after(2000), "late", solved_k=9)
+    assert not late.taps["late"].watched
+    blind = reduce(Board(), Arrival(1, board_after(20).taps["list-decoder"].status))
+    assert not blind.taps["list-decoder"].watched, "nobody knows the truth yet"
+
+
 def test_model_error_is_relative_and_zero_for_the_true_model() -> None:
     board = board_after(100)
     plant = plant_of(board)

@@ -109,6 +109,12 @@ def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
     assert sum(cell.kind == "next" for row in rows for cell in row) == 1
 
 
+def test_a_state_too_far_out_for_a_float_to_span_leaves_the_picture_blank() -> None:
+    for x in ((1.7e308, -1.7e308), (-1.7e308, 0.0)):
+        status = statuses()[-1].model_copy(update={"pictured_x_next": x, "pictured_x": x})
+        assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
+
+
 def test_before_the_first_step_the_picture_is_blank() -> None:
     status = statuses()[0].model_copy(update={"pictured_k": -1})
     assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
