@@ -35,22 +35,18 @@ class Failure(Exception):
     """Something that was asked for could not be done, exit code 1; the text is one line."""
 
 
-class StoppedError(BaseException):
-    """SIGTERM arrived. A BaseException, so that no ordinary handler keeps the program alive."""
-
-
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
     """Turn SIGTERM, SIGINT and SIGHUP into an event that the program's loop looks at.
 
-    A second signal of these raises :class:`StoppedError` where the program stands, for a
-    loop that no longer looks.
+    A second signal of these is a KeyboardInterrupt where the program stands, for a loop that no
+    longer looks.
     """
     stopping = threading.Event()
 
     def stop(_signal: int, _frame: object) -> None:
         if stopping.is_set():
-            raise StoppedError
+            raise KeyboardInterrupt
         stopping.set()
 
     if os.environ.get(STOP_WITH_STDIN):

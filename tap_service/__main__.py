@@ -2,7 +2,7 @@
 
 import sys
 
-from wyner.cli import main
+from wyner.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(main(["tap", *sys.argv[1:]]))
+    sys.exit(main("tap"))

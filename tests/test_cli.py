@@ -6,15 +6,20 @@ import pty
 import re
 import select
 import signal
+import socket
 import subprocess
 import sys
 import termios
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from protocol.runtime import UsageError
+from protocol.transport import free_endpoints
 from wyner.cli import COMMANDS, main
 from wyner.endpoints import BUSES, DEFAULTS
+from wyner.loading import keep_scenario
 
 ROOT = Path(__file__).parent.parent
 PRESENT = [name for name in COMMANDS if (ROOT / "wyner" / "commands" / f"{name}.py").exists()]
@@ -121,6 +126,57 @@ def test_wrong_use_is_one_line(
     assert expected in line
 
 
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_a_run_folder_that_cannot_be_made_is_wrong_use(
+    service: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (line,) = usage_error(capsys, service, "--scenario", "paper", "--run-dir", "/proc/x")
+    assert line == "wyner: --run-dir: /proc/x: cannot be made: No such file or directory"
+
+
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_an_endpoint_in_use_is_wrong_use_and_starts_nothing(
+    service: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bus = "intel" if service == "tap" else "ops"
+    (field,) = free_endpoints(1)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        args = ["--listen", f"field={field}", "--listen", f"{bus}={endpoint}"]
+        assert main([service, "--scenario", "paper", "--run-dir", str(tmp_path), *args]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", f"wyner: {endpoint}: cannot be opened: address already in use\n")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "lock"]
+
+
+@pytest.mark.parametrize("service", ["plant", "controller"])
+def test_a_run_of_another_scenario_is_left_alone(
+    service: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Their fingerprints are the same; a check would take one scenario's run for the other's."""
+    keep_scenario(tmp_path, "paper")
+    field, ops = free_endpoints(2)
+    args = ["--listen", f"field={field}", "--listen", f"ops={ops}", "--run-dir", str(tmp_path)]
+    (line,) = usage_error(capsys, service, "--scenario", "sustained", *args)
+    assert line == (
+        f"wyner: --run-dir: {tmp_path}: holds a run of another scenario (paper), "
+        f"expected a new folder, or --scenario {tmp_path / 'scenario.toml'}"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["scenario.toml"]
+
+
+def test_a_scenario_is_the_same_where_the_loop_is(tmp_path: Path) -> None:
+    text = (ROOT / "scenarios" / "paper.toml").read_text()
+    mine = tmp_path / "mine.toml"
+    keep_scenario(tmp_path, "paper")
+    mine.write_text(f"# a note\n{text}\n[tap]\nloss = 0.5\n")
+    keep_scenario(tmp_path, str(mine))
+    mine.write_text(f'{text}\n[link]\nfallback = "zero"\n')
+    with pytest.raises(UsageError, match="another scenario"):
+        keep_scenario(tmp_path, str(mine))
+    assert (tmp_path / "scenario.toml").read_text() == text
+
+
 @pytest.mark.parametrize("command", ["up", "plant", "controller", "design", "knowledge"])
 def test_a_wrong_scenario_is_a_line_a_field(
     command: str,
@@ -148,6 +204,24 @@ def test_an_initial_state_outside_the_sets_is_said_before_anything_starts(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize("command", ["controller", "up"])
+def test_a_cost_without_weights_is_the_costs_fault(
+    command: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (
+        (ROOT / "scenarios" / "paper.toml")
+        .read_text()
+        .replace("next_state = 1.0", "next_state = 0.0")
+    )
+    Path("flat.toml").write_text(text)
+    (line,) = usage_error(capsys, command, "--scenario", "flat.toml")
+    assert line.startswith("wyner: paper: control.costs.0: ")
+
+
 @pytest.mark.parametrize("left", ["manifest.json", "plant/journal.sqlite3", "tap/capture.jsonl"])
 def test_up_leaves_a_folder_with_a_run_alone(
     left: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -163,10 +237,14 @@ def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anyt
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "scenarios" / "paper.toml").read_text()
-    (tmp_path / "mine.toml").write_text(text + '[tap]\neavesdroppers = ["eve"]\n')
-    (line,) = usage_error(capsys, "up", "--scenario", "mine.toml")
-    assert "mine.toml: tap.eavesdroppers: eavesdropper: got 'eve', expected" in line
-    assert not (tmp_path / "runs").exists()
+    (tmp_path / "mine.toml").write_text(text + '[tap]\neavesdroppers = ["eve", "oracle", "zip"]\n')
+    for command in (["up"], ["tap", "--run-dir", "runs"]):
+        lines = usage_error(capsys, *command, "--scenario", "mine.toml")
+        assert [line.partition(", expected")[0] for line in lines] == [
+            f"wyner: mine.toml: tap.eavesdroppers: eavesdropper: got {name!r}"
+            for name in ("eve", "zip")
+        ]
+        assert not (tmp_path / "runs").exists()
 
 
 def test_an_unexpected_error_is_one_line_too(
@@ -175,7 +253,7 @@ def test_an_unexpected_error_is_one_line_too(
     import wyner.commands.knowledge
 
     def fail(_args: object) -> int:
-        raise RuntimeError("something nobody thought of")
+        raise RuntimeError("something\n  nobody thought of")
 
     monkeypatch.setattr(wyner.commands.knowledge, "run", fail)
     assert main(["knowledge", "paper"]) == 1
@@ -209,6 +287,55 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
     assert (done.returncode, done.stderr) == (130, b"")
+
+
+@pytest.mark.parametrize(
+    ("command", "up"),
+    [
+        ("plant", b" INFO "),
+        ("controller", b" INFO "),
+        ("tap", b" INFO "),
+        ("dashboard", b"\x1b[?1049h"),
+    ],
+)
+def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
+    command: str, up: bytes, tmp_path: Path
+) -> None:
+    (free,) = free_endpoints(1)
+    args = [f"--connect={bus}={free}" for bus in DEFAULTS[command]]
+    if command != "dashboard":
+        args += ["--scenario=paper", f"--run-dir={tmp_path}"]
+    if command == "tap":
+        args += ["--eavesdropper=nearest-centre"]
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wyner", command, *args],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env={**os.environ, "TERM": "xterm"},
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    os.close(follower)
+    seen = b""
+    try:
+        while up not in seen:
+            assert select.select([leader], [], [], 20)[0], seen
+            seen += os.read(leader, 65536)
+        # the second comes before the first was attended to
+        for number in (signal.SIGSTOP, signal.SIGINT, signal.SIGTERM, signal.SIGCONT):
+            process.send_signal(number)
+        with suppress(OSError):  # the end of a terminal that nobody holds any more
+            while select.select([leader], [], [], 20)[0]:
+                seen += os.read(leader, 65536)
+        assert process.wait(20) == 130
+        assert b"Traceback" not in seen
+        assert b"Error" not in seen
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

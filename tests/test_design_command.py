@@ -1,12 +1,14 @@
 """``wyner design``: the text, the object, the cache, and errors in one line."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import wyner.commands.design as command
+from controller_service import synthesis
 from wyner.cli import main
 
 PLANAR = """
@@ -189,3 +191,20 @@ def test_a_missing_file_is_one_line(capsys: Any) -> None:
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert "nowhere.toml: cannot be read" in err
+
+
+@pytest.mark.parametrize("name", ["up", "controller"])
+def test_who_computes_a_design_shows_its_progress_on_a_terminal(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+
+    def cached_design(_scenario: object, progress: object = None) -> None:
+        told.append(progress)
+        raise synthesis.SynthesisError("far enough")
+
+    monkeypatch.setattr(synthesis, "cached_design", cached_design)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main([name, "--scenario", "quadruple-tank"]) == 2
+    assert callable(told[0])
+    assert capsys.readouterr().err == "wyner: quadruple-tank: far enough\n"

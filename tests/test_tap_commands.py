@@ -307,6 +307,10 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
             ("tap", "--scenario", "sustained", "--run-dir", "d", "--part-bytes", "3"),
             "--part-bytes: got 3",
         ),
+        (
+            ("tap", "--scenario", "sustained", "--run-dir", "d", "--part-seconds", "-1"),
+            "--part-seconds: got -1.0",
+        ),
     ],
 )
 def test_wrong_usage_is_one_line_and_code_2(
@@ -335,6 +339,16 @@ def test_bad_knowledge_gets_one_line_a_field(
     assert len(err.splitlines()) == 3
     for field in ("period_s", "candidates", "secret"):
         assert f"k.json: {field}:" in err
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lock = tmp_path / "tap" / "lock"
+    lock.mkdir(parents=True)
+    code, _, err = call(capsys, "tap", "--scenario", "sustained", "--run-dir", tmp_path)
+    assert code == 2
+    assert err == f"wyner: --run-dir: {lock}: cannot be written: Is a directory\n"
 
 
 def test_a_second_tap_in_a_folder_is_refused(

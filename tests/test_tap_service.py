@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import random
 import signal
 import subprocess
@@ -216,6 +217,19 @@ def test_heavy_eavesdroppers_work_beside_the_mirror_and_finish(tmp_path: Path) -
     last = {s.name: s for s in wire.statuses}["list-decoder"]
     assert last.message == run.payloads[0].decode()
     assert last.confidence == 1.0
+
+
+def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
+    run: Run, tmp_path: Path
+) -> None:
+    wire = Wire(config(run, tmp_path, names=("list-decoder",)))
+    child = wire.service._analysis
+    assert child is not None
+    assert child.pid is not None
+    os.kill(child.pid, signal.SIGINT)  # while it is still being loaded
+    wire.finish()
+    assert child.exitcode == 0
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:

@@ -11,8 +11,8 @@ def _interrupt(_signal: int, _frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def main() -> int:
-    """Load the command and run it; returns the exit code.
+def main(*first: str) -> int:
+    """Load the command and run it, with ``first`` before its arguments; returns the exit code.
 
     Being told to end, or losing the terminal, is Ctrl-C: whatever a command holds open it gives
     back, the screen above all. A service stops on these signals in its own way.
@@ -26,7 +26,7 @@ def main() -> int:
     try:
         from wyner.cli import main as command
 
-        return command()
+        return command([*first, *sys.argv[1:]])
     except KeyboardInterrupt:
         return 130
 

@@ -82,7 +82,7 @@ def _in_a_line(error: Exception) -> str:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror
-    return f"unexpected {type(error).__name__}: {error}"
+    return " ".join(f"unexpected {type(error).__name__}: {error}".split())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

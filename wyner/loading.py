@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from protocol.framing import MAX_PAYLOAD
 from protocol.runtime import Pace, UsageError, write_atomically
@@ -102,6 +102,10 @@ def _unusable(path: Path, error: OSError) -> UsageError:
     return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
 
 
+def _unwritable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
+
+
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """Hold a service's folder; the lock goes with the process, however that one ends.
@@ -109,10 +113,18 @@ def alone_in(folder: Path) -> Iterator[None]:
     Raises
     ------
     UsageError
-        When another process holds it.
+        When it cannot be made or written to, or another process holds it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("ab") as file:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    lock = folder / "lock"
+    try:
+        file = lock.open("ab")
+    except OSError as error:
+        raise _unwritable(lock, error) from None
+    with file:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -126,11 +138,22 @@ def keep_scenario(run_dir: Path, text: str) -> None:
     Raises
     ------
     UsageError
-        When the folder cannot be written to.
+        When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
     """
     kept = run_dir / SCENARIO
     try:
         if not kept.exists():
             write_atomically(kept, scenario_file_of(text).read_bytes())
     except OSError as error:
-        raise UsageError(f"--run-dir: {kept}: cannot be written: {error.strerror}") from None
+        raise _unwritable(kept, error) from None
+    there = scenario_of(str(kept))
+    if _of_the_loop(there) != _of_the_loop(scenario_of(text)):
+        raise UsageError(
+            f"--run-dir: {run_dir}: holds a run of another scenario ({there.name}), "
+            f"expected a new folder, or --scenario {kept}"
+        )
+
+
+def _of_the_loop(scenario: Scenario) -> dict[str, Any]:
+    """What controller and plant work with."""
+    return scenario.model_dump(exclude={"description", "source", "tap"})

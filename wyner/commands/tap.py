@@ -1,9 +1,12 @@
 """``wyner tap``: run the tap service with its eavesdroppers."""
 
 import argparse
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pydantic import ValidationError
+
     from protocol.knowledge import Knowledge
     from tap_service.view import View
 
@@ -46,8 +49,18 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     limits = parser.add_argument_group("bounds of the recording")
     limits.add_argument("--part-bytes", type=int, metavar="N", help="size at which a part ends")
     limits.add_argument("--part-seconds", type=float, metavar="S", help="age at which a part ends")
-    limits.add_argument("--total-bytes", type=int, metavar="N", help="bound of all parts together")
-    limits.add_argument("--free-bytes", type=int, metavar="N", help="room to leave on the disk")
+    limits.add_argument(
+        "--total-bytes",
+        type=int,
+        metavar="N",
+        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
+    )
+    limits.add_argument(
+        "--free-bytes",
+        type=int,
+        metavar="N",
+        help="room to leave on the disk; recording pauses while there is less",
+    )
     parser.add_argument(
         "--finish",
         type=float,
@@ -61,6 +74,27 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def names_of(values: list[str]) -> tuple[str, ...]:
     """The names in repeated and comma-separated options."""
     return tuple(n.strip() for value in values for n in value.split(",") if n.strip())
+
+
+def find_each(names: Iterable[str], find: Callable[[str], object], where: str = "") -> None:
+    """Find every eavesdropper, before anything starts.
+
+    Raises
+    ------
+    UsageError
+        With one line for each that ``find`` has not; ``where`` tells where the names stand.
+    """
+    from protocol.runtime import UsageError
+    from tap_service.eavesdroppers import KnowledgeError
+
+    problems = []
+    for name in names:
+        try:
+            find(name)
+        except KnowledgeError as error:
+            problems.append(f"{where}{error}")
+    if problems:
+        raise UsageError(problems)
 
 
 def view_of(args: argparse.Namespace, defaults: dict[str, object]) -> "View":
@@ -81,12 +115,17 @@ def view_of(args: argparse.Namespace, defaults: dict[str, object]) -> "View":
     try:
         return View.model_validate(values)
     except ValidationError as error:
-        raise UsageError(
-            [
-                f"--{str(e['loc'][0]).replace('_', '-')}: got {e['input']!r}, {e['msg']}"
-                for e in error.errors(include_url=False)
-            ]
-        ) from None
+        raise UsageError(_wrong_options(error)) from None
+
+
+def _wrong_options(error: "ValidationError") -> list[str]:
+    """One line for each option whose value is wrong."""
+    lines = []
+    for e in error.errors(include_url=False):
+        field = str(e["loc"][0])
+        option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
+        lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
+    return lines
 
 
 def read_knowledge(path: str) -> "Knowledge":
@@ -125,22 +164,23 @@ def run(args: argparse.Namespace) -> int:
 
     from pydantic import ValidationError
 
-    from protocol.runtime import Failure, UsageError
+    from protocol.runtime import UsageError
     from protocol.transport import TransportError
     from tap_service.capture import Limits
-    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError, named
+    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
     from tap_service.service import FINISH_S, TapConfig, run_tap
     from wyner.endpoints import endpoints_of, loop_of
-    from wyner.loading import alone_in, scenario_of
+    from wyner.loading import alone_in, run_dir_of, scenario_of
 
-    names = names_of(args.eavesdropper)
+    names, where = names_of(args.eavesdropper), ""
     oracle = None
     defaults: dict[str, object] = {}
     if args.scenario is not None:
         scenario = scenario_of(args.scenario)
         knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
         defaults = scenario.tap.model_dump(exclude={"eavesdroppers"})
-        names = names or scenario.tap.eavesdroppers
+        if not names:
+            names, where = scenario.tap.eavesdroppers, f"{args.scenario}: tap.eavesdroppers: "
     else:
         knowledge = read_knowledge(args.knowledge)
         oracle = knowledge if knowledge.alpha is not None else None
@@ -153,12 +193,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         limits = Limits.model_validate({k: v for k, v in bounds.items() if v is not None})
     except ValidationError as error:
-        raise UsageError(
-            [
-                f"--{str(e['loc'][0]).replace('_', '-')}: got {e['input']!r}, {e['msg']}"
-                for e in error.errors(include_url=False)
-            ]
-        ) from None
+        raise UsageError(_wrong_options(error)) from None
     view = view_of(args, defaults)
     if args.finish is not None and not 0 <= args.finish <= 3600:
         raise UsageError(f"--finish: got {args.finish}, expected 0 to 3600 seconds")
@@ -175,11 +210,8 @@ def run(args: argparse.Namespace) -> int:
             limits=limits,
             finish_s=FINISH_S if args.finish is None else args.finish,
         )
-        for name in config.names:
-            named(name)  # a wrong one is told before a folder is made
-        with alone_in(config.run_dir / "tap"):
+        find_each(config.names, config.knowledge_of, where)
+        with alone_in(run_dir_of(args.run_dir) / "tap"):
             return run_tap(config)
-    except KnowledgeError as error:
+    except (KnowledgeError, TransportError) as error:
         raise UsageError(str(error)) from None
-    except TransportError as error:
-        raise Failure(str(error)) from None
