@@ -12,6 +12,7 @@ import numpy as np
 from controller_service.laws import ControlLaw, make_law
 from controller_service.synthesis import Design, cached_design
 from experiments.engine import chunks, follow, simulate_runs
+from experiments.grid import ROOT
 from experiments.reference_loop import plain_run
 from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL, predict
@@ -27,14 +28,16 @@ SCALAR_STEPS: Final = 4000
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
 PARTS: Final = {
-    "block": "random numbers",
-    "disturbances": "disturbances",
-    "indices": "set index",
-    "candidates_many": "both programs",
-    "step": "next state and gauges",
-    "verdict": "verdicts",
-    "follow": "automata",
+    ("experiments/engine/seeding.py", "generator_states"): "seeding",
+    ("experiments/engine/draws.py", "block"): "random numbers",
+    ("experiments/engine/draws.py", "disturbances"): "disturbances",
+    ("controller_service/laws.py", "indices"): "set index",
+    ("controller_service/laws.py", "candidates_many"): "both programs",
+    ("experiments/engine/loop.py", "step"): "next state and gauges",
+    ("experiments/engine/loop.py", "verdict"): "verdicts",
+    ("experiments/engine/link.py", "follow"): "automata",
 }
+"""File and function of each part; none calls another."""
 
 
 def shipped(name: str) -> Scenario:
@@ -61,9 +64,9 @@ def scalar_run(scenario: Scenario, law: ControlLaw, steps: int) -> list[int]:
     return symbols
 
 
-def engine_run(scenario: Scenario, law: ControlLaw) -> None:
+def engine_run(scenario: Scenario, law: ControlLaw, runs: int, steps: int) -> None:
     """Many runs with the automata at the scenario's alpha."""
-    for part in chunks(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS):
+    for part in chunks(scenario, law, seed=SEED, runs=range(runs), steps=steps):
         follow(part, [scenario.secrecy.alpha])
 
 
@@ -79,18 +82,18 @@ def paper_sweep() -> float:
     return time.perf_counter() - begin
 
 
-def where(scenario: Scenario, law: ControlLaw) -> dict[str, float]:
-    """The share of an engine run's time that each part takes, from a profile."""
-    profile = cProfile.Profile()
-    profile.enable()
-    engine_run(scenario, law)
-    profile.disable()
-    stats = pstats.Stats(profile).get_stats_profile()
-    shares = {
-        text: float(stats.func_profiles[function].cumtime / stats.total_tt)
-        for function, text in PARTS.items()
+def where(call: Callable[[], object], rounds: int) -> dict[str, float]:
+    """The share of engine runs' processor time that each part takes, from a profile."""
+    profile = cProfile.Profile(time.process_time)
+    for _ in range(rounds):
+        profile.runcall(call)
+    stats: Any = pstats.Stats(profile)  # the type stubs leave out what it holds
+    spent = {
+        (file.removeprefix(f"{ROOT}/"), function): cumulative
+        for (file, _, function), (_, _, _, cumulative, _) in stats.stats.items()
     }
-    shares["the rest"] = max(0.0, 1.0 - sum(shares.values()))
+    shares = {text: spent[part] / stats.total_tt for part, text in PARTS.items()}
+    shares["the rest"] = 1.0 - sum(shares.values())
     return shares
 
 
@@ -101,7 +104,13 @@ def timed(call: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
-def measure(rounds: int = ROUNDS) -> dict[str, Any]:
+def measure(
+    rounds: int = ROUNDS,
+    runs: int = RUNS,
+    steps: int = STEPS,
+    scalar_steps: int = SCALAR_STEPS,
+    plain_steps: int = PLAIN_STEPS,
+) -> dict[str, Any]:
     """Alternate the three ways for some rounds; medians, and the ratio of the medians.
 
     ``steps_per_second`` counts seconds of processor time: steps a second a core, whoever else uses
@@ -111,21 +120,21 @@ def measure(rounds: int = ROUNDS) -> dict[str, Any]:
     design: Design = cached_design(scenario)
     law = make_law(scenario, design)
     ways: dict[str, tuple[int, Callable[[], object]]] = {
-        "engine": (RUNS * STEPS, lambda: engine_run(scenario, law)),
-        "scalar": (SCALAR_STEPS, lambda: scalar_run(scenario, law, SCALAR_STEPS)),
+        "engine": (runs * steps, lambda: engine_run(scenario, law, runs, steps)),
+        "scalar": (scalar_steps, lambda: scalar_run(scenario, law, scalar_steps)),
         "plain": (
-            PLAIN_STEPS,
-            lambda: plain_run(scenario, design, seed=SEED, run=0, steps=PLAIN_STEPS),
+            plain_steps,
+            lambda: plain_run(scenario, design, seed=SEED, run=0, steps=plain_steps),
         ),
     }
-    engine_run(scenario, law)
+    engine_run(scenario, law, runs, steps)
     wall: dict[str, list[float]] = {name: [] for name in ways}
     cpu: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(rounds):
-        for name, (steps, call) in ways.items():
+        for name, (count, call) in ways.items():
             seconds, processor = timed(call)
-            wall[name].append(steps / seconds)
-            cpu[name].append(steps / processor)
+            wall[name].append(count / seconds)
+            cpu[name].append(count / processor)
     rate = {name: statistics.median(values) for name, values in cpu.items()}
     wall_rate = {name: statistics.median(values) for name, values in wall.items()}
     plain = plain_run(scenario, design, seed=SEED, run=0, steps=200).symbols
@@ -136,8 +145,8 @@ def measure(rounds: int = ROUNDS) -> dict[str, Any]:
         "scenario": scenario.name,
         "seed": SEED,
         "rounds": rounds,
-        "runs": RUNS,
-        "steps": STEPS,
+        "runs": runs,
+        "steps": steps,
         "steps_per_second": rate["engine"],
         "spread": [min(cpu["engine"]), max(cpu["engine"])],
         "wall_steps_per_second": wall_rate["engine"],
@@ -149,7 +158,7 @@ def measure(rounds: int = ROUNDS) -> dict[str, Any]:
         "ratio_to_scalar": rate["engine"] / rate["scalar"],
         "same_verdicts_as_plain": float((np.array(plain) == verdicts).mean()),
         "paper_sweep_seconds": statistics.median(paper_sweep() for _ in range(rounds)),
-        "parts": where(scenario, law),
+        "parts": where(lambda: engine_run(scenario, law, runs, steps), rounds),
     }
 
 

@@ -26,6 +26,8 @@ from protocol.scenario import (
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 ALPHA: Final = "secrecy.alpha"
+NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
+"""Fields of a scenario that the numbers do not depend on."""
 
 Row = dict[str, Any]
 
@@ -78,7 +80,7 @@ class Sweep(_Part):
     runs : int
         Runs of each point; with a stopping rule, runs of the first look.
     batch : int
-        Runs of one task.
+        Runs of one task at most.
     steps, seed : int
     grid : dict
         Dotted path of a scenario field, and the values that it takes.
@@ -100,11 +102,21 @@ class Sweep(_Part):
     quick: Quick = Quick()
 
     @model_validator(mode="after")
-    def _labels_differ(self) -> Self:
+    def _points_can_be_told_apart(self) -> Self:
+        if not self.scenario:
+            raise ValueError("scenario: got none, expected at least one")
         labels = [v.label for v in self.variant]
         if not labels or len(set(labels)) != len(labels):
             raise ValueError(f"variant: got labels {labels}, expected different ones")
+        for path in self.grid:
+            if path.split(".")[0] in NEUTRAL:
+                raise ValueError(f"grid: {path}: changes none of the numbers")
         return self
+
+    @property
+    def limit(self) -> int:
+        """Runs that no point needs more than."""
+        return max(self.runs, self.stop.max_runs if self.stop else 0)
 
     def quickly(self) -> "Sweep":
         """The same grid with few runs and no stopping rule."""
@@ -154,6 +166,11 @@ class Point:
     fields: dict[str, Any]
     task: str
 
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What its rows are known by: scenario, variant and task."""
+        return self.scenario.name, self.variant, self.task
+
 
 def _set_field(data: dict[str, Any], path: str, value: Any, source: str) -> None:
     place: Any = data
@@ -176,9 +193,7 @@ def canonical(value: object) -> str:
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
     """What of a scenario the numbers depend on."""
-    return scenario.model_dump(
-        mode="json", exclude={"name", "description", "source", "link", "tap"}, exclude_none=True
-    )
+    return scenario.model_dump(mode="json", exclude=set(NEUTRAL), exclude_none=True)
 
 
 def _hash(value: object) -> str:
@@ -191,11 +206,12 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     Raises
     ------
     SweepError
-        When a scenario cannot be read or a value does not fit its field.
+        When a scenario cannot be read, a value does not fit its field, or a point stands there
+        twice.
     """
     names = (sweep.scenario,) if isinstance(sweep.scenario, str) else sweep.scenario
     problems: list[str] = []
-    known: set[tuple[str, str, str]] = set()
+    known: dict[tuple[str, str, str], str] = {}
     points = []
     for name in names:
         path = folder / name
@@ -226,9 +242,10 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                     }
                 )
                 point = Point(scenario, variant.label, fields, task)
-                if (name, variant.label, task) in known:
-                    problems.append(f"{where}: grid: {canonical(fields)} stands there twice")
-                known.add((name, variant.label, task))
+                shown = f"{where}: {canonical(fields)}" if fields else where
+                if point.key in known:
+                    problems.append(f"{shown}: stands there twice, first as {known[point.key]}")
+                known.setdefault(point.key, shown)
                 points.append(point)
     if problems:
         raise SweepError(problems)
@@ -237,10 +254,13 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
 
 @dataclass
 class Group:
-    """Points that differ in alpha only, and share their trajectories."""
+    """Points that differ in alpha only, and share their trajectories.
+
+    ``done`` has the rows of each task's batches, by number.
+    """
 
     points: list[Point]
-    done: dict[tuple[str, int], Row] = field(default_factory=dict)
+    done: dict[tuple[str, int], list[Row]] = field(default_factory=dict)
     failure: str = ""
 
 
@@ -257,9 +277,15 @@ def groups_of(points: Iterable[Point]) -> list[Group]:
 
 SOURCES: Final = (
     "experiments/engine/*.py",
+    "experiments/sweep.py",
     "controller_service/*.py",
     "plant_service/disturbance.py",
-    *(f"protocol/{name}.py" for name in ("agreement", "automata", "entropy", "scenario", "sets")),
+    "protocol/agreement.py",
+    "protocol/automata.py",
+    "protocol/entropy.py",
+    "protocol/framing.py",
+    "protocol/scenario.py",
+    "protocol/sets.py",
 )
 """Where the numbers come from."""
 

@@ -19,7 +19,7 @@ from protocol.messages import ControllerHello, Measurement, Message, Offer, Plan
 from protocol.receiver import ReceiverRecord
 from protocol.scenario import Scenario
 from protocol.sender import Sender, SenderEffects, SenderRecord
-from protocol.session import Transition, rules_of
+from protocol.session import SILENCE_S, Transition, rules_of
 
 HELLO_S: Final = 0.1
 Vector = tuple[float, ...]
@@ -311,7 +311,7 @@ class Simulation:
             self._plant_counts(self._plant.count(move))
         self._moved = self.k > 0
         self._pacing = Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s)
-        self._hello_at = self.now_s
+        self._hello_at = self._answered_at = self.now_s
         self._plant_wakes(self._plant_life)
 
     def _plant_dies(self) -> None:
@@ -325,7 +325,12 @@ class Simulation:
         if not self._plant_alive or life != self._plant_life:
             return
         receiver = self._plant.receiver
-        if not receiver.accepted and self.now_s >= self._hello_at:
+        if self._pacing.waiting:
+            self._answered_at = self.now_s
+        silent = self.now_s - self._answered_at >= SILENCE_S
+        if silent:
+            receiver.look_around()
+        if (silent or not receiver.accepted) and self.now_s >= self._hello_at:
             self._hello_at = self.now_s + HELLO_S
             self._send(receiver.hello())
         running = self._moved or receiver.accepted
@@ -344,14 +349,23 @@ class Simulation:
         fate = self._fate()
         if isinstance(message, ControllerHello):
             outcome = receiver.heard_controller(message, self._identifier())
-            if outcome == "ended" and fate.saves:
-                self._plant_saves(drop_chunks=True)
-            if outcome in ("greet", "ended") and fate.sends:
+            if message.instance == receiver.controller:
+                self._answered_at = self.now_s
+            if outcome in ("greet", "ended") and fate.saves:
+                self._plant_saves(drop_chunks=outcome == "ended")
+            if outcome in ("greet", "ended", "rival") and fate.sends:
                 self._send(receiver.hello())
-        elif not self._pacing.waiting and receiver.check(message) == "current":
-            self._plant_applies(message, fate)
+        else:
+            self._plant_is_offered(message, fate)
         if not fate.lives:
             self._plant_dies()
+
+    def _plant_is_offered(self, offer: Offer, fate: Fate) -> None:
+        what = self._plant.receiver.check(offer)
+        if what != "foreign":
+            self._answered_at = self.now_s
+        if what == "current" and not self._pacing.waiting:
+            self._plant_applies(offer, fate)
 
     def _plant_applies(self, offer: Offer, fate: Fate) -> None:
         receiver = self._plant.receiver

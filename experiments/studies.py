@@ -32,6 +32,20 @@ BINS: Final = 40
 MESSAGE: Final = b"We sail at dawn."
 TAP_RUNS, TAP_STEPS = 20, 1500
 SHOWN_SETS: Final = (0, 1, 2, 3, 4, 6, 8)
+SOURCES: Final = ("experiments/studies.py",)
+"""Where the numbers of this module come from, besides those of a sweep."""
+TAP_SOURCES: Final = (
+    *SOURCES,
+    "protocol/knowledge.py",
+    "protocol/messages.py",
+    "tap_service/beam.py",
+    "tap_service/plausibility.py",
+    "tap_service/transcript.py",
+    "tap_service/eavesdroppers/__init__.py",
+    "tap_service/eavesdroppers/interface.py",
+    "tap_service/eavesdroppers/list_decoder.py",
+    "tap_service/eavesdroppers/nearest_centre.py",
+)
 
 
 @cache
@@ -94,13 +108,18 @@ def gauges_of(scenario: Scenario, v: Array) -> Array:
     return out
 
 
-def write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write(
+    path: Path,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    sources: Sequence[str] = SOURCES,
+) -> None:
     """Write a CSV file with a column ``version``; it replaces the one before when it is whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with anew(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("version", *columns))
-        writer.writerows((code_version(), *row) for row in rows)
+        writer.writerows((code_version(*sources), *row) for row in rows)
 
 
 @contextmanager
@@ -167,7 +186,7 @@ def measure_taps(path: Path, runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> No
         *("variant", "alpha", "runs", "steps", "seed"),
         *("agreements", "nearest_right", "delivered", "read_by_list_decoder"),
     )
-    write(path, columns, (tap_row(point, runs, steps) for point in chosen))
+    write(path, columns, (tap_row(point, runs, steps) for point in chosen), TAP_SOURCES)
 
 
 def measure_widths(path: Path) -> None:

@@ -3,6 +3,7 @@
 A point's runs come in batches. A task simulates one batch, and gives one row of counts for each
 alpha that shares its trajectories. Rows of one point add up, and they are written in one order; so
 a sweep that was stopped goes on where it ended, and it is the same rows whichever way it is run.
+Where more runs are asked for later, a batch that was cut short gets a further row with the rest.
 """
 
 from collections import deque
@@ -10,13 +11,23 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 from controller_service.laws import ControlLaw, ProgramError, make_law
 from controller_service.synthesis import SynthesisError, cached_design
 from experiments.engine import SimulationError, follow, simulate_runs
-from experiments.grid import Group, Point, Row, Sweep, describe, groups_of
-from experiments.results import COUNTS, Results, summarise
+from experiments.grid import (
+    Group,
+    Point,
+    Row,
+    Sweep,
+    SweepError,
+    code_version,
+    describe,
+    groups_of,
+)
+from experiments.results import COUNTS, Results, key_of, summarise
 from protocol.scenario import Scenario
 
 
@@ -28,8 +39,10 @@ def _law(substance: str) -> ControlLaw:
 
 def run_task(
     scenario: str, alphas: Sequence[float], seed: int, first: int, runs: int, steps: int
-) -> Any:
-    """Simulate one batch; the measured columns for each alpha, or one line saying why not.
+) -> tuple[str, list[Row] | str]:
+    """Simulate one batch; the code's version, and the measured columns for each alpha.
+
+    Instead of the columns one line where it cannot be simulated.
 
     Parameters
     ----------
@@ -45,7 +58,7 @@ def run_task(
         law = _law(neutral.model_dump_json(exclude={"description", "source"}))
         simulated = simulate_runs(one, law, seed=seed, runs=range(first, first + runs), steps=steps)
     except (SynthesisError, ProgramError, SimulationError) as error:
-        return str(error)
+        return code_version(), str(error)
     link = follow(simulated, alphas)
     x2, u2 = simulated.state_cost / steps, simulated.input_effort / steps
     common = {
@@ -70,7 +83,7 @@ def run_task(
             histogram[value] = histogram.get(value, 0) + 1
         text = " ".join(f"{v}:{histogram[v]}" for v in sorted(histogram))
         rows.append(common | counts | sums | {"runs_by_symbols": text})
-    return rows
+    return code_version(), rows
 
 
 class SerialExecutor(Executor):
@@ -90,31 +103,24 @@ Progress = Callable[[int, int], None]
 
 
 def looks(sweep: Sweep) -> Iterator[int]:
-    """Numbers of batches after which a point is looked at: doubling, up to the run limit."""
-    limit = max(sweep.runs, sweep.stop.max_runs if sweep.stop else 0)
-    most = -(-limit // sweep.batch)
-    batches = -(-sweep.runs // sweep.batch)
-    while batches < most:
-        yield batches
-        batches *= 2
-    yield most
+    """Numbers of runs after which a point is looked at: doubling, up to the run limit."""
+    runs = sweep.runs
+    while runs < sweep.limit:
+        yield runs
+        runs *= 2
+    yield sweep.limit
 
 
-def _batch(sweep: Sweep, number: int) -> tuple[int, int]:
-    """First run and runs of a batch; the last one may be smaller."""
-    limit = max(sweep.runs, sweep.stop.max_runs if sweep.stop else 0)
-    first = number * sweep.batch
-    return first, min(sweep.batch, limit - first)
+def _enough(sweep: Sweep, group: Group, runs: int) -> bool:
+    """Whether the first ``runs`` of every point of the group meet the stopping rule.
 
-
-def _enough(sweep: Sweep, group: Group, batches: int) -> bool:
-    """Whether every point of the group meets the stopping rule."""
+    While all runs of a point carried the same, the bootstrap has no width and says nothing.
+    """
     if sweep.stop is None:
         return True
-    starts = {_batch(sweep, b)[0] for b in range(batches)}
-    rows = [row for (_, first), row in group.done.items() if first in starts]
     limit = sweep.stop.relative_width
-    return all(s.rate.relative_width <= limit for s in summarise(rows))
+    rows = [row for done in group.done.values() for row in done if row["first_run"] < runs]
+    return all(len(s.histogram) > 1 and s.rate.relative_width <= limit for s in summarise(rows))
 
 
 def run_sweep(
@@ -138,23 +144,28 @@ def run_sweep(
     -------
     list of str
         One line for each group of points that could not be simulated.
+
+    Raises
+    ------
+    SweepError
+        When a worker has another version of the code.
     """
     groups = groups_of(points)
     known: dict[tuple[str, str, str], list[Row]] = {}
     for r in results.rows:
-        known.setdefault((r["scenario"], r["variant"], r["task"]), []).append(r)
+        known.setdefault(key_of(r), []).append(r)
     for group in groups:
         for p in group.points:
-            for r in known.get((p.scenario.name, p.variant, p.task), ()):
-                group.done[p.task, r["first_run"]] = r
+            for r in known.get(p.key, ()):
+                group.done.setdefault((p.task, r["first_run"] // sweep.batch), []).append(r)
     waiting = list(groups)
     finished = foreseen = 0
-    for batches in looks(sweep):
+    for runs in looks(sweep):
         tasks = [
-            _Task(group, missing, *_batch(sweep, number))
+            task
             for group in waiting
-            for number in range(batches)
-            if (missing := _missing(group, _batch(sweep, number)[0]))
+            for number in range(-(-runs // sweep.batch))
+            for task in _missing(group, number, sweep.batch, runs)
         ]
         foreseen += sum(task.runs for task in tasks)
         under_way: deque[tuple[_Task, Future[Any]]] = deque()
@@ -163,17 +174,17 @@ def run_sweep(
                 under_way.append((task, executor.submit(run_task, *task.arguments(sweep))))
             while under_way and (task is None or len(under_way) >= ahead):
                 oldest, future = under_way.popleft()
-                _take(oldest, future, results)
+                _take(oldest, future, results, sweep.batch)
                 finished += oldest.runs
                 if progress is not None:
                     progress(finished, foreseen)
-        waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, batches)]
+        waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, runs)]
     return [f"{describe(g.points[0])}: {g.failure}" for g in groups if g.failure]
 
 
 @dataclass(frozen=True)
 class _Task:
-    """One batch of a group, for the points that lack it."""
+    """Runs of one batch of a group, for the points that lack them."""
 
     group: Group
     points: list[Point]
@@ -187,19 +198,34 @@ class _Task:
         return text, alphas, sweep.seed, self.first, self.runs, sweep.steps
 
 
-def _missing(group: Group, first: int) -> list[Point]:
-    return [p for p in group.points if (p.task, first) not in group.done]
+def _missing(group: Group, number: int, batch: int, runs: int) -> list[_Task]:
+    """What of a batch the rows of each point leave out, up to run ``runs - 1``."""
+    end = min((number + 1) * batch, runs)
+    lacking: dict[tuple[int, int], list[Point]] = {}
+    for p in group.points:
+        at = number * batch
+        for row in sorted(group.done.get((p.task, number), ()), key=itemgetter("first_run")):
+            until = min(row["first_run"], end)
+            if at < until:
+                lacking.setdefault((at, until), []).append(p)
+            at = row["first_run"] + row["runs"]
+        if at < end:
+            lacking.setdefault((at, end), []).append(p)
+    return [_Task(group, them, at, until - at) for (at, until), them in lacking.items()]
 
 
-def _take(task: _Task, future: "Future[Any]", results: Results) -> None:
+def _take(task: _Task, future: "Future[Any]", results: Results, batch: int) -> None:
     """Write a task's rows, unless its group has failed before."""
     group = task.group
     if group.failure:
         future.cancel()
         return
-    answer = future.result()
+    version, answer = future.result()
+    if version != code_version():
+        raise SweepError(f"a worker has code version {version}, this is {code_version()}")
     if isinstance(answer, str):
         group.failure = answer
         return
     for point, measured in zip(task.points, answer, strict=True):
-        group.done[point.task, task.first] = results.add(point, measured)
+        done = group.done.setdefault((point.task, task.first // batch), [])
+        done.append(results.add(point, measured))

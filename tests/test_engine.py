@@ -87,7 +87,6 @@ def by_hand(scenario: Scenario, law: ControlLaw, seed: int, run: int, steps: int
         runs=range(run, run + 1),
         coin=np.array(picked, dtype=np.int8)[:, None],
         symbol=np.array(symbols, dtype=np.int8)[:, None],
-        nearest=gauges.argmin(axis=1).astype(np.int8)[:, None],
         largest=gauges.max(axis=1)[:, None],
         state_cost=np.array([(x_array[1:] ** 2).sum()]),
         input_effort=np.array([(inputs**2).sum()]),
@@ -99,7 +98,7 @@ def by_hand(scenario: Scenario, law: ControlLaw, seed: int, run: int, steps: int
 
 def assert_same(ours: Runs, place: int, theirs: Runs, tolerance: float = 0.0) -> None:
     """Run ``place`` of ``ours`` is the only one of ``theirs``."""
-    for name in ("coin", "symbol", "nearest"):
+    for name in ("coin", "symbol"):
         assert (getattr(ours, name)[:, place] == getattr(theirs, name)[:, 0]).all(), name
     for name in ("x", "candidates", "gauges", "largest"):
         a, b = getattr(ours, name)[..., place], getattr(theirs, name)[..., 0]
@@ -281,14 +280,12 @@ def test_a_state_outside_every_set_ends_the_simulation_with_its_step() -> None:
 
 def made_up(symbol: list[int], largest: list[float], coin: list[int]) -> Runs:
     scenario, _ = system("sustained")
-    one = np.array(symbol, dtype=np.int8)[:, None]
     return Runs(
         scenario=scenario,
         seed=6,
         runs=range(1),
         coin=np.array(coin, dtype=np.int8)[:, None],
-        symbol=one,
-        nearest=one,
+        symbol=np.array(symbol, dtype=np.int8)[:, None],
         largest=np.array(largest)[:, None],
         state_cost=np.zeros(1),
         input_effort=np.zeros(1),
@@ -342,7 +339,6 @@ def test_counts_and_transfer_are_those_of_the_two_tables(
     assert link.agreements[0, 0] == agreements
     assert link.message_symbols[0, 0] == p
     assert link.mistaken[0, 0] == mistaken
-    assert link.nearest[0, 0] == agreements
     t = transfer(runs, alpha, symbols=message)
     assert t.cipher[:, 0].tolist() == ciphers
     assert t.s[:, 0].tolist() == states
@@ -384,7 +380,6 @@ def test_controls_alpha_one_agrees_nothing_and_no_key_is_mistaken() -> None:
     assert link.agreements[0].sum() == 0
     assert link.agreements[1].sum() > 1000
     assert link.mistaken.sum() == 0
-    assert (link.nearest == link.agreements).all()
     assert (link.message_symbols <= 100).all()
 
 

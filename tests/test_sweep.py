@@ -14,9 +14,18 @@ from typing import Any
 
 import pytest
 
-from experiments.grid import Sweep, SweepError, code_version, groups_of, load_sweep, points_of
+from experiments.grid import (
+    SOURCES,
+    Sweep,
+    SweepError,
+    code_version,
+    groups_of,
+    load_sweep,
+    points_of,
+)
 from experiments.results import Results, histogram_of, read_rows, summarise
-from experiments.sweep import SerialExecutor, looks, run_sweep
+from experiments.studies import TAP_SOURCES
+from experiments.sweep import SerialExecutor, looks, run_sweep, run_task
 from wyner.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -107,7 +116,10 @@ def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path
         (("[1.0, 3.0, 8.0]", "[]"), "grid.secrecy.alpha"),
         (("[1.0, 3.0, 8.0]", "[3, 3.0]"), "stands there twice"),
         (('"secrecy.alpha"', '"secrecy.beta"'), "secrecy.beta: got 1.0, extra inputs"),
-        (('"secrecy.alpha"', '"name.x"'), "name.x: expected the path of a scenario's field"),
+        (('"secrecy.alpha"', '"control.law.x"'), "law.x: expected the path of a scenario's field"),
+        (('"secrecy.alpha"', '"link.repeats_per_period"'), "repeats_per_period: changes none of"),
+        (('"secrecy.alpha"', '"name"'), "grid: name: changes none of the numbers"),
+        (('"sustained"', "[]"), "scenario: got none, expected at least one"),
         (('"sustained"', '"nowhere"'), "nowhere: cannot be read"),
         (("[grid]", "[grid"), "not TOML"),
     ],
@@ -121,6 +133,20 @@ def test_a_bad_file_gets_one_line_a_field_and_exit_2(
     assert line in error
     assert all(text.startswith("wyner: ") for text in error.splitlines())
     assert not (tmp_path / "x.csv").exists()
+
+
+def test_one_scenario_in_two_spellings_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = ROOT / "scenarios" / "sustained.toml"
+    text = TEXT.replace('"sustained"', f'["sustained", "{other}"]')
+    text = text.replace("[1.0, 3.0, 8.0]", "[3.0]").replace(", [4.0, -2.0]]", "]")
+    assert main(["sweep", str(small(tmp_path, text=text)), "--output", str(tmp_path / "x")]) == 2
+    fields = '{"plant.initial_state":[1.0,-0.5],"secrecy.alpha":3.0}'
+    first = f"small: sustained: {fields}"
+    assert capsys.readouterr().err == (
+        f"wyner: small: {other}: {fields}: stands there twice, first as {first}\n"
+    )
 
 
 def test_every_shipped_sweep_can_be_read() -> None:
@@ -145,6 +171,23 @@ def test_rows_add_up_to_the_same_whatever_the_batch(tmp_path: Path) -> None:
         assert a.rate == b.rate
         for name in a.sums:
             assert a.sums[name] == pytest.approx(b.sums[name], rel=1e-12)
+
+
+def test_a_run_that_stands_there_twice_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    rows = rows_of(path, output)
+    with pytest.raises(SweepError, match=r"^sustained, \w+: run 0 stands there twice$"):
+        summarise([*rows, rows[0]])
+    with pytest.raises(SweepError, match="run 5 stands there twice"):
+        summarise([*rows, rows[0] | {"first_run": 5, "runs": 1}])
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join([*lines, lines[1]]))
+    before = output.read_bytes()
+    assert main(["sweep", str(path), "--resume", "--output", str(output)]) == 2
+    assert f"{output}: sustained, " in capsys.readouterr().err
+    assert output.read_bytes() == before
 
 
 def test_counts_of_a_row_fit_together(tmp_path: Path) -> None:
@@ -216,14 +259,67 @@ def test_a_point_that_cannot_be_simulated_is_told_and_the_others_go_on(
     assert "outside T_250" in error
 
 
+def of_another_version(*arguments: Any) -> Any:
+    return "0.0.9+cafecafe", run_task(*arguments)[1]
+
+
+def test_a_worker_with_other_code_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("experiments.sweep.run_task", of_another_version)
+    output = tmp_path / "a.csv"
+    assert main(["sweep", str(small(tmp_path)), "--jobs", "1", "--output", str(output)]) == 1
+    assert capsys.readouterr().err == (
+        f"wyner: a worker has code version 0.0.9+cafecafe, this is {code_version()}\n"
+    )
+    assert output.read_bytes().count(b"\n") == 1, "the header alone"
+
+
+def imported(statement: str) -> set[Path]:
+    code = f"import sys; {statement}; print(*(getattr(m, '__file__', '') for m in " + (
+        "list(sys.modules.values())), sep='\\n')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    packages = ("experiments", "controller_service", "plant_service", "protocol", "tap_service")
+    return {
+        path
+        for line in done.stdout.splitlines()
+        if (path := Path(line)).is_relative_to(ROOT)
+        and path.relative_to(ROOT).parts[0] in packages
+        and path.name != "__init__.py"
+    }
+
+
+@pytest.mark.parametrize(
+    ("statement", "sources", "others"),
+    [
+        ("import experiments.sweep", SOURCES, {"protocol/knowledge.py"}),
+        (
+            "import experiments.engine.taps, tap_service.eavesdroppers as e; "
+            "e.named('nearest-centre'), e.named('list-decoder')",
+            (*SOURCES, *TAP_SOURCES),
+            set(),
+        ),
+    ],
+)
+def test_the_version_covers_what_the_numbers_come_from(
+    statement: str, sources: tuple[str, ...], others: set[str]
+) -> None:
+    # These say which runs there are and what they add up to; a task does not use them.
+    others = others | {f"experiments/{name}.py" for name in ("grid", "results", "statistics")}
+    covered = {path for pattern in sources for path in ROOT.glob(pattern)}
+    assert imported(statement) - covered <= {ROOT / name for name in others}
+    assert all(list(ROOT.glob(pattern)) for pattern in sources)
+
+
 # --- the stopping rule ---------------------------------------------------------------------------
 
 
 def test_looks_double_up_to_the_limit() -> None:
     base = {"name": "a", "scenario": "sustained", "runs": 20, "steps": 5, "seed": 1, "batch": 10}
-    assert list(looks(Sweep.model_validate(base))) == [2]
+    assert list(looks(Sweep.model_validate(base))) == [20]
     stop = {"stop": {"relative_width": 0.1, "max_runs": 105}}
-    assert list(looks(Sweep.model_validate(base | stop))) == [2, 4, 8, 11]
+    assert list(looks(Sweep.model_validate(base | stop))) == [20, 40, 80, 105]
 
 
 def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:
@@ -240,6 +336,26 @@ def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Pat
     assert {
         s.runs for s in summarise(rows_of(small(tmp_path, extra, never), tmp_path / "b.csv"))
     } == {75}
+
+
+def test_the_first_look_is_after_the_runs_whatever_the_batch(tmp_path: Path) -> None:
+    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 2000\n"
+    text = TEXT.replace("batch = 10\n", "").replace("[1.0, 3.0, 8.0]", "[8.0]")
+    summaries = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
+    assert [s.runs for s in summaries] == [30, 30]
+    assert max(s.rate.relative_width for s in summaries) <= 0.5
+
+
+def test_an_interval_without_a_width_stops_nothing(tmp_path: Path) -> None:
+    # From (1, -0.5) under the law paper nearly every run carries one symbol.
+    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 60\n"
+    text = TEXT.replace('"sustained"', '"paper"').replace("[1.0, 3.0, 8.0]", "[8.0]")
+    text = text.replace(", [4.0, -2.0]]", "]").replace("runs = 30", "runs = 3")
+    rows = rows_of(small(tmp_path, extra, text), tmp_path / "a.csv")
+    assert histogram_of(rows[0]["runs_by_symbols"]) == {1: 3}
+    (summary,) = summarise(rows)
+    assert summary.runs == 60 or len(summary.histogram) > 1
+    assert summary.runs > 3
 
 
 # --- stopping and going on -----------------------------------------------------------------------
@@ -272,6 +388,74 @@ def test_more_runs_are_added_to_those_that_are_there(tmp_path: Path) -> None:
     assert sorted(map(str, more)) == sorted(map(str, fresh))
 
 
+@pytest.mark.parametrize(("before", "after", "batch"), [(25, 50, "batch = 10\n"), (100, 500, "")])
+def test_a_short_batch_is_completed(tmp_path: Path, before: int, after: int, batch: str) -> None:
+    text = TEXT.replace("batch = 10\n", batch)
+
+    def rows(runs: int, name: str, resume: bool = False) -> Any:
+        path = small(tmp_path, text=text.replace("runs = 30", f"runs = {runs}"))
+        return rows_of(path, tmp_path / name, resume=resume)
+
+    few = rows(before, "a.csv")
+    more = summarise(rows(after, "a.csv", resume=True))
+    assert {s.runs for s in summarise(few)} == {before}
+    for s, whole in zip(more, summarise(rows(after, "b.csv")), strict=True):
+        assert s.runs == whole.runs == after
+        assert (s.counts, s.histogram, s.rate) == (whole.counts, whole.histogram, whole.rate)
+        for name in s.sums:
+            assert s.sums[name] == pytest.approx(whole.sums[name], rel=1e-12)
+    kept = (tmp_path / "a.csv").read_bytes()
+    rows(after, "a.csv", resume=True)
+    assert (tmp_path / "a.csv").read_bytes() == kept
+
+
+def test_what_was_lost_from_the_middle_is_run_again(tmp_path: Path) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    whole = rows_of(path, output)
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join(lines[:4] + lines[6:]))
+    again = rows_of(path, output, resume=True)
+    assert sorted(map(str, again)) == sorted(map(str, whole))
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"my notes, without a line's end", "its columns are not this sweep's"),
+        (b"a,b\n1,2\n3", "its columns are not this sweep's"),
+        (b"\x89PNG\xff\xfe", "its columns are not this sweep's"),
+        (b"HEADER\n\xff\xfe\n", "is not CSV text"),
+        (b"HEADER\na,b\ntorn", "line 2: expected as many cells as the header has"),
+    ],
+)
+def test_a_file_that_is_no_sweeps_is_left_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, line: str
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    rows_of(path, output)
+    header = output.read_bytes().splitlines()[0]
+    output.write_bytes(content.replace(b"HEADER", header))
+    assert main(["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output)]) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"wyner: {output}: {line}")
+    assert output.read_bytes() == content.replace(b"HEADER", header)
+
+
+def test_one_process_writes_a_file_at_a_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    sweep = load_sweep(path)
+    results = Results(output, list(sweep.grid), resume=False)
+    before = output.read_bytes()
+    arguments = ["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output)]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == f"wyner: {output}: another process is writing it\n"
+    assert output.read_bytes() == before
+    results.close()
+    assert main(arguments) == 0
+
+
 def test_a_file_in_the_way_is_never_spoilt(tmp_path: Path) -> None:
     path = small(tmp_path)
     output = tmp_path / "a.csv"
@@ -290,6 +474,11 @@ def test_a_file_in_the_way_is_never_spoilt(tmp_path: Path) -> None:
     output.write_bytes(before.replace(code_version().encode(), b"0.0.9+cafecafe"))
     with pytest.raises(SweepError, match=r"rows of code version 0\.0\.9\+cafecafe"):
         rows_of(small(tmp_path), output, resume=True)
+    torn = before.replace(code_version().encode(), b"0.0.9+cafecafe") + b"torn"
+    output.write_bytes(torn)
+    with pytest.raises(SweepError, match="rows of code version"):
+        rows_of(small(tmp_path), output, resume=True)
+    assert output.read_bytes() == torn
 
 
 LONG = (
@@ -352,6 +541,27 @@ def test_a_killed_sweep_goes_on_without_a_row_twice(tmp_path: Path) -> None:
     assert output.read_bytes().startswith(kept[: kept.rfind(b"\n") + 1])
 
 
+def living(session: int) -> list[str]:
+    """The processes of a session, but for those that have ended and wait to be collected."""
+    lines = subprocess.check_output(["ps", "-A", "-o", "sid=,pid=,stat="], text=True).splitlines()
+    found = (line.split() for line in lines)
+    return [pid for sid, pid, state in found if sid == str(session) and state[0] != "Z"]
+
+
+def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
+    process = started(tmp_path, tmp_path / "a.csv", "--jobs", "2")
+    assert len(living(process.pid)) >= 3
+    process.kill()
+    process.wait(timeout=30)
+    deadline = time.monotonic() + 30
+    while (left := living(process.pid)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    for pid in left:
+        os.kill(int(pid), signal.SIGKILL)
+    process.communicate(timeout=30)
+    assert not left
+
+
 # --- what a user sees ----------------------------------------------------------------------------
 
 
@@ -402,6 +612,35 @@ def test_quick_runs_few_of_each_into_a_file_of_its_own(
     assert result["output"] == "runs/sweeps/small-quick.csv"
     assert {p["runs"] for p in result["points"]} == {4}
     assert {r["steps"] for r in read_rows(tmp_path / result["output"])} == {12}
+
+
+def test_a_whole_table_on_the_grid_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TEXT.replace(
+        '"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy" = [{ alpha = 3.0 }, { alpha = 8.0 }]'
+    )
+    output = str(tmp_path / "a.csv")
+    path = str(small(tmp_path, text=text))
+    assert main(["sweep", path, "--jobs", "1", "--output", output, "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)["points"]
+    assert [p["fields"] for p in points[:2]] == [
+        {"plant.initial_state": [1.0, -0.5], "secrecy": {"alpha": alpha}} for alpha in (3.0, 8.0)
+    ]
+
+
+def test_only_the_sweeps_own_points_are_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "a.csv"
+    rows_of(small(tmp_path), output)
+    path = small(tmp_path, text=TEXT.replace("seed = 3", "seed = 4"))
+    arguments = ["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output), "--json"]
+    assert main(arguments) == 0
+    result = json.loads(capsys.readouterr().out)
+    ours = {p.task for p in points_of(load_sweep(path), tmp_path)}
+    assert {p["task"] for p in result["points"]} == ours
+    assert (len(result["points"]), result["new_rows"]) == (6, 18)
 
 
 def test_wrong_options_are_told_in_a_line(

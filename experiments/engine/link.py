@@ -31,15 +31,12 @@ class Link:
         Transitions in state 2, each with one message symbol.
     mistaken : int array
         Agreements on another symbol than the coin b_r; none while d is in D_c.
-    nearest : int array
-        Agreements on the candidate nearest to x(k+1): what the simplest tap gets right.
     """
 
     tested: Counts
     agreements: Counts
     message_symbols: Counts
     mistaken: Counts
-    nearest: Counts
 
 
 def agreed_transitions(runs: Runs, alphas: Sequence[float]) -> NDArray[np.bool_]:
@@ -60,14 +57,12 @@ def follow(runs: Runs, alphas: Sequence[float]) -> Link:
     """Count what the link did at each of ``alphas``, from one simulation."""
     agreed = agreed_transitions(runs, alphas)
     mistaken = (runs.symbol != runs.coin)[:, None, :]
-    nearest = (runs.symbol == runs.nearest)[:, None, :]
     messages = agreed[:-1].sum(axis=0, dtype=np.int64)
     return Link(
         tested=runs.steps - messages,
         agreements=agreed.sum(axis=0, dtype=np.int64),
         message_symbols=messages,
         mistaken=(agreed & mistaken).sum(axis=0, dtype=np.int64),
-        nearest=(agreed & nearest).sum(axis=0, dtype=np.int64),
     )
 
 

@@ -46,8 +46,6 @@ class Runs:
         b_r.
     symbol : int8 array, shape (steps, R)
         The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
-    nearest : int8 array, shape (steps, R)
-        The candidate with the smallest gauge, the first among equals.
     largest : array, shape (steps, R)
         The largest gauge: a transition is in Diff at alpha when ``symbol`` is not -1 and this is at
         most alpha.
@@ -64,7 +62,6 @@ class Runs:
     runs: range
     coin: Symbols
     symbol: Symbols
-    nearest: Symbols
     largest: Array
     state_cost: Array
     input_effort: Array
@@ -165,19 +162,17 @@ class _Loop:
             np.divide(self.ratio, bound, out=self.ratio)
             np.maximum(out, self.ratio, out=out)
 
-    def verdict(self, symbol: Symbols, nearest: Symbols, largest: Array) -> None:
+    def verdict(self, symbol: Symbols, largest: Array) -> None:
         """The verdict's parts that do not depend on alpha."""
         g = self.gauges
         np.less_equal(g, INSIDE, out=self.inside)
         if self.M == 2:
             np.maximum(g[0], g[1], out=largest)
-            np.less(g[1], g[0], out=nearest.view(bool))
             # One inside only: its index is the second's flag; otherwise -1.
             np.copyto(symbol, self.inside[1].view(np.int8))
             np.copyto(symbol, NO_SYMBOL, where=self.inside[0] == self.inside[1])
             return
         np.max(g, axis=0, out=largest)
-        nearest[:] = np.argmin(g, axis=0)
         symbol[:] = np.argmax(self.inside, axis=0)
         np.copyto(symbol, NO_SYMBOL, where=self.inside.sum(axis=0) != 1)
 
@@ -217,7 +212,6 @@ def simulate_runs(
     M, m, n = loop.M, loop.m, loop.n
     coin = np.empty((steps, R), dtype=np.int8)
     symbol = np.empty((steps, R), dtype=np.int8)
-    nearest = np.empty((steps, R), dtype=np.int8)
     largest = np.empty((steps, R))
     state_cost, input_effort = np.zeros(R), np.zeros(R)
     xs = np.empty((steps + 1, n, R)) if record else None
@@ -241,7 +235,7 @@ def simulate_runs(
             ) from None
         columns = [[np.ascontiguousarray(options[:, j, i]) for i in range(m)] for j in range(M)]
         loop.step(columns, coin[k], d[place])
-        loop.verdict(symbol[k], nearest[k], largest[k])
+        loop.verdict(symbol[k], largest[k])
         for i in range(n):
             np.multiply(loop.x[i], loop.x[i], out=loop.spare)
             np.add(state_cost, loop.spare, out=state_cost)
@@ -258,7 +252,6 @@ def simulate_runs(
         runs=runs,
         coin=coin,
         symbol=symbol,
-        nearest=nearest,
         largest=largest,
         state_cost=state_cost,
         input_effort=input_effort,

@@ -46,13 +46,17 @@ def draw(name: str, data: Path = DATA, output: Path = OUTPUT) -> tuple[Path, Pat
     Raises
     ------
     FigureError
-        When its data cannot be read.
+        When its data cannot be read or are not complete.
     """
     kind = FIGURES[name]
     output.mkdir(parents=True, exist_ok=True)
     svg, png = output / f"{name}.svg", output / f"{name}.png"
     with drawing(kind.size) as figure:
-        note = kind.draw(figure, data)
+        try:
+            note = kind.draw(figure, data)
+        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
+            files = " or ".join(str(data / f"{file}.csv") for file in kind.data)
+            raise FigureError(f"{files}: does not have what the figure shows") from error
         figure.supxlabel(note, fontsize=6.5, color="0.35")
         save(figure, svg)
         save(figure, png)

@@ -1,6 +1,5 @@
 """What the drawings share: the style, how a figure is written, and the rows of a data file."""
 
-import csv
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments.grid import Row
+from experiments.grid import Row, SweepError
+from experiments.results import read_table
 
 STYLE: Final[dict[str, Any]] = {
     "svg.hashsalt": "wyner",
@@ -42,10 +42,9 @@ class FigureError(Exception):
 def plain_rows(path: Path) -> Rows:
     """The rows of a data file that is no sweep's, with numbers as numbers."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return [{k: _number(v) for k, v in row.items()} for row in csv.DictReader(file)]
-    except OSError as error:
-        raise FigureError(f"{path}: cannot be read: {error.strerror}") from None
+        return [{k: _number(v) for k, v in row.items()} for row in read_table(path)]
+    except SweepError as error:
+        raise FigureError(str(error)) from None
 
 
 def _number(text: str) -> Any:

@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from protocol.runtime import DONE, FAILED, INTERRUPTED, Failure, UsageError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+    from multiprocessing.process import BaseProcess
 
     from experiments.results import Summary
     from experiments.sweep import Progress
@@ -48,9 +50,19 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.set_defaults(run=run)
 
 
-def _ignore_interrupts() -> None:
-    """A worker leaves Ctrl-C to the process that started it."""
+def _begin_worker() -> None:
+    """A worker leaves Ctrl-C to the process that started it, and ends when that one does."""
+    from multiprocessing import parent_process
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: "BaseProcess") -> None:
+    parent.join()
+    os._exit(FAILED)
 
 
 @contextmanager
@@ -70,7 +82,7 @@ def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor
     from concurrent.futures import ProcessPoolExecutor
 
     context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(jobs, mp_context=context, initializer=_ignore_interrupts)
+    executor = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
     try:
         yield executor
     except BaseException:
@@ -146,7 +158,7 @@ def _progress(name: str) -> "Iterator[Progress | None]":
 def run(args: argparse.Namespace) -> int:
     """Run the sweep."""
     from experiments.grid import SweepError, load_sweep, points_of
-    from experiments.results import Results, summarise
+    from experiments.results import Results, key_of, summarise
     from experiments.sweep import run_sweep
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
@@ -182,25 +194,31 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return INTERRUPTED
+    except SweepError as error:
+        raise Failure(str(error)) from None
     finally:
         results.close()
-    summaries = summarise(results.rows)
+    ours = {p.key for p in points}
+    summaries = summarise(row for row in results.rows if key_of(row) in ours)
+    grid, new = list(sweep.grid), len(results.rows) - before
     if args.json:
-        print(json.dumps(_as_object(sweep.name, output, len(results.rows) - before, summaries)))
+        print(json.dumps(_as_object(sweep.name, output, grid, new, summaries)))
     else:
-        print(_render(list(sweep.grid), summaries))
-        print(f"{len(results.rows)} rows in {output}, {len(results.rows) - before} of them new")
+        print(_render(grid, summaries))
+        print(f"{len(results.rows)} rows in {output}, {new} of them new")
     for line in failures:
         print(f"wyner: {line}", file=sys.stderr)
     return FAILED if failures else DONE
 
 
-def _as_object(name: str, output: Path, new: int, summaries: "list[Summary]") -> dict[str, Any]:
+def _as_object(
+    name: str, output: Path, grid: list[str], new: int, summaries: "list[Summary]"
+) -> dict[str, Any]:
     points = []
     for s in summaries:
         rate = s.rate
         fixed = {k: v for k, v in s.first.items() if k in ("task", "scenario", "variant")}
-        fields = {k: json.loads(v) for k, v in s.first.items() if "." in k}
+        fields = {field: json.loads(s.first[field]) for field in grid}
         points.append(
             {
                 **fixed,
