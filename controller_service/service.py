@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from controller_service.laws import ControlLaw
 from protocol.entropy import CIPHER, symbols
 from protocol.framing import MAX_PAYLOAD, frame_length, readable
+from protocol.inbox import Inbox
 from protocol.journal import CONTROLLER_JOURNAL, ControllerJournal, JournalError
 from protocol.keys import key_of
 from protocol.messages import (
@@ -38,12 +39,18 @@ from protocol.runtime import (
 )
 from protocol.scenario import Scenario
 from protocol.sender import Sender, SenderEffects
-from protocol.session import rules_of
+from protocol.session import SILENCE_S, rules_of
 from protocol.trace import CONTROLLER_TRACE, TraceWriter
 from protocol.transport import Bus
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""
+
+SILENT_PERIODS: Final = 3
+"""A plant counts as away after so many of its periods at least, however long they are."""
+
+INITIAL_ID: Final = "initial"
+"""Identifier of the message that a controller is started with; no command may take it."""
 
 LOOK_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
@@ -119,7 +126,9 @@ class ControllerService:
         self._status_due = Throttle(STATUS_S)
         self._health_due = Throttle(HEALTH_S)
         self._greeting_due = Throttle(GREETING_S)
-        self._queue: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self._plant_at = float("-inf")
+        self._running_s = max(SILENCE_S, SILENT_PERIODS * scenario.plant.period_s)
+        self._queue: Inbox[tuple[str, bytes]] = Inbox()
         loop = config.loop
         self._measurement_key = key_of(Measurement, loop)
         self._hello_key = key_of(PlantHello, loop)
@@ -131,7 +140,7 @@ class ControllerService:
         if self.sender.unsettled:
             self._settle()
         if config.message is not None:
-            self._enqueue("initial", config.message)
+            self._enqueue(INITIAL_ID, config.message)
         field.subscribe(self._measurement_key, self._arrived)
         ops.subscribe(self._hello_key, self._arrived)
         ops.subscribe(self._send_key, self._arrived)
@@ -173,7 +182,14 @@ class ControllerService:
             self._phase = "stopped"
             return DONE
         finally:
+            self._close()
+
+    def _close(self) -> None:
+        try:
             self._publish_status(force=True)
+        except OSError as error:
+            self._log.warning("the last status is lost: %s", error)
+        finally:
             self._trace.close()
             self._journal.close()
 
@@ -189,12 +205,14 @@ class ControllerService:
         except ValueError as error:
             self._garbage.add(f"{error}; ignored")
             return
+        if self.sender.plant is not None and measurement.session == self.sender.record.session:
+            self._plant_at = time.monotonic()
         if effects.append:
             self._answer(payload, effects)
         else:
             self._carry_out(effects)
         if effects.offer is not None:
-            self._phase = "running"
+            self._phase, self._detail = "running", ""
         elif effects.refusal:
             self._phase = "outside" if self.sender.record.session else "greeting"
 
@@ -205,8 +223,9 @@ class ControllerService:
         except ValidationError as error:
             self._garbage.add(f"hello: {error.error_count()} fields not as expected; ignored")
             return
-        effects = self.sender.heard_plant(hello)
-        reply = effects.reply
+        before = (self.sender.plant, self.sender.record.session)
+        running = time.monotonic() - self._plant_at < self._running_s
+        effects = self.sender.heard_plant(hello, running=running)
         if effects.save:
             self._trace.write(
                 {
@@ -216,15 +235,17 @@ class ControllerService:
                 }
             )
         self._carry_out(effects)
-        if reply is not None and reply.verdict == "other-model":
+        if self.sender.refused:
             self._phase = "refused"
             self._detail = (
                 f"the plant's model is {spoken(hello.fingerprint)}, "
                 f"this controller's is {spoken(self.sender.rules.fingerprint)}"
             )
             self._log.error("%s: the two ends must share one scenario", self._detail)
-        elif reply is not None and reply.verdict == "accepted":
-            self._phase = "running"
+        elif self.sender.plant is None:
+            self._phase = "greeting"
+        elif before != (self.sender.plant, self.sender.record.session):
+            self._phase, self._detail = "running", ""
             self._log.info("session %s taken up with plant %s", hello.session, hello.instance)
 
     def _answer(self, measurement: bytes, effects: SenderEffects) -> None:
@@ -280,21 +301,29 @@ class ControllerService:
         except ValidationError as error:
             self._garbage.add(f"command: {error.error_count()} fields not as expected; ignored")
             return
-        detail = ""
-        if len(command.payload) > MAX_PAYLOAD:
-            detail = f"message: got {len(command.payload)} bytes, expected at most {MAX_PAYLOAD}"
-        else:
+        size, queued = len(command.payload), self._journal.queued_as(command.id)
+        accepted, detail = False, ""
+        if command.id == INITIAL_ID:
+            detail = f"id: {INITIAL_ID!r} is the message that the controller is started with"
+        elif size > MAX_PAYLOAD:
+            detail = f"message: got {size} bytes, expected at most {MAX_PAYLOAD}"
+        elif queued is None:
             self._enqueue(command.id, command.payload)
+            accepted = True
+        elif queued == command.payload:
+            accepted, detail = True, "already queued"
+        else:
+            detail = f"id: {command.id!r} is another message's"
         reply = SendReply(
             id=command.id,
-            accepted=not detail,
+            accepted=accepted,
             queued=self._journal.queued - self.sender.record.message,
             detail=detail,
         )
         self._reply.put(reply.wire())
 
     def _enqueue(self, identifier: str, payload: bytes) -> None:
-        if not self._journal.knows(identifier):
+        if self._journal.queued_as(identifier) is None:
             # The step under way was decided without it: should it be counted again, then so too.
             self._journal.save(self.sender.record)
             # traced first: what is queued in the journal must not be missing from the trace
@@ -341,7 +370,7 @@ class ControllerService:
             session=record.session,
             k=record.k,
             set_index=set_index,
-            horizon=self._config.scenario.control.horizon,
+            horizon=self._config.law.design.horizon,
             transitions=record.transitions,
             agreements=record.agreements,
             garbage=self._garbage.total,

@@ -89,7 +89,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from plant_service.plant import Move, Plant, first_record
     from protocol.entropy import CIPHER, COIN, noise, symbols
     from protocol.journal import CONTROLLER_JOURNAL, PLANT_JOURNAL, ControllerJournal, PlantJournal
-    from protocol.messages import Measurement, Offer
+    from protocol.messages import ControllerHello, Measurement, Offer
     from protocol.runtime import new_id
     from protocol.sender import Sender
     from protocol.session import rules_of
@@ -121,9 +121,11 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
             "",
         )
         receiver = plant.receiver
-        reply = sender.heard_plant(receiver.hello()).reply
-        assert reply is not None
-        receiver.heard_controller(reply, new_id())
+        said: ControllerHello | None = sender.greeting()
+        while not receiver.accepted:
+            assert said is not None
+            receiver.heard_controller(said, new_id())
+            said = sender.heard_plant(receiver.hello()).reply
         sender_journal.save(sender.record)
         plant_journal.save(receiver.record)
         reported = receiver.measurement().wire()

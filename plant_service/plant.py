@@ -4,6 +4,7 @@ Time, files and networks are the shell's (:mod:`plant_service.service`); the sin
 simulation drives the same class.
 """
 
+from math import isfinite
 from operator import add
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from protocol.agreement import predict
 from protocol.entropy import Stream, SymbolSource
 from protocol.messages import Offer
 from protocol.receiver import Receiver, ReceiverEffects, ReceiverRecord
+from protocol.runtime import Failure
 from protocol.scenario import Scenario
 from protocol.session import rules_of
 
@@ -126,6 +128,15 @@ class Plant:
         return disturbance(self._plant.disturbance, k, self._noise.at(k))
 
     def _advance(self, record: ReceiverRecord, u: Vector, d: Vector) -> Vector:
-        """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component."""
+        """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component.
+
+        Raises
+        ------
+        Failure
+            When the state has grown beyond all numbers.
+        """
         plant = self._plant
-        return tuple(map(add, predict(plant.A, plant.B, record.x, u), d))
+        x_next = tuple(map(add, predict(plant.A, plant.B, record.x, u), d))
+        if not all(map(isfinite, x_next)):
+            raise Failure(f"the state is no longer finite at step {record.k + 1}")
+        return x_next

@@ -15,6 +15,7 @@ from plant_service.plant import Move, Plant, first_record
 from plant_service.status import News
 from protocol.entropy import COIN, noise, symbols
 from protocol.framing import readable
+from protocol.inbox import Inbox
 from protocol.journal import PLANT_JOURNAL, JournalError, PlantJournal
 from protocol.keys import key_of
 from protocol.messages import (
@@ -38,6 +39,7 @@ from protocol.runtime import (
     write_atomically,
 )
 from protocol.scenario import Scenario
+from protocol.session import SILENCE_S
 from protocol.trace import PLANT_TRACE, TraceWriter
 from protocol.transport import Bus
 
@@ -90,6 +92,7 @@ class PlantService:
         self._stopping = stopping
         self._log = logger("plant")
         self._garbage = Complaints(self._log)
+        self._strangers = Complaints(self._log)
         try:
             self._journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
             record = self._journal.load()
@@ -125,7 +128,9 @@ class PlantService:
         self._status_due = Throttle(STATUS_S)
         self._health_due = Throttle(HEALTH_S)
         self._hello_due = Throttle(HELLO_S)
-        self._queue: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self._answered_at = time.monotonic()
+        self._taken_up = ("", "")
+        self._queue: Inbox[tuple[str, bytes]] = Inbox()
         loop = config.loop
         self._offer_key = key_of(Offer, loop)
         self._measurement = field.publisher(key_of(Measurement, loop))
@@ -161,10 +166,17 @@ class PlantService:
         try:
             code = self._run()
         finally:
+            self._close()
+        return code
+
+    def _close(self) -> None:
+        try:
             self._publish_status(force=True)
+        except OSError as error:
+            self._log.warning("the last status is lost: %s", error)
+        finally:
             self._trace.close()
             self._journal.close()
-        return code
 
     def _run(self) -> int:
         receiver = self.plant.receiver
@@ -231,6 +243,8 @@ class PlantService:
         except ValueError as error:
             self._garbage.add(f"{error}; ignored")
             return
+        if what != "foreign":
+            self._answered_at = time.monotonic()
         record = receiver.record
         if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
             # Its step was missed. (An answer to a repeated measurement, whose step was made, is
@@ -312,8 +326,9 @@ class PlantService:
             self._garbage.add(f"hello: {error.error_count()} fields not as expected; ignored")
             return
         receiver = self.plant.receiver
-        was_accepted = receiver.accepted
         outcome = receiver.heard_controller(hello, new_id())
+        if hello.instance == receiver.controller:
+            self._answered_at = time.monotonic()
         if outcome == "refused":
             self._news.phase = "refused"
             self._news.detail = (
@@ -321,9 +336,22 @@ class PlantService:
                 f"this plant's is {spoken(receiver.rules.fingerprint)}"
             )
             self._log.error("%s: the two ends must share one scenario", self._news.detail)
-        elif outcome == "accepted" and not was_accepted:
+        elif outcome == "stranger":
+            self._strangers.add(
+                f"controller {hello.instance} has another model, "
+                f"{spoken(hello.fingerprint)}; ignored"
+            )
+        elif outcome == "rival":
+            self._strangers.add(
+                f"controller {hello.instance} speaks up while controller {receiver.controller} has "
+                f"the session: two controllers on loop {self._config.loop}?"
+            )
+        elif outcome == "accepted":
             self._news.phase = "running"
-            self._log.info("controller %s took up session %s", hello.instance, hello.session)
+            taken_up = (hello.instance, receiver.record.session)
+            if taken_up != self._taken_up:
+                self._taken_up = taken_up
+                self._log.info("controller %s took up session %s", *taken_up)
         elif outcome == "ended":
             self._news.phase = "greeting"
             self._trace.write(
@@ -335,7 +363,10 @@ class PlantService:
             )
             self._journal.save(receiver.record, drop_chunks=True)
             self._log.warning("session ended; new session %s", receiver.record.session)
-        if outcome in ("greet", "ended"):
+        elif outcome == "greet":
+            self._journal.save(receiver.record)
+        greeted = outcome == "stranger" and hello.verdict == "greeting"
+        if outcome in ("greet", "ended", "rival") or greeted:
             self._say_hello()
 
     def _say_hello(self) -> None:
@@ -344,7 +375,13 @@ class PlantService:
     # --- telling ----------------------------------------------------------------------------------
 
     def _housekeeping(self, now: float) -> None:
-        if not self.plant.receiver.accepted and self._hello_due.ready(now):
+        receiver = self.plant.receiver
+        if self._pacing.waiting:
+            self._answered_at = now
+        silent = now - self._answered_at >= SILENCE_S
+        if silent:
+            receiver.look_around()
+        if (silent or not receiver.accepted) and self._hello_due.ready(now):
             self._say_hello()
         if self._status_due.ready(now):
             self._publish_status()

@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from math import isfinite
 from typing import Final, Literal
 
 from plant_service.plant import Step
@@ -9,6 +10,7 @@ from protocol.framing import readable
 from protocol.messages import PlantStatus
 from protocol.receiver import Receiver
 from protocol.scenario import Scenario
+from protocol.session import Transition
 
 TAIL: Final = 64
 """Transitions shown in a status."""
@@ -49,7 +51,7 @@ class News:
         self._seq += 1
         H, h = scenario.defender.disturbance.rows()
         tail = [step.effects.transition for step in self.tail if step.effects is not None]
-        pictured = next((t for t in reversed(tail) if t.role == "test"), None)
+        pictured = next((t for t in reversed(tail) if _can_be_drawn(t)), None)
         return PlantStatus(
             seq=self._seq,
             t_ns=time.time_ns(),
@@ -96,3 +98,8 @@ class News:
             tail_symbol=tuple(t.symbol for t in tail),
             tail_coin=tuple(step.coin for step in self.tail if step.coin is not None),
         )
+
+
+def _can_be_drawn(t: Transition) -> bool:
+    """A message holds finite numbers only; gauges of huge states are not."""
+    return t.role == "test" and all(map(isfinite, t.verdict.gauges))

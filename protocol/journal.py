@@ -10,7 +10,7 @@ fit together and the session ends, as rule 6 says. A journal is held by one proc
 """
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
@@ -20,6 +20,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import Measurement, Offer
 from protocol.receiver import ReceiverRecord
+from protocol.runtime import Failure
 from protocol.sender import SenderRecord
 
 JOURNAL_VERSION: Final = 4
@@ -33,7 +34,7 @@ _N = TypeVar("_N", bound=BaseModel)
 _SAVE: Final = "INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?, ?)"
 
 
-class JournalError(Exception):
+class JournalError(Failure):
     """A journal that cannot be used; the text names the file and what is wrong with it."""
 
 
@@ -108,8 +109,14 @@ class _Journal:
                 raise JournalError(f"{self.path}: {name}: got {row[0]!r}, expected {value!r}")
         db.execute("COMMIT")
 
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        try:
+            return self._db.execute(statement, values)
+        except sqlite3.Error as error:
+            raise JournalError(f"{self.path}: {error}") from None
+
     def _load(self) -> Any:
-        row = self._db.execute("SELECT body FROM record WHERE id = 0").fetchone()
+        row = self._execute("SELECT body FROM record WHERE id = 0").fetchone()
         if row is None:
             return None
         self._body = bytes(row[0])
@@ -117,7 +124,7 @@ class _Journal:
             return self.adapter.validate_json(row[0])
 
     def _step(self, heard: type[_M], said: type[_N]) -> tuple[_M, _N, int] | None:
-        row = self._db.execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
+        row = self._execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
         if row is None or row[0] is None:
             return None
         with self._readable():
@@ -138,7 +145,7 @@ class _Journal:
 
     def _append(self, heard: bytes, said: bytes, coin: int) -> None:
         assert self._body is not None, "the step before has not been counted"
-        self._db.execute(_SAVE, (self._body, heard, said, coin))
+        self._execute(_SAVE, (self._body, heard, said, coin))
         self._body = None
 
     def close(self) -> None:
@@ -164,7 +171,7 @@ class ControllerJournal(_Journal):
 
     def __init__(self, path: Path, scenario: str) -> None:
         super().__init__(path, scenario)
-        row = self._db.execute("SELECT COUNT(*) FROM outbox").fetchone()
+        row = self._execute("SELECT COUNT(*) FROM outbox").fetchone()
         self.queued: int = row[0]
 
     def load(self) -> SenderRecord | None:
@@ -191,7 +198,7 @@ class ControllerJournal(_Journal):
 
     def save(self, record: SenderRecord) -> None:
         """Keep ``record``; on return it survives the death of this process."""
-        self._db.execute(_SAVE, (self._stage(record), None, None, None))
+        self._execute(_SAVE, (self._stage(record), None, None, None))
 
     def stage(self, record: SenderRecord) -> None:
         """``record`` is what :meth:`append` will build on; nothing is written yet."""
@@ -207,28 +214,28 @@ class ControllerJournal(_Journal):
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
-        cursor = self._db.execute(
+        cursor = self._execute(
             "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?)", (self.queued, identifier, payload)
         )
         added = cursor.rowcount == 1
         self.queued += added
         return added
 
-    def knows(self, identifier: str) -> bool:
-        """Whether a message of this identifier was ever queued."""
-        row = self._db.execute("SELECT 1 FROM outbox WHERE id = ?", (identifier,)).fetchone()
-        return row is not None
+    def queued_as(self, identifier: str) -> bytes | None:
+        """The message that was ever queued under this identifier, or None."""
+        row = self._execute("SELECT payload FROM outbox WHERE id = ?", (identifier,)).fetchone()
+        return None if row is None else bytes(row[0])
 
     def payload(self, number: int) -> bytes | None:
         """Message ``number``, or None while it is not queued."""
         if number >= self.queued:
             return None
-        row = self._db.execute("SELECT payload FROM outbox WHERE number = ?", (number,)).fetchone()
+        row = self._execute("SELECT payload FROM outbox WHERE number = ?", (number,)).fetchone()
         return bytes(row[0])
 
     def identifier(self, number: int) -> str:
         """Identifier of the queued message ``number``."""
-        row = self._db.execute("SELECT id FROM outbox WHERE number = ?", (number,)).fetchone()
+        row = self._execute("SELECT id FROM outbox WHERE number = ?", (number,)).fetchone()
         return str(row[0])
 
 
@@ -266,12 +273,12 @@ class PlantJournal(_Journal):
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
-        rows = self._db.execute("SELECT symbols FROM chunk ORDER BY place")
+        rows = self._execute("SELECT symbols FROM chunk ORDER BY place")
         return "".join(symbols for (symbols,) in rows)
 
     def inbox(self, last: int = 100) -> list[bytes]:
         """The last messages received, oldest first."""
-        rows = self._db.execute(
+        rows = self._execute(
             "SELECT payload FROM inbox ORDER BY number DESC LIMIT ?", (last,)
         ).fetchall()
         return [bytes(payload) for (payload,) in reversed(rows)]
@@ -298,17 +305,17 @@ class PlantJournal(_Journal):
         """
         row = (self._stage(record), None, None, None)
         if not chunk and not drop_chunks and received is None:
-            self._db.execute(_SAVE, row)
+            self._execute(_SAVE, row)
             return
-        self._db.execute("BEGIN IMMEDIATE")
-        self._db.execute(_SAVE, row)
+        self._execute("BEGIN IMMEDIATE")
+        self._execute(_SAVE, row)
         if drop_chunks:
-            self._db.execute("DELETE FROM chunk")
+            self._execute("DELETE FROM chunk")
         if chunk:
-            self._db.execute("INSERT INTO chunk (symbols) VALUES (?)", (chunk,))
+            self._execute("INSERT INTO chunk (symbols) VALUES (?)", (chunk,))
         if received is not None:
-            self._db.execute("INSERT INTO inbox (payload) VALUES (?)", (received,))
-        self._db.execute("COMMIT")
+            self._execute("INSERT INTO inbox (payload) VALUES (?)", (received,))
+        self._execute("COMMIT")
 
     def stage(self, record: ReceiverRecord) -> None:
         """``record`` is what :meth:`append` will build on; nothing is written yet."""

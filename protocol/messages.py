@@ -16,6 +16,7 @@ SCHEMA: Final = 1
 
 Vector = tuple[FiniteFloat, ...]
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 Count = Annotated[int, Field(ge=0)]
 
@@ -65,22 +66,30 @@ class Offer(Message):
 
 
 class PlantHello(Message):
-    """The plant asks the controller to take up ``session``; repeated until it is answered."""
+    """The plant asks ``controller`` to take up ``session``; repeated until it is answered.
+
+    With None it looks for a controller: whoever greets is asked next. All others learn from it that
+    the session is not theirs.
+    """
 
     topic: ClassVar[str] = "ops/plant/hello"
     instance: SessionId
     session: SessionId
-    fingerprint: str
+    controller: SessionId | None = None
+    fingerprint: Fingerprint
     transitions: Count
     applied_k: Annotated[int, Field(ge=-1)]
 
 
 class ControllerHello(Message):
-    """The controller's answer to a plant's hello, or (``greeting``) its word after a start."""
+    """The controller's answer to a plant's hello, or (``greeting``) its word after a start.
+
+    A greeting names the session that the controller's journal holds, an answer the one asked for.
+    """
 
     topic: ClassVar[str] = "ops/controller/hello"
     instance: SessionId
-    fingerprint: str
+    fingerprint: Fingerprint
     verdict: Literal["greeting", "accepted", "unknown-session", "other-model"]
     session: SessionId | None = None
     answers: SessionId | None = None

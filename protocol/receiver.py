@@ -20,7 +20,8 @@ class ReceiverRecord(NamedTuple):
     ``applied_k`` and ``x_after`` report the last applied offer and the state right after it;
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
     the frame under way, a hexadecimal digit each. Counters run over all sessions but
-    ``transitions`` and ``p``, which begin with the session.
+    ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
+    asked last to take the session up.
     """
 
     session: str
@@ -40,6 +41,7 @@ class ReceiverRecord(NamedTuple):
     missed: int = 0
     messages: int = 0
     frames_refused: int = 0
+    controller: str = ""
 
     @property
     def state(self) -> State:
@@ -61,11 +63,10 @@ class ReceiverEffects(NamedTuple):
 
 @dataclass(slots=True)
 class _Acquaintance:
-    """Which controller process has accepted which session, if any."""
+    """Which controller process was asked in this life, and what it has said."""
 
     controller: str | None = None
     accepted: bool = False
-    refused: bool = False
 
 
 class Receiver:
@@ -92,50 +93,89 @@ class Receiver:
         for digit in chunks + record.partial:
             self.deframer.push(int(digit, 16))
         self._met = _Acquaintance()
+        self._anyone = not record.transitions
+        self._known = record.transitions > 0 or record.sessions > 1
+        self._refused = False
 
     @property
     def accepted(self) -> bool:
-        """Whether a controller has accepted this session in this process's life."""
+        """Whether the controller asked has accepted this session in this process's life."""
         return self._met.accepted
 
     @property
     def refused(self) -> bool:
-        """Whether the controller shares another model: there is nothing to go on with."""
-        return self._met.refused
+        """Whether the only controller shares another model: there is nothing to go on with."""
+        return self._refused
+
+    @property
+    def controller(self) -> str | None:
+        """The controller process that was asked last in this process's life, if any."""
+        return self._met.controller
 
     def hello(self) -> PlantHello:
-        """Ask the controller to take up this session."""
+        """Ask the controller to take up this session, or look for one."""
         return PlantHello(
             instance=self.instance,
             session=self.record.session,
+            controller=None if self._anyone else self._met.controller,
             fingerprint=self.rules.fingerprint,
             transitions=self.record.transitions,
             applied_k=self.record.applied_k,
         )
 
+    def look_around(self) -> None:
+        """The controller has been silent for long: from here on any other will do."""
+        self._anyone = True
+
     def heard_controller(
         self, hello: ControllerHello, new_session: str
-    ) -> Literal["nothing", "greet", "accepted", "ended", "refused"]:
+    ) -> Literal["nothing", "greet", "accepted", "ended", "stranger", "rival", "refused"]:
         """The controller spoke on ops; says what the shell must do next.
 
-        ``greet``: answer with :meth:`hello`. ``ended``: a new session, ``new_session``, has begun;
-        save it, drop the journal's partial frame, and greet. ``refused``: the models differ.
+        ``greet``: save the record and answer with :meth:`hello`. ``ended``: a new session,
+        ``new_session``, has begun; drop the journal's partial frame as well. ``rival``: a second
+        controller; answer, so that it learns whose the session is. ``stranger``: a controller of
+        another model beside the one known, answer a greeting of it. ``refused``: the models differ.
         """
+        record = self.record
         if hello.fingerprint != self.rules.fingerprint:
-            self._met = _Acquaintance(hello.instance, refused=True)
+            if self._known:
+                return "stranger"
+            self._refused = True
             return "refused"
         if hello.verdict == "greeting":
-            if hello.instance != self._met.controller:
-                self._met = _Acquaintance(hello.instance)
-            return "greet"
-        if hello.answers != self.instance or hello.session != self.record.session:
+            return self._greeted(hello, new_session)
+        if hello.answers != self.instance or hello.session != record.session:
             return "nothing"
+        if hello.instance != self._met.controller:
+            return "rival"
+        self._anyone = False
         if hello.verdict == "accepted":
-            self._met = _Acquaintance(hello.instance, accepted=True)
+            self._met.accepted = self._known = True
             return "accepted"
         self._begin_session(new_session)
-        self._met = _Acquaintance(hello.instance)
+        self._met.accepted = False
         return "ended"
+
+    def _greeted(
+        self, hello: ControllerHello, new_session: str
+    ) -> Literal["nothing", "greet", "ended", "rival"]:
+        """A controller is there: ask it, unless the session is with another that may still live."""
+        record = self.record
+        asked = self._met.controller
+        returned = hello.session == record.session  # from the journal that the session was kept in
+        if not (hello.instance == asked or returned or self._anyone):
+            return "nothing" if asked is None else "rival"
+        self._anyone = False
+        if hello.instance == asked:
+            return "greet"
+        self._met = _Acquaintance(hello.instance)
+        taken = record.controller not in ("", hello.instance)
+        self.record = record._replace(controller=hello.instance)
+        if taken and not returned and not record.transitions:
+            self._begin_session(new_session)
+            return "ended"
+        return "greet"
 
     def measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it."""
@@ -168,7 +208,7 @@ class Receiver:
         Raises
         ------
         ValueError
-            When its shape is not the plant's: garbage.
+            When its shape is not the plant's, or a candidate is not admissible: garbage.
         """
         rules = self.rules
         if len(offer.candidates) != rules.size:
@@ -177,6 +217,8 @@ class Receiver:
             )
         if any(len(u) != rules.inputs for u in offer.candidates):
             raise ValueError(f"offer.candidates: expected {rules.inputs} inputs in each")
+        if not all(map(rules.admissible, offer.candidates)):
+            raise ValueError("offer.candidates: expected inputs in U")
         if offer.cipher >= rules.size:
             raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
         if offer.session != self.record.session:
@@ -189,6 +231,7 @@ class Receiver:
         The key is what the test returns, as for the controller; ``coin`` is only compared with it.
         """
         record = self.record
+        self._anyone = False
         before = record.state
         verdict = self.rules.agreement.verdict(record.x, offer.candidates, x_next)
         after, recovered = advance_receiver(before, verdict.symbol, offer.cipher, self.rules.size)

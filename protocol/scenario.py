@@ -281,6 +281,7 @@ class Scenario(Part):
                 "A": self.A,
                 "B": self.B,
                 "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "U": self.control.inputs.model_dump(exclude_none=True),
                 "alpha": self.secrecy.alpha,
                 "candidates": self.secrecy.candidates,
                 "period_s": self.plant.period_s,
@@ -408,7 +409,10 @@ def describe_errors(error: ValidationError, source: str) -> list[str]:
         if item["type"] == "value_error" and not path:
             lines += [f"{source}: {part}" for part in message.split("; ")]
             continue
-        value = json.dumps(item["input"], default=str)
+        try:
+            value = json.dumps(item["input"], default=str)
+        except ValueError:  # 0x... may be longer than Python writes out
+            value = "an endless number"
         shown = value if len(value) <= 60 else value[:57] + "..."
         got = "" if item["type"] == "missing" else f" got {shown},"
         lines.append(f"{source}: {path}:{got} {message[0].lower()}{message[1:]}")
@@ -421,7 +425,7 @@ def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
     Raises
     ------
     ScenarioError
-        With one line for each wrong field.
+        With one line for each wrong field; shapes are compared once every field by itself is right.
     """
     try:
         return Scenario.model_validate(data)
@@ -444,6 +448,6 @@ def load_scenario(path: str | Path) -> Scenario:
         raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
         raise ScenarioError([f"{path}: not TOML: {error}"]) from None
     return parse_scenario(data, str(path))

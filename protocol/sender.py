@@ -14,6 +14,15 @@ REMEMBERED_SESSIONS: Final = 16
 """Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
 
 
+LARGEST: Final = 1e150
+"""No number of a state is larger: sums and quotients of larger ones need not be finite."""
+
+STALE: Final = 64
+"""Measurements of steps gone by, without a newer one between, after which the plant is believed and
+not the journal: a newest step that the plant never made was answered. A network that reorders holds
+back fewer."""
+
+
 class Outbox(Protocol):
     """The queue of messages to deliver, in order, numbered from 0."""
 
@@ -137,35 +146,66 @@ class Sender:
         self._propose = propose
         self._outbox = outbox
         self._fresh = fresh
-        self._met = False
+        self._plant: str | None = None
+        self._elsewhere: str | None = None
+        self._refused = False
+        self._stale = 0
         self._frame: tuple[int, bytes] = (-1, b"")
         self._answer: Answer | None = None
         if step is not None:
             measurement, offer = step
             self._answer = Answer(measurement, self._count(measurement, offer.cipher), offer)
 
+    @property
+    def plant(self) -> str | None:
+        """The plant process whose session is taken up, if any."""
+        return self._plant
+
+    @property
+    def refused(self) -> bool:
+        """Whether the only plant there shares another model: there is nothing to go on with."""
+        return self._refused
+
     def greeting(self) -> ControllerHello:
         """The first word after a start: asks the plant to say which session it is in."""
         return self._hello("greeting")
 
-    def heard_plant(self, hello: PlantHello) -> SenderEffects:
-        """The plant asks to take up a session (rule 6)."""
+    def heard_plant(self, hello: PlantHello, *, running: bool = False) -> SenderEffects:
+        """The plant asks to take up a session (rule 6).
+
+        ``running`` says that the plant whose session is taken up was heard just now: another one
+        then has to wait.
+        """
         record = self.record
         if hello.fingerprint != self.rules.fingerprint:
-            self._met = False
+            self._refused = record.session is None and not record.ended
             return SenderEffects(
                 reply=self._hello("other-model", hello),
-                refusal="the plant shares another model",
+                refusal=f"plant {hello.instance} shares another model",
             )
-        if hello.session == record.session:
+        ours = hello.session == record.session
+        if running and not ours and self._plant not in (None, hello.instance):
+            return SenderEffects(
+                refusal=f"plant {hello.instance} speaks up while plant {self._plant} runs: "
+                "two plants on one loop?"
+            )
+        if ours and hello.instance == self._plant and hello.applied_k < record.applied_k:
+            return NOTHING  # it was overtaken
+        if hello.controller is None:
+            self._elsewhere = None
+            return SenderEffects(reply=self.greeting())
+        if hello.controller != self.instance:
+            return self._step_back(hello)
+        self._elsewhere = None
+        if ours:
             outstanding = record.offer.k if record.offer is not None else record.applied_k
             if hello.applied_k in (record.applied_k, outstanding):
-                self._met = True
+                self._plant = hello.instance
                 return SenderEffects(reply=self._hello("accepted", hello))
             return self._end_session(hello, "the journals do not fit together")
         if hello.transitions or hello.session in record.ended:
             return self._end_session(hello, "the plant is in a session this journal does not know")
-        self._adopt(hello.session)
+        self._adopt(hello)
         return SenderEffects(save=True, reply=self._hello("accepted", hello))
 
     def measured(self, measurement: Measurement) -> SenderEffects:
@@ -177,17 +217,26 @@ class Sender:
         Raises
         ------
         ValueError
-            When its vectors do not have the plant's dimension: garbage; nothing has changed.
+            When its vectors do not have the plant's dimension, or are too large to reckon with:
+            garbage; nothing has changed.
         """
         assert self._answer is None, "the answer before has not been settled"
         record = self.record
         n = self.rules.states
-        if len(measurement.x) != n or len(measurement.x_after) not in (0, n):
+        if len(measurement.x) != n:
             raise ValueError(f"measurement.x: got {len(measurement.x)} states, expected {n}")
-        if not self._met or measurement.session != record.session:
-            return SenderEffects(greet=True)
+        if len(measurement.x_after) not in (0, n):
+            raise ValueError(
+                f"measurement.x_after: got {len(measurement.x_after)} states, expected {n} or none"
+            )
+        if max(map(abs, measurement.x + measurement.x_after)) > LARGEST:
+            raise ValueError(f"measurement: got a state beyond {LARGEST:g}")
+        if self._plant is None or measurement.session != record.session:
+            return SenderEffects(greet=measurement.session != self._elsewhere)
         if measurement.k < record.k:
-            return NOTHING
+            self._stale += 1
+            return NOTHING if self._stale < STALE else self._diverged(measurement)
+        self._stale = 0
         offer = record.offer
         if offer is not None and measurement.k == offer.k:
             if measurement.applied_k == record.applied_k and measurement.x == record.x:
@@ -268,10 +317,6 @@ class Sender:
             delivered=counted.delivered,
         )
 
-    def progress(self) -> tuple[int, int]:
-        """Symbols of the frame under way that are decided, and the frame's length (0: no frame)."""
-        return self.record.offset, len(self._symbols(self.record.message))
-
     def _count(self, measurement: Measurement, decided: int | None = None) -> Counted | None:
         """Advance over the offer that ``measurement`` reports as applied; decide the next symbol.
 
@@ -320,17 +365,18 @@ class Sender:
             self._frame = (message, symbols)
         return symbols
 
-    def _adopt(self, session: str) -> None:
+    def _adopt(self, hello: PlantHello) -> None:
         """Begin a session; the frame under way starts again."""
         fresh = SenderRecord(
-            session=session,
+            session=hello.session,
             ended=self._ended_now(),
             message=self.record.message,
             k=-1,
         )
         first = self._decide(fresh.state, 0, fresh.message, 0)
         self.record = fresh._replace(cipher=first.cipher)
-        self._met = True
+        self._plant = hello.instance
+        self._stale = 0
 
     def _ended_now(self) -> tuple[str, ...]:
         if self.record.session is None:
@@ -339,7 +385,8 @@ class Sender:
 
     def _drop_session(self) -> bool:
         """Forget the session and its half-agreed key; False when there is none to forget."""
-        self._met = False
+        self._plant = None
+        self._stale = 0
         if self.record.session is None:
             return False
         self.record = SenderRecord(ended=self._ended_now(), message=self.record.message)
@@ -348,6 +395,22 @@ class Sender:
     def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:
         save = self._drop_session() if hello.session == self.record.session else False
         return SenderEffects(save=save, reply=self._hello("unknown-session", hello), refusal=why)
+
+    def _step_back(self, hello: PlantHello) -> SenderEffects:
+        """The plant asks another controller, or is with one: offer nothing in that session.
+
+        Who worked in that very session until now drops it: the other one has its journal.
+        """
+        overtaken = self._plant is not None and hello.session == self.record.session
+        if overtaken:
+            self._drop_session()
+        self._plant = None
+        self._elsewhere = hello.session
+        return SenderEffects(
+            save=overtaken,
+            refusal=f"plant {hello.instance} is with controller {hello.controller}, and not with "
+            f"this one, {self.instance}",
+        )
 
     def _diverged(self, measurement: Measurement) -> SenderEffects:
         """The plant reports what this journal rules out: one of the two went back in time."""
@@ -367,6 +430,6 @@ class Sender:
             instance=self.instance,
             fingerprint=self.rules.fingerprint,
             verdict=verdict,
-            session=hello.session if hello else None,
+            session=hello.session if hello else self.record.session,
             answers=hello.instance if hello else None,
         )

@@ -11,8 +11,10 @@ docs/protocol.md, numbered there and here:
    again, unchanged, in every offer until one of them has been applied.
 4. A missed step is no transition: it is never tested and moves no automaton.
 5. The plant takes an offer for its session and its current k only, once.
-6. A session has a random id made by the plant. A side whose journal is gone or does not fit makes
-   it end: the half-agreed key is dropped and the message starts again from its last whole frame.
+6. A session has a random id made by the plant, for the one controller that it asks to take it up;
+   another process may go on with it only from the journal that it was kept in. A side whose journal
+   is gone or does not fit makes it end: the half-agreed key is dropped and the message starts again
+   from its last whole frame.
 7. Messages are framed and queue up in order.
 
 What holds under every schedule: what the plant has recovered is a prefix of what was sent; both
@@ -20,12 +22,15 @@ automata agree on every transition both have counted; no key symbol serves two m
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
-from protocol.agreement import AgreementRule, Gauge, Verdict
+from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
 from protocol.scenario import Scenario
 
 Vector = tuple[float, ...]
+
+SILENCE_S: Final = 2.0
+"""Seconds after which a partner that does not answer counts as away, and another may come in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,8 @@ class Rules:
         n and m.
     fingerprint : str
         Compared over ops before the first step.
+    inputs_gauge : Gauge
+        The gauge of U, the admissible inputs.
     """
 
     agreement: AgreementRule
@@ -48,6 +55,11 @@ class Rules:
     states: int
     inputs: int
     fingerprint: str
+    inputs_gauge: Gauge
+
+    def admissible(self, u: Vector) -> bool:
+        """Whether ``u`` is in U, to rounding."""
+        return self.inputs_gauge(u) <= INSIDE
 
 
 def rules_of(scenario: Scenario) -> Rules:
@@ -64,6 +76,7 @@ def rules_of(scenario: Scenario) -> Rules:
         states=scenario.n,
         inputs=scenario.m,
         fingerprint=scenario.fingerprint(),
+        inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
     )
 
 

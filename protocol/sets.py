@@ -72,10 +72,6 @@ class Polytope:
         """How far ``v`` is outside, in the unit of ``h``; zero or less inside."""
         return float((self.H @ np.asarray(v, dtype=float) - self.h).max())
 
-    def contains(self, v: ArrayLike, tolerance: float = 0.0) -> bool:
-        """Whether H v <= h + tolerance."""
-        return self.excess(v) <= tolerance
-
 
 def cross(a: Array, b: Array) -> Array:
     """a_1 b_2 - a_2 b_1 over the last axis, by the difference b - a: accurate when b is near a."""

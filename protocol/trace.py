@@ -4,8 +4,10 @@ The first line is a header. A file whose writer was killed may end in a torn lin
 that line only, and says so.
 """
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -51,29 +53,40 @@ class TraceWriter:
         Its folder is made; an existing file is continued, on a fresh line.
     header : mapping
         Written first when the file is new, beside format, version and vantage point.
+
+    Raises
+    ------
+    OSError
+        Here and on writing, with the file's name, when it cannot be written whole.
     """
 
     def __init__(self, path: Path, vantage: str, header: Mapping[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh = not path.exists() or path.stat().st_size == 0
         torn = not fresh and not _ends_in_newline(path)
+        self._path = path
         self._file: BinaryIO = path.open("ab", buffering=0)
-        if torn:
-            self._file.write(b"\n")
-        if fresh:
-            self.write(
-                {
-                    "event": "header",
-                    "format": TRACE_FORMAT,
-                    "version": TRACE_VERSION,
-                    "vantage": vantage,
-                    **header,
-                }
-            )
+        told = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage, **header}
+        try:
+            if torn:
+                self._put(b"\n")
+            if fresh:
+                self.write({"event": "header", **told})
+        except OSError:
+            self.close()
+            raise
 
     def write(self, event: Mapping[str, Any]) -> None:
         """Append one event."""
-        self._file.write(to_json(event, inf_nan_mode="strings") + b"\n")
+        self._put(to_json(event, inf_nan_mode="strings") + b"\n")
+
+    def _put(self, line: bytes) -> None:
+        try:
+            written = self._file.write(line)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from None
+        if written < len(line):
+            raise OSError(ENOSPC, os.strerror(ENOSPC), str(self._path))
 
     def close(self) -> None:
         """Close the file; further writes fail."""

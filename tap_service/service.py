@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
+from protocol.inbox import Inbox
 from protocol.keys import DEFAULT_LOOP, key_of
 from protocol.knowledge import Knowledge
 from protocol.messages import Measurement, Offer, TapStatus
@@ -191,7 +192,7 @@ class TapService:
         self._ears = Ears(listeners, self._guesses)
         self._ear = Ear(config.view)
         self._transcript = Transcript()
-        self._queue: queue.SimpleQueue[tuple[str, bytes, int]] = queue.SimpleQueue()
+        self._queue: Inbox[tuple[str, bytes, int]] = Inbox()
         self._complaints = Complaints(self.log)
         self._types: dict[str, type[Measurement] | type[Offer]] = {
             key_of(kind, config.loop): kind for kind in (Measurement, Offer)
@@ -233,7 +234,7 @@ class TapService:
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         """Take one message from the transport; runs on its thread, so it only enqueues."""
-        if self._queue.qsize() < QUEUE_LENGTH:
+        if len(self._queue) < QUEUE_LENGTH:
             self._queue.put((key, payload, t_ns))
         else:
             self._overflow += 1
@@ -263,7 +264,7 @@ class TapService:
         """
         take = self._queue.get
         try:
-            item = take(timeout=wait_s)
+            item = take(wait_s)
         except queue.Empty:
             return
         until = time.monotonic() + STATUS_PERIOD_S
@@ -272,7 +273,7 @@ class TapService:
                 self._take(*item)
                 if time.monotonic() >= until:
                     break
-                item = take(block=False)
+                item = take(0.0)
         except queue.Empty:
             pass
         self._capture.flush()
@@ -302,14 +303,14 @@ class TapService:
         self._hear(message)
 
     def _hear(self, message: Measurement | Offer) -> None:
-        if self._queue.qsize() > BUSY_LENGTH:
+        if len(self._queue) > BUSY_LENGTH:
             self._unheard += 1
             return
         self._ears.feed(self._transcript.hear(message))
 
     def finish(self) -> None:
         """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""
-        while not self._queue.empty():
+        while self._queue:
             self.work(0.0)
         for seen_ns, seen in self._ear.rest():
             self._see(seen_ns, seen)
@@ -367,7 +368,7 @@ class TapService:
             belief = listener.belief()
             record = belief_record(self._ears.session, listener, belief, last=last)
             self._records[listener.name] = record
-            counts = self._counts() | {"behind": self._queue.qsize()}
+            counts = self._counts() | {"behind": len(self._queue)}
             statuses.append(status_of(listener, belief, counts))
         try:
             while self._pipe is not None and self._pipe.poll():

@@ -15,7 +15,7 @@ from controller_service.laws import ControlLaw, make_law
 from controller_service.synthesis import cached_design
 from plant_service.plant import Plant, first_record
 from protocol.entropy import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.receiver import Receiver, ReceiverRecord
 from protocol.scenario import Scenario, parse_scenario
 from protocol.sender import Sender, SenderRecord
@@ -180,19 +180,22 @@ class SmallRun:
 
     def _meet(self) -> None:
         """Hellos until the session is taken up, ending it where the journals do not fit."""
-        for _ in range(3):
+        self.receiver.look_around()
+        said: ControllerHello | None = self.sender.greeting()
+        for _ in range(4):
+            assert said is not None
+            new = f"{int(self.receiver.record.session, 16) + 1:016x}"
+            outcome = self.receiver.heard_controller(said, new)
+            if outcome == "accepted":
+                return
+            if outcome == "ended":
+                self._chunks = ""
+                self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
             effects = self.sender.heard_plant(self.receiver.hello())
             if effects.save:
                 session = self.sender.record.session
                 self._trace.write({"event": "session", "session": session, "reason": "met"})
-            assert effects.reply is not None
-            new = f"{int(self.receiver.record.session, 16) + 1:016x}"
-            outcome = self.receiver.heard_controller(effects.reply, new)
-            if outcome == "accepted":
-                return
-            assert outcome == "ended"
-            self._chunks = ""
-            self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
+            said = effects.reply
         raise AssertionError("the two ends did not meet")
 
     def _new_sender(self, record: SenderRecord | None) -> Sender:

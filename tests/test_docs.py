@@ -106,6 +106,17 @@ def test_the_protocol_document_names_every_clause_of_a_check() -> None:
     assert {clause.name for clause in CLAUSES} <= named
 
 
+def test_the_certificates_of_the_deployment_document_hold_what_it_connects_to() -> None:
+    text = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
+    text = text.partition("## Several machines")[2].replace("\\\n", " ")
+    names = dict(re.findall(r"--name (\w+)=(\S+)", text))
+    for service, arguments in re.findall(r"^wyner (\w+) (.*)$", text, re.MULTILINE):
+        for listened in re.findall(r"--listen \w+=tls/([^:]+):", arguments):
+            assert listened in names[service].split(","), (service, listened)
+    held = ",".join(names.values()).split(",")
+    assert set(re.findall(r"--connect \w+=tls/([^:]+):", text)) <= set(held)
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
 def test_documents_point_at_what_exists(path: Path) -> None:
     text = path.read_text(encoding="utf-8")

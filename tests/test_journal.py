@@ -93,6 +93,8 @@ def test_a_message_is_queued_once_and_in_order(tmp_path: Path) -> None:
         assert journal.identifier(1) == "b"
         assert journal.enqueue("c", b"third")
         assert journal.payload(2) == b"third"
+        assert journal.queued_as("a") == b"first"
+        assert journal.queued_as("d") is None
 
 
 # --- steps ----------------------------------------------------------------------------------------
@@ -298,3 +300,17 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             first = 50 * whole + 1
             chunks = sum(p % 7 == 0 for p in range(first, first + since))
             assert len(journal.chunks()) == chunks
+
+
+def test_a_journal_that_cannot_be_written_any_more_names_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    with PlantJournal(path, SCENARIO) as journal:
+        journal.save(RECEIVER)
+        journal._db.execute("PRAGMA query_only = 1")
+        with pytest.raises(JournalError) as error:
+            journal.append(b"{}", b"{}", 0)
+        one_line(error, path)
+        for chunk in ("", "01"):
+            with pytest.raises(JournalError) as error:
+                journal.save(RECEIVER, chunk=chunk)
+            one_line(error, path)

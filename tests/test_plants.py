@@ -21,6 +21,7 @@ from controller_service.synthesis import (
     synthesise,
 )
 from protocol.scenario import Scenario
+from protocol.session import rules_of
 from protocol.sets import Polytope, corners
 from wyner.loading import scenario_of
 
@@ -94,6 +95,7 @@ def check_loop(scenario: Scenario, design: Design, law: ControlLaw, steps: int) 
     """Adversarial steps from the sets' edges: the constraints hold and the index falls."""
     rng = np.random.default_rng(7)
     D = set_corners(scenario.defender.disturbance)
+    admissible = rules_of(scenario).admissible
     U = Polytope.from_rows(*scenario.control.inputs.rows())
     start = spread(design, max(40, steps // 12), 8)
     X, index = start, law.indices(start)
@@ -104,6 +106,7 @@ def check_loop(scenario: Scenario, design: Design, law: ControlLaw, steps: int) 
         for candidate in range(C.shape[1]):
             u = C[:, candidate]
             assert (u @ U.H.T <= U.h + 1e-9).all()
+            assert all(map(admissible, u[:100].tolist()))  # as the plant sees it
             centre = X @ design.A.T + u @ design.B.T
             for i in np.unique(index):
                 H, h = design.target(max(int(i) - 1, 0))

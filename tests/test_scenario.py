@@ -132,7 +132,14 @@ def test_a_disturbance_that_may_leave_says_so() -> None:
 
 @pytest.mark.parametrize(
     ("content", "expected"),
-    [(b"name = ", "not TOML"), (b"\xff\xfe", "not UTF-8 text"), (b"", "field required")],
+    [
+        (b"name = ", "not TOML"),
+        (b"\xff\xfe", "not UTF-8 text"),
+        (b"", "field required"),
+        (b"name = " + b"9" * 5000, "not TOML"),
+        (b"name = " + b"[" * 3000 + b"]" * 3000, "not TOML"),
+        (b"name = 0x" + b"f" * 5000, "name: got an endless number"),
+    ],
 )
 def test_a_file_that_is_no_scenario(tmp_path: Path, content: bytes, expected: str) -> None:
     path = tmp_path / "mine.toml"
@@ -168,6 +175,7 @@ SHARED: list[tuple[str, object]] = [
     ("defender.A", [[1.0, 0.0975], [0.0, 0.9511]]),
     ("defender.B", [[0.0247], [0.4877]]),
     ("defender.disturbance.half_widths", [0.12, 0.1200000001]),
+    ("control.inputs.half_widths", [5.9]),
     ("secrecy.alpha", 8.000000000000002),
 ]
 PRIVATE: list[tuple[str, object]] = [

@@ -1,11 +1,10 @@
 """The link as a rule-based state machine: hypothesis plays the network and the reaper.
 
-Messages lie in a bag from which any may be delivered at any time, again and again, or never; either
+Messages lie in a bag from which any may be delivered at any time, again and again, or never; any
 process may be killed between any two events, or between saving and sending, and may come back with
-or without its journal. The property of the protocol is checked after every rule.
+or without its journal. A second controller, with a journal of its own, may work on the same loop.
+The property of the protocol is checked after every rule.
 """
-
-from collections.abc import Callable
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -23,17 +22,25 @@ RULES = Rules(
     states=1,
     inputs=1,
     fingerprint="f" * 64,
+    inputs_gauge=Gauge(half_widths=(1e9,)),
 )
-PAYLOADS = (b"a", b"bc")
+PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
+SHIFTS = (1.5, 1.25)
+"""What each controller sends, and how far its candidates are from the middle."""
 DEATHS = ["", "", "", "", "", "saving", "sending", "counting"]
 """Before what of an event a process dies, if it does."""
+MEMORY = 12
+"""Messages that the network keeps: its memory is long, but not endless."""
 
 Move = tuple[Offer, int, tuple[float, ...]]
 
 
 class Outbox:
+    def __init__(self, payloads: tuple[bytes, ...]) -> None:
+        self.payloads = payloads
+
     def payload(self, number: int) -> bytes | None:
-        return PAYLOADS[number] if number < len(PAYLOADS) else None
+        return self.payloads[number] if number < len(self.payloads) else None
 
 
 class Chosen:
@@ -47,41 +54,53 @@ class Chosen:
         return self.next % size
 
 
+class Controller:
+    """A controller and its journal: the record last saved, and the step that followed it."""
+
+    def __init__(self, number: int) -> None:
+        self.outbox = Outbox(PAYLOADS[number])
+        self.shift = SHIFTS[number]
+        self.disk: tuple[SenderRecord | None, tuple[Measurement, Offer] | None] = (None, None)
+        self.sender: Sender
+
+
 class Link(RuleBasedStateMachine):
+    controllers = 1
+
     def __init__(self) -> None:
         super().__init__()
         self.names = 0
         self.fresh = Chosen()
         self.to_plant: list[Offer | ControllerHello] = []
         self.to_controller: list[Measurement | PlantHello] = []
-        self.controller_disk: tuple[SenderRecord | None, tuple[Measurement, Offer] | None]
-        self.controller_disk = (None, None)
+        self.each = [Controller(number) for number in range(self.controllers)]
         self.plant_disk: tuple[ReceiverRecord, str, Move | None] | None = None
         self.sent: dict[tuple[str, int], object] = {}
         self.got: dict[tuple[str, int], object] = {}
         self.ciphers: dict[tuple[str, int], tuple[int, int]] = {}
         self.inbox: list[bytes] = []
-        self.forgot = False
-        self.start_controller()
+        self.forgot = (
+            self.controllers > 1
+        )  # one takes over from the other before it knows of a frame
+        for controller in self.each:
+            self.start_controller(controller)
         self.start_plant()
 
     def name(self) -> str:
         self.names += 1
         return f"{self.names:016x}"
 
-    def start_controller(self) -> None:
+    def start_controller(self, one: Controller) -> None:
         def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-            return ((-x[0] - 1.5,), (-x[0] + 1.5,))
+            return ((-x[0] - one.shift,), (-x[0] + one.shift,))
 
-        self.sender = Sender(
-            RULES, propose, Outbox(), self.fresh, self.name(), *self.controller_disk
-        )
-        if self.sender.unsettled:
-            self.save_controller(self.sender.settle())
-        self.to_controller_hears(self.sender.greeting)
+        one.sender = Sender(RULES, propose, one.outbox, self.fresh, self.name(), *one.disk)
+        if one.sender.unsettled:
+            self.save_controller(one, one.sender.settle())
+        self.to_plant.append(one.sender.greeting())
 
-    def to_controller_hears(self, greeting: Callable[[], ControllerHello]) -> None:
-        self.to_plant.append(greeting())
+    def draw_controller(self, data: st.DataObject) -> Controller:
+        return data.draw(st.sampled_from(self.each))
 
     def start_plant(self) -> None:
         if self.plant_disk is None:
@@ -91,10 +110,6 @@ class Link(RuleBasedStateMachine):
         self.receiver = Receiver(RULES, self.name(), record, chunks)
         if move is not None:
             self.count(*move)
-
-    def keep(self, bag: list[object]) -> None:
-        """A network's memory is long, but not endless."""
-        del bag[:-12]
 
     # --- the plant's own moves ---------------------------------------------------------------
 
@@ -106,6 +121,10 @@ class Link(RuleBasedStateMachine):
     @rule()
     def plant_measures(self) -> None:
         self.to_controller.append(self.receiver.measurement())
+
+    @rule()
+    def controller_was_silent(self) -> None:
+        self.receiver.look_around()
 
     @rule()
     def plant_misses(self) -> None:
@@ -144,44 +163,53 @@ class Link(RuleBasedStateMachine):
     # --- the network ---------------------------------------------------------------------------
 
     @precondition(lambda self: self.to_controller)
-    @rule(data=st.data(), dies=st.sampled_from(DEATHS))
-    def controller_hears(self, data: st.DataObject, dies: str) -> None:
-        place = data.draw(st.integers(0, len(self.to_controller) - 1))
-        message = self.to_controller[place]
-        if isinstance(message, Measurement):
-            effects = self.measured(message, dies)
-        else:
-            effects = self.sender.heard_plant(message)
-        if dies != "saving":
-            self.save_controller(effects)
-        if dies not in ("saving", "sending"):
-            self.send_controller(effects)
-        if dies:
-            self.start_controller()
-        self.keep(self.to_controller)  # type: ignore[arg-type]
+    @rule(data=st.data(), dies=st.sampled_from(DEATHS), running=st.booleans())
+    def controller_hears(self, data: st.DataObject, dies: str, running: bool) -> None:
+        message = data.draw(st.sampled_from(self.to_controller))
+        self.tell_controller(self.draw_controller(data), message, dies, running=running)
+        del self.to_controller[:-MEMORY]
 
-    def measured(self, message: Measurement, dies: str = "") -> SenderEffects:
+    def tell_controller(
+        self,
+        one: Controller,
+        message: Measurement | PlantHello,
+        dies: str = "",
+        *,
+        running: bool = False,
+    ) -> None:
+        if isinstance(message, Measurement):
+            effects = self.measured(one, message, dies)
+        else:
+            effects = one.sender.heard_plant(message, running=running)
+        if dies != "saving":
+            self.save_controller(one, effects)
+        if dies not in ("saving", "sending"):
+            self.send_controller(one, effects)
+        if dies:
+            self.start_controller(one)
+
+    def measured(self, one: Controller, message: Measurement, dies: str = "") -> SenderEffects:
         """The controller hears a measurement; it saves a step before it has settled it."""
-        effects = self.sender.measured(message)
+        effects = one.sender.measured(message)
         if effects.append:
             assert effects.offer is not None
             if dies != "saving":
-                self.controller_disk = (self.sender.record, (message, effects.offer))
-            settled = self.sender.settle()
+                one.disk = (one.sender.record, (message, effects.offer))
+            settled = one.sender.settle()
             if not dies:
-                self.save_controller(settled)
+                self.save_controller(one, settled)
         return effects
 
-    def save_controller(self, effects: SenderEffects) -> None:
+    def save_controller(self, one: Controller, effects: SenderEffects) -> None:
         if effects.save:
-            self.controller_disk = (self.sender.record, None)
+            one.disk = (one.sender.record, None)
         if effects.transition is not None:
             t = effects.transition
             self.sent[t.session, t.j] = t
 
-    def send_controller(self, effects: SenderEffects) -> None:
+    def send_controller(self, one: Controller, effects: SenderEffects) -> None:
         if effects.offer is not None:
-            record = self.sender.record
+            record = one.sender.record
             at = (effects.offer.session, record.transitions)
             first = self.ciphers.setdefault(at, (record.s, effects.offer.cipher))
             if record.s == 2:
@@ -190,7 +218,7 @@ class Link(RuleBasedStateMachine):
         if effects.reply is not None:
             self.to_plant.append(effects.reply)
         if effects.greet:
-            self.to_plant.append(self.sender.greeting())
+            self.to_plant.append(one.sender.greeting())
 
     @precondition(lambda self: self.to_plant)
     @rule(
@@ -200,14 +228,18 @@ class Link(RuleBasedStateMachine):
         dies=st.sampled_from(DEATHS),
     )
     def plant_hears(self, data: st.DataObject, coin: int, d: float, dies: str) -> None:
-        place = data.draw(st.integers(0, len(self.to_plant) - 1))
-        message = self.to_plant[place]
+        self.tell_plant(data.draw(st.sampled_from(self.to_plant)), coin, d, dies)
+        del self.to_plant[:-MEMORY]
+
+    def tell_plant(
+        self, message: Offer | ControllerHello, coin: int, d: float, dies: str = ""
+    ) -> None:
         if isinstance(message, ControllerHello):
             outcome = self.receiver.heard_controller(message, self.name())
-            assert outcome != "refused"
-            if outcome == "ended" and dies != "saving":
-                self.save_plant(drop_chunks=True)
-            if outcome in ("ended", "greet") and not dies:
+            assert outcome not in ("refused", "stranger")
+            if outcome in ("ended", "greet") and dies != "saving":
+                self.save_plant(drop_chunks=outcome == "ended")
+            if outcome in ("ended", "greet", "rival") and not dies:
                 self.to_controller.append(self.receiver.hello())
         elif self.receiver.check(message) == "current":
             x = self.receiver.record.x[0]
@@ -215,54 +247,47 @@ class Link(RuleBasedStateMachine):
             self.apply(message, coin, (x + u + d,), dies)
         if dies:
             self.start_plant()
-        self.keep(self.to_plant)  # type: ignore[arg-type]
 
-    @rule()
-    def all_is_well_for_a_while(self) -> None:
-        """Some steps without trouble, so that runs get far enough to be interesting."""
-        for _ in range(6):
-            if not self.receiver.accepted:
-                effects = self.sender.heard_plant(self.receiver.hello())
-                self.save_controller(effects)
-                assert effects.reply is not None
-                if self.receiver.heard_controller(effects.reply, self.name()) == "ended":
-                    self.save_plant(drop_chunks=True)
+    @rule(first=st.integers(0, 1))
+    def all_is_well_for_a_while(self, first: int) -> None:
+        """Everybody hears everything at once, so that runs get far enough to be interesting."""
+        heard_before = self.to_controller, self.to_plant
+        self.to_controller, self.to_plant = [], []
+        if not self.receiver.accepted:
+            self.receiver.look_around()
+        for _ in range(20):
+            if self.to_plant:
+                heard_before[1].append(self.to_plant.pop(0))
+                self.tell_plant(heard_before[1][-1], self.receiver.record.k % 2, 0.3)
                 continue
-            effects = self.measured(self.receiver.measurement())
-            self.save_controller(effects)
-            self.send_controller(effects)
-            if effects.offer is None:
-                self.receiver.heard_controller(self.sender.greeting(), self.name())
-                effects = self.sender.heard_plant(self.receiver.hello())
-                self.save_controller(effects)
-                assert effects.reply is not None
-                if self.receiver.heard_controller(effects.reply, self.name()) == "ended":
-                    self.save_plant(drop_chunks=True)
-                continue
-            if self.receiver.check(effects.offer) != "current":
-                continue
-            record = self.receiver.record
-            coin = record.k % 2
-            self.apply(
-                effects.offer, coin, (record.x[0] + effects.offer.candidates[coin][0] + 0.3,)
-            )
+            if not self.to_controller:
+                receiver = self.receiver
+                self.to_controller.append(
+                    receiver.measurement() if receiver.accepted else receiver.hello()
+                )
+            heard_before[0].append(self.to_controller.pop(0))
+            for one in self.each[first:] + self.each[:first]:
+                self.tell_controller(one, heard_before[0][-1])
+        self.to_controller = [*heard_before[0], *self.to_controller]
+        self.to_plant = [*heard_before[1], *self.to_plant]
 
     # --- the reaper ----------------------------------------------------------------------------
 
-    @rule()
-    def controller_is_killed(self) -> None:
-        self.start_controller()
+    @rule(data=st.data())
+    def controller_is_killed(self, data: st.DataObject) -> None:
+        self.start_controller(self.draw_controller(data))
 
     @rule()
     def plant_is_killed(self) -> None:
         self.start_plant()
 
-    @rule(which=st.sampled_from(["controller", "plant"]))
-    def a_journal_is_lost(self, which: str) -> None:
+    @rule(data=st.data(), which=st.sampled_from(["controller", "plant"]))
+    def a_journal_is_lost(self, data: st.DataObject, which: str) -> None:
         self.forgot = True
         if which == "controller":
-            self.controller_disk = (None, None)
-            self.start_controller()
+            one = self.draw_controller(data)
+            one.disk = (None, None)
+            self.start_controller(one)
         else:
             self.plant_disk = None
             self.start_plant()
@@ -276,17 +301,27 @@ class Link(RuleBasedStateMachine):
 
     @invariant()
     def messages_arrive_in_order_and_once(self) -> None:
-        place = 0
-        for payload in self.inbox:
-            if place < len(PAYLOADS) and payload == PAYLOADS[place]:
-                place += 1
-            else:
-                assert self.forgot
-                assert payload in PAYLOADS[:place]
+        sent = sum(PAYLOADS[: self.controllers], ())
+        assert set(self.inbox) <= set(sent)
+        for payloads in PAYLOADS:
+            place = 0
+            for payload in (p for p in self.inbox if p in payloads):
+                if place < len(payloads) and payload == payloads[place]:
+                    place += 1
+                else:
+                    assert self.forgot
+                    assert payload in payloads[:place]
+
+
+class TwoControllers(Link):
+    """A second controller, with a journal of its own, on the same loop."""
+
+    controllers = 2
 
 
 TestLink = Link.TestCase
-TestLink.settings = settings(
+TestTwoControllers = TwoControllers.TestCase
+TestLink.settings = TestTwoControllers.settings = settings(
     max_examples=60,
     stateful_step_count=60,
     deadline=None,

@@ -1,6 +1,8 @@
 """Traces: a line an event, what was flushed is there, a torn line costs itself only."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -94,3 +96,32 @@ def test_a_missing_trace_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match="cannot be read: No such file"):
         read_trace(tmp_path / "none")
     assert TRACE_VERSION == 1
+
+
+def test_a_full_disk_names_the_file() -> None:
+    with pytest.raises(OSError, match="No space left") as caught:
+        TraceWriter(Path("/dev/full"), "plant", {})
+    assert caught.value.filename == "/dev/full"
+
+
+def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
+    """A limit on the file's size cuts a write short, and only the next one fails."""
+    path = tmp_path / "t"
+    script = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from protocol.trace import TraceWriter\n"
+        "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
+        "size = Path(sys.argv[1]).stat().st_size\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"
+        "try: writer.write({'event': 'e', 'long': 'x' * 60})\n"
+        "except OSError as error: print(error.filename)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(path)
+    write(path, {"event": "b"})
+    trace = read_trace(path)
+    assert [e["event"] for e in trace.events] == ["b"]
+    assert trace.torn == 1

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from protocol.agreement import AgreementRule, Gauge
-from protocol.messages import Measurement, Offer
+from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.receiver import Receiver, ReceiverRecord
 from protocol.sender import Sender, SenderEffects, SenderRecord
 from protocol.session import Rules, Transition
@@ -27,7 +27,8 @@ RULES = Rules(
     size=2,
     states=1,
     inputs=1,
-    fingerprint="line",
+    fingerprint="1" * 64,
+    inputs_gauge=Gauge(half_widths=(3.0,)),
 )
 CANDIDATES = ((0.0,), (3.0,))
 
@@ -101,23 +102,42 @@ class Link:
         self.say("controller", f"queues {text!r}")
 
     def meet(self) -> None:
-        """The plant's hello and the controller's answer, until one is accepted."""
-        for _ in range(3):
+        """The controller greets, the plant asks, until a session is accepted."""
+        said: ControllerHello | None = self.sender.greeting()
+        self.say("controller", f"greets, and knows {self.spoken(self.sender.record.session)}")
+        for _ in range(6):
+            if said is not None and self.heard(said) == "accepted":
+                return
             hello = self.receiver.hello()
+            whom = "anyone" if hello.controller is None else "this controller"
+            if hello.controller not in (None, self.sender.instance):
+                whom = "another controller"
             self.say(
-                "plant", f"hello, session {int(hello.session, 16)}, {hello.transitions} counted"
+                "plant",
+                f"hello to {whom}, {self.spoken(hello.session)}, {hello.transitions} counted",
             )
             effects = self.sender.heard_plant(hello)
             self.carry_out(effects)
-            assert effects.reply is not None
-            self.sessions += 1
-            outcome = self.receiver.heard_controller(effects.reply, self.session_id())
-            if outcome == "ended":
-                self.saved_receiver = (self.receiver.record, None)
-                self.say("plant", f"begins session {self.sessions}")
-                continue
-            self.sessions = int(self.receiver.record.session, 16)
-            return
+            said = effects.reply
+            if said is None:
+                self.say("plant", "has waited for long")
+                self.receiver.look_around()
+        raise AssertionError("the two ends did not meet")
+
+    def heard(self, said: ControllerHello) -> str:
+        """The plant hears a hello; says what became of it."""
+        self.sessions += 1
+        outcome = self.receiver.heard_controller(said, self.session_id())
+        if outcome in ("greet", "ended"):
+            self.saved_receiver = (self.receiver.record, None)
+        if outcome == "ended":
+            self.say("plant", f"begins session {self.sessions}")
+        else:
+            self.sessions -= 1
+        return outcome
+
+    def spoken(self, session: str | None) -> str:
+        return "no session" if session is None else f"session {int(session, 16)}"
 
     def measure(self) -> None:
         self.measurement = self.receiver.measurement()

@@ -26,17 +26,20 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
-    from controller_service.laws import make_law
+    from controller_service.laws import ProgramError, make_law
     from controller_service.service import ControllerConfig, run_controller
     from controller_service.synthesis import SynthesisError, cached_design
     from protocol.transport import TransportError, open_bus
+    from wyner.commands.design import progress_bar
 
     if args.seed is not None and args.seed < 0:
         raise UsageError(f"--seed: got {args.seed}, expected at least 0")
     scenario = scenario_of(args.scenario)
     try:
-        law = make_law(scenario, cached_design(scenario))
-    except SynthesisError as error:
+        with progress_bar() as progress:
+            design = cached_design(scenario, progress)
+        law = make_law(scenario, design)
+    except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{scenario.name}: {error}") from None
     config = ControllerConfig(
         scenario=scenario,

@@ -5,6 +5,7 @@ import queue
 import time
 from typing import Final
 
+from protocol.inbox import Inbox
 from protocol.keys import key_of
 from protocol.messages import SendCommand, SendReply
 from protocol.runtime import Failure, UsageError, new_id
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
     loop = loop_of(args)
-    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    answers: Inbox[bytes] = Inbox()
     try:
         with open_bus(endpoints_of(args, "send", "ops")) as ops:
             ops.subscribe(key_of(SendReply, loop), lambda _key, reply, _t_ns: answers.put(reply))

@@ -118,35 +118,32 @@ def run(args: argparse.Namespace) -> int:
 
 def _design(scenario: "Scenario") -> None:
     """Compute the design before anything starts, and check that the plant starts inside it."""
-    from controller_service.laws import make_law
+    from controller_service.laws import ProgramError, make_law
     from controller_service.synthesis import SynthesisError, cached_design
     from wyner.commands.design import progress_bar
 
     try:
         with progress_bar() as progress:
             design = cached_design(scenario, progress)
-        make_law(scenario, design).index(scenario.plant.initial_state)
-    except SynthesisError as error:
+        law = make_law(scenario, design)
+    except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{scenario.name}: {error}") from None
+    try:
+        law.index(scenario.plant.initial_state)
     except LookupError as error:
         raise UsageError(f"plant.initial_state: {error}") from None
 
 
 def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
     """The eavesdroppers asked for, or the scenario's; each one is there, before anything starts."""
-    from tap_service.eavesdroppers import KnowledgeError, named
-    from wyner.commands.tap import names_of
+    from tap_service.eavesdroppers import named
+    from wyner.commands.tap import find_each, names_of
 
     asked = args.eavesdropper
     names = scenario.tap.eavesdroppers if asked is None else names_of([asked])
     if asked is not None and not names:
         raise UsageError(f"--eavesdropper: got {asked!r}, expected at least one name")
-    for name in names:
-        try:
-            named(name)
-        except KnowledgeError as error:
-            where = "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: "
-            raise UsageError(f"{where}{error}") from None
+    find_each(names, named, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
     return names
 
 
