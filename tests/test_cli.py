@@ -373,7 +373,7 @@ def test_told_to_end_the_command_gives_the_terminal_back(number: signal.Signals)
 def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
     code = (
         "import sys, wyner.cli\n"
-        "wyner.cli.main = lambda: print('Gr\u00fc\u00dfe \u2713') or 0\n"
+        "wyner.cli.main = lambda argv: print('Gr\u00fc\u00dfe \u2713') or 0\n"
         "from wyner.__main__ import main\n"
         "sys.exit(main())\n"
     )

@@ -14,7 +14,15 @@ from pydantic_core import from_json
 from experiments.secrecy.runs import Run, simulate, text_of
 from experiments.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 from protocol.knowledge import Knowledge
-from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
+from tap_service.eavesdroppers import (
+    LADDER,
+    Belief,
+    Eavesdropper,
+    Guess,
+    KnowledgeError,
+    named,
+    smoother,
+)
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.replay import COUNTS
 from tap_service.secrecy import Proportion, Said, TapScore, score
@@ -152,12 +160,13 @@ def test_a_message_longer_than_she_keeps_is_had(name: str) -> None:
     assert play(run, name)[0].whole == (text,)
 
 
-@pytest.mark.slow
-def test_second_thoughts_on_what_she_lets_go_are_told() -> None:
-    run = simulate(4200, 3, payloads=[b"let go"])
+def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(smoother, "KEPT", 256)
+    run = simulate(400, 3, payloads=[b"let go"])
     view = View(loss=0.02, seed=1)
     said, scored = play(run, "smoother", view)
-    oldest = [at for at in said.live if at[1] < 2000]
+    oldest = [at for at in said.live if at[1] < 120]
+    assert len(oldest) > 100
     assert all(at in said.reviewed for at in oldest)
     assert scored.keys_reviewed.right > scored.keys.right
 

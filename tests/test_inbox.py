@@ -70,7 +70,7 @@ def take():
             pass
         rounds[0] += 1
 threading.Thread(target=take, daemon=True).start()
-until = time.monotonic() + 8
+until = time.monotonic() + 4
 while time.monotonic() < until:
     before = rounds[0]
     time.sleep(2)
