@@ -23,7 +23,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.inbox import Inbox
 from protocol.keys import DEFAULT_LOOP, key_of
 from protocol.messages import Measurement, Offer
 from protocol.runtime import Failure, freeze_startup
@@ -218,7 +217,7 @@ def loop_round(scenario: Path, steps: int) -> LoopRound:
 
 def _drive(pipe: Connection, listen: str, payload: bytes, trips: int) -> None:
     """Send, wait for the answer, ``trips`` times; report the trips a second and the repeats."""
-    answers: Inbox[bytes] = Inbox()
+    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     repeats = 0
     with ZenohBus(listen=[listen]) as bus:
         bus.subscribe(key_of(Offer, DEFAULT_LOOP), lambda _k, body, _t: answers.put(body))
@@ -239,8 +238,8 @@ def _drive(pipe: Connection, listen: str, payload: bytes, trips: int) -> None:
 
         for _ in range(int(WARM_UP * trips) + 1):
             trip()
-        while answers:  # an answer too many would make every later trip shorter
-            answers.get(0.0)
+        while not answers.empty():  # an answer too many would make every later trip shorter
+            answers.get()
         began = time.perf_counter()
         for _ in range(trips):
             repeats += trip()
@@ -250,7 +249,7 @@ def _drive(pipe: Connection, listen: str, payload: bytes, trips: int) -> None:
 
 def _echo(pipe: Connection, listen: str, connect: str, payload: bytes) -> None:
     """Answer whatever comes."""
-    inbox: Inbox[bytes] = Inbox()
+    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     with ZenohBus(listen=[listen], connect=[connect]) as bus:
         bus.subscribe(key_of(Measurement, DEFAULT_LOOP), lambda _k, body, _t: inbox.put(body))
         publisher = bus.publisher(key_of(Offer, DEFAULT_LOOP))
@@ -268,7 +267,7 @@ def _echo(pipe: Connection, listen: str, connect: str, payload: bytes) -> None:
 
 def _listen(pipe: Connection, connect: Sequence[str]) -> None:
     """Hear both, as the tap does."""
-    inbox: Inbox[tuple[str, bytes, int]] = Inbox()
+    inbox: queue.SimpleQueue[tuple[str, bytes, int]] = queue.SimpleQueue()
     with ZenohBus(connect=connect) as bus:
         for message in (Measurement, Offer):
             bus.subscribe(key_of(message, DEFAULT_LOOP), lambda *m: inbox.put(m))
