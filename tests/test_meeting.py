@@ -1,22 +1,14 @@
 """How the two ends find each other, and what third parties and lost journals do to them."""
 
 import pytest
+from line_plant import line_rules
 from pydantic import ValidationError
 
-from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.receiver import Receiver, ReceiverRecord
 from protocol.sender import STALE, Sender, SenderEffects, SenderRecord
-from protocol.session import Rules
 
-RULES = Rules(
-    agreement=AgreementRule(A=((1.0,),), B=((1.0,),), gauge=Gauge(half_widths=(1.0,)), alpha=4.0),
-    size=2,
-    states=1,
-    inputs=1,
-    fingerprint="f" * 64,
-    inputs_gauge=Gauge(half_widths=(5.0,)),
-)
+RULES = line_rules(alpha=4.0, largest_input=5.0)
 OTHER = "e" * 64
 A, B, P, Q = (letter * 16 for letter in "abcd")
 NEW = "2" * 16

@@ -196,13 +196,19 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
     assert status.late <= status.missed
 
 
-def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) -> None:
-    ops = MemoryBus(system.ops)
+def replies_on(ops: MemoryBus) -> list[SendReply]:
+    """The controller's replies, as they come."""
     replies: list[SendReply] = []
     ops.subscribe(
         key_of(SendReply, "loop"),
         lambda _k, payload, _t: replies.append(SendReply.model_validate_json(payload)),
     )
+    return replies
+
+
+def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) -> None:
+    ops = MemoryBus(system.ops)
+    replies = replies_on(ops)
     put = ops.publisher(key_of(SendCommand, "loop")).put
     with system.controller(), system.plant():
         for name, payload in (("a", b"first"), ("a", b"first"), ("b", b"second"), ("c", b"3")):
@@ -570,11 +576,7 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
 
 def test_an_identifier_belongs_to_one_message(system: System) -> None:
     ops = MemoryBus(system.ops)
-    answered: list[SendReply] = []
-    ops.subscribe(
-        key_of(SendReply, "loop"),
-        lambda _k, payload, _t: answered.append(SendReply.model_validate_json(payload)),
-    )
+    answered = replies_on(ops)
     put = ops.publisher(key_of(SendCommand, "loop")).put
     asked = [("a", b"text"), ("a", b"text"), ("a", b"other"), ("initial", b"mine")]
     with system.controller(b"one"), system.plant():

@@ -9,21 +9,13 @@ The property of the protocol is checked after every rule.
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from line_plant import line_rules
 
-from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.receiver import Receiver, ReceiverRecord
 from protocol.sender import Sender, SenderEffects, SenderRecord
-from protocol.session import Rules
 
-RULES = Rules(
-    agreement=AgreementRule(A=((1.0,),), B=((1.0,),), gauge=Gauge(half_widths=(1.0,)), alpha=4.0),
-    size=2,
-    states=1,
-    inputs=1,
-    fingerprint="f" * 64,
-    inputs_gauge=Gauge(half_widths=(1e9,)),
-)
+RULES = line_rules(alpha=4.0, largest_input=1e9)
 PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
 SHIFTS = (1.5, 1.25)
 """What each controller sends, and how far its candidates are from the middle."""

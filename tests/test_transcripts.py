@@ -12,24 +12,17 @@ import os
 from pathlib import Path
 
 import pytest
+from line_plant import line_rules
 
-from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.receiver import Receiver, ReceiverRecord
 from protocol.sender import Sender, SenderEffects, SenderRecord
-from protocol.session import Rules, Transition
+from protocol.session import Transition
 
 FOLDER = Path(__file__).parent / "transcripts"
 SCRIPTS = sorted(FOLDER.glob("*.txt"))
 
-RULES = Rules(
-    agreement=AgreementRule(A=((1.0,),), B=((1.0,),), gauge=Gauge(half_widths=(1.0,)), alpha=3.0),
-    size=2,
-    states=1,
-    inputs=1,
-    fingerprint="1" * 64,
-    inputs_gauge=Gauge(half_widths=(3.0,)),
-)
+RULES = line_rules(alpha=3.0, largest_input=3.0, fingerprint="1" * 64)
 CANDIDATES = ((0.0,), (3.0,))
 
 Move = tuple[Offer, int, tuple[float, ...]]
