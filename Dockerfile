@@ -14,8 +14,6 @@ COPY protocol protocol
 COPY controller_service controller_service
 COPY plant_service plant_service
 COPY tap_service tap_service
-COPY dashboard dashboard
-COPY experiments experiments
 COPY wyner wyner
 # setuptools came in with its hash above, so nothing is fetched here. What only builds or tests
 # (pip, the libraries' own test folders) stays out of the image.

@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
-PACKAGES := protocol controller_service plant_service tap_service dashboard experiments wyner
+PACKAGES := protocol controller_service plant_service tap_service wyner benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 .PHONY: demo dev test test-fast test-compose lint figures bench lock clean help

@@ -1,4 +1,4 @@
-"""The controller's shell: buses, journal and trace around :class:`protocol.sender.Sender`."""
+"""The controller's shell: buses, journal and trace around :class:`protocol.link.sender.Sender`."""
 
 import base64
 import queue
@@ -10,12 +10,9 @@ from typing import Final, Literal
 
 from pydantic import ValidationError
 
-from controller_service.laws import ControlLaw
-from protocol.entropy import CIPHER, symbols
-from protocol.framing import MAX_PAYLOAD, frame_length, readable
-from protocol.inbox import Inbox
-from protocol.journal import CONTROLLER_JOURNAL, ControllerJournal, JournalError
-from protocol.keys import key_of
+from controller_service.laws.paper import ControlLaw
+from protocol.link.sender import Sender, SenderEffects
+from protocol.link.session import SILENCE_S, rules_of
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -25,7 +22,9 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
-from protocol.runtime import (
+from protocol.runtime.inbox import Inbox
+from protocol.runtime.journal import CONTROLLER_JOURNAL, ControllerJournal, JournalError
+from protocol.runtime.process import (
     DONE,
     USAGE,
     Complaints,
@@ -37,11 +36,12 @@ from protocol.runtime import (
     spoken,
     write_atomically,
 )
+from protocol.runtime.trace import CONTROLLER_TRACE, TraceWriter
+from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
-from protocol.sender import Sender, SenderEffects
-from protocol.session import SILENCE_S, rules_of
-from protocol.trace import CONTROLLER_TRACE, TraceWriter
-from protocol.transport import Bus
+from protocol.schemes.framing import MAX_PAYLOAD, frame_length, readable
+from protocol.streams import CIPHER, symbols
+from protocol.topics import key_of
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
-from protocol.entropy import Stream, SymbolSource
+from protocol.link.receiver import Receiver, ReceiverEffects, ReceiverRecord
+from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.receiver import Receiver, ReceiverEffects, ReceiverRecord
-from protocol.runtime import Failure
+from protocol.runtime.process import Failure
 from protocol.scenario import Scenario
-from protocol.session import rules_of
+from protocol.streams import Stream, SymbolSource
 
 Vector = tuple[float, ...]
 

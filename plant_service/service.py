@@ -10,14 +10,10 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from plant_service.pacing import LOCKSTEP_REPEAT_S, Pacing
 from plant_service.plant import Move, Plant, first_record
 from plant_service.status import News
-from protocol.entropy import COIN, noise, symbols
-from protocol.framing import readable
-from protocol.inbox import Inbox
-from protocol.journal import PLANT_JOURNAL, JournalError, PlantJournal
-from protocol.keys import key_of
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
+from protocol.link.session import SILENCE_S
 from protocol.messages import (
     ControllerHello,
     Measurement,
@@ -25,7 +21,9 @@ from protocol.messages import (
     PlantHello,
     PlantStatus,
 )
-from protocol.runtime import (
+from protocol.runtime.inbox import Inbox
+from protocol.runtime.journal import PLANT_JOURNAL, JournalError, PlantJournal
+from protocol.runtime.process import (
     DONE,
     USAGE,
     Complaints,
@@ -38,10 +36,12 @@ from protocol.runtime import (
     spoken,
     write_atomically,
 )
+from protocol.runtime.trace import PLANT_TRACE, TraceWriter
+from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
-from protocol.session import SILENCE_S
-from protocol.trace import PLANT_TRACE, TraceWriter
-from protocol.transport import Bus
+from protocol.schemes.framing import readable
+from protocol.streams import COIN, noise, symbols
+from protocol.topics import key_of
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""

@@ -6,11 +6,11 @@ from math import isfinite
 from typing import Final, Literal
 
 from plant_service.plant import Step
-from protocol.framing import readable
+from protocol.link.receiver import Receiver
+from protocol.link.session import Transition
 from protocol.messages import PlantStatus
-from protocol.receiver import Receiver
 from protocol.scenario import Scenario
-from protocol.session import Transition
+from protocol.schemes.framing import readable
 
 TAIL: Final = 64
 """Transitions shown in a status."""

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from protocol.trace import CAPTURE
-from tap_service.capture import CaptureError, CaptureReader, Limits, RotatingLog
+from protocol.runtime.trace import CAPTURE
+from tap_service.capture.recording import CaptureError, CaptureReader, Limits, RotatingLog
+from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess, named
 from tap_service.status import Listener, belief_record, guess_line, status_of
-from tap_service.transcript import Transcript, Transition
 
 GUESSES: Final = Path("tap/guesses.jsonl")
 ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
@@ -108,7 +108,7 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
 
 def _analyse(assignment: Assignment, pipe: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
-    from protocol.runtime import Complaints, logger
+    from protocol.runtime.process import Complaints, logger
 
     complaints = Complaints(logger("tap.analysis"))
     log = RotatingLog(

@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
-from protocol.inbox import Inbox
-from protocol.keys import DEFAULT_LOOP, key_of
 from protocol.knowledge import Knowledge
 from protocol.messages import Measurement, Offer, TapStatus
-from protocol.runtime import (
+from protocol.runtime.inbox import Inbox
+from protocol.runtime.process import (
     DONE,
     Complaints,
     Throttle,
@@ -37,7 +36,8 @@ from protocol.runtime import (
     stop_on_signals,
     write_atomically,
 )
-from protocol.trace import CAPTURE
+from protocol.runtime.trace import CAPTURE
+from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.analysis import (
     BELIEFS,
     GUESSES,
@@ -46,14 +46,14 @@ from tap_service.analysis import (
     analyse,
     listeners_of,
 )
-from tap_service.capture import Limits, RotatingLog, garbage_line, mirror_line
+from tap_service.capture.channel import Ear, View, told
+from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
+from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError, named
 from tap_service.status import belief_record, beliefs_json, status_of
-from tap_service.transcript import Transcript
-from tap_service.view import Ear, View, told
 
 if TYPE_CHECKING:
-    from protocol.transport import Bus, Endpoints
+    from protocol.runtime.zenoh_bus import Bus, Endpoints
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -151,10 +151,10 @@ def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
     ------
     KnowledgeError
         When an eavesdropper cannot be made.
-    protocol.transport.TransportError
+    protocol.runtime.zenoh_bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
-    from protocol.transport import open_bus
+    from protocol.runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
         own_process = stopping is None

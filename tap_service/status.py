@@ -13,8 +13,8 @@ from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
-from tap_service.eavesdroppers.interface import Belief, Eavesdropper, Guess, KnowledgeError
-from tap_service.transcript import Transition
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
 TAIL: Final = 32
 """Transitions that a status shows."""

@@ -5,10 +5,10 @@ import signal
 import pytest
 from hypothesis import settings
 
-from controller_service.laws import ControlLaw, make_law
-from controller_service.synthesis import synthesise
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.design import synthesise
 from protocol.scenario import Scenario
-from wyner.loading import scenario_of
+from wyner.cli.options import scenario_of
 
 # A busy machine is no failure: examples have no time limit, a test has pytest's.
 settings.register_profile("wyner", deadline=None, print_blob=True)

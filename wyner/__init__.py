@@ -1,1 +1,1 @@
-"""The ``wyner`` command: one module a subcommand, found in :mod:`wyner.commands`."""
+"""The ``wyner`` command: one module a subcommand, found in :mod:`wyner.cli`."""

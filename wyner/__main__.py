@@ -24,7 +24,7 @@ def main(*first: str) -> int:
         # a message may hold any character, and the terminal's encoding not all of them
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        from wyner.cli import main as command
+        from wyner.cli.main import main as command
 
         return command([*first, *sys.argv[1:]])
     except KeyboardInterrupt:

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from tap_service.eavesdroppers.interface import (
+from tap_service.eavesdroppers.base import (
     Belief,
     Eavesdropper,
     Guess,

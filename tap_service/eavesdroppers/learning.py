@@ -1,12 +1,13 @@
 """`learning`: starts from nothing, or from a wrong model, and learns the plant while it decodes.
 
 She is told the number of candidates and nothing else that matters: no A, no B, no D_e. She
-identifies the model and the disturbance's support from the transcript (:mod:`tap_service.identify`)
-and decodes it with both thresholds hidden (:mod:`tap_service.beam`), in units of the support that
-she found. Each time she has heard a quarter more she learns again and decodes her past anew, so
-that what she misread at first is read in the end. When she has heard as much as she keeps, the past
-stays as she read it last: she goes on learning A and B, measures in the support that she has found
-by then, and decodes on from where she is.
+identifies the model and the disturbance's support from the transcript
+(:mod:`tap_service.inference.identification`) and decodes it with both thresholds hidden
+(:mod:`tap_service.inference.list_decoding`), in units of the support that she found. Each time she
+has heard a quarter more she learns again and decodes her past anew, so that what she misread at
+first is read in the end. When she has heard as much as she keeps, the past stays as she read it
+last: she goes on learning A and B, measures in the support that she has found by then, and decodes
+on from where she is.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ import numpy as np
 
 from protocol.agreement import Gauge
 from protocol.knowledge import Knowledge
-from tap_service.beam import Beam
-from tap_service.eavesdroppers.interface import (
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
     KEPT_MESSAGES,
     Belief,
     Eavesdropper,
@@ -27,8 +28,8 @@ from tap_service.eavesdroppers.interface import (
     even,
 )
 from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
-from tap_service.identify import Array, identify
-from tap_service.transcript import Transition
+from tap_service.inference.identification import Array, identify
+from tap_service.inference.list_decoding import Beam
 
 KEPT: Final = 4096
 """Transitions that she keeps to learn from; at this many the older half goes."""

@@ -2,16 +2,16 @@
 
 She knows f_c and D_e (model 10), so t_e = 1 in units of D_e, and only t_c = 1 / alpha is hidden.
 Over N steps at most about N + 1 thresholds give different decodings. She keeps them all
-(:mod:`tap_service.beam`), and the frame's check picks the one: where there is no frame, English
-does. The key symbols are the nearest candidates', as for `nearest-centre`.
+(:mod:`tap_service.inference.list_decoding`), and the frame's check picks the one: where there is no
+frame, English does. The key symbols are the nearest candidates', as for `nearest-centre`.
 """
 
 from typing import ClassVar
 
 from protocol.knowledge import Knowledge
-from tap_service.beam import Beam
-from tap_service.eavesdroppers.interface import Belief, Eavesdropper, Guess, Model, even
-from tap_service.transcript import Transition
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.inference.list_decoding import Beam
 
 
 class ListDecoder(Eavesdropper):

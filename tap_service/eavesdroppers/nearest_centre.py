@@ -10,7 +10,8 @@ grows towards the set's edge from inside.
 from typing import ClassVar
 
 from protocol.knowledge import Knowledge
-from tap_service.eavesdroppers.interface import (
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
     NO_SYMBOL,
     Belief,
     Eavesdropper,
@@ -19,7 +20,6 @@ from tap_service.eavesdroppers.interface import (
     Model,
     even,
 )
-from tap_service.transcript import Transition
 
 MARGIN = 1.1
 """Threshold over the largest nearest gauge seen: a defender's set is drawn with room to spare."""

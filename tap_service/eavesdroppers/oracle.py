@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge
 from protocol.knowledge import Knowledge
-from tap_service.eavesdroppers.interface import (
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
     Belief,
     Eavesdropper,
     Follower,
@@ -17,7 +18,6 @@ from tap_service.eavesdroppers.interface import (
     Model,
     even,
 )
-from tap_service.transcript import Transition
 
 
 class Oracle(Eavesdropper):

@@ -9,7 +9,8 @@ import random
 from typing import ClassVar
 
 from protocol.knowledge import Knowledge
-from tap_service.eavesdroppers.interface import (
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
     NO_SYMBOL,
     Belief,
     Eavesdropper,
@@ -18,7 +19,6 @@ from tap_service.eavesdroppers.interface import (
     Model,
     even,
 )
-from tap_service.transcript import Transition
 
 
 class SetMembership(Eavesdropper):

@@ -1,10 +1,10 @@
 """`smoother`: decodes like `list-decoder` what she heard badly or in part.
 
 She infers lost states and offers from later ones, by the law that she was told
-(:mod:`tap_service.from_offers`, :mod:`tap_service.from_measurements`) or by what she learns of it
-(:mod:`tap_service.smoothing`), and follows every outcome that remains likely, beside every
-threshold. She has to hear what came after before she can infer what was lost, so she decodes all
-that she keeps anew each time she has heard twice as much as before.
+(:mod:`tap_service.inference.particle_smoother`, :mod:`tap_service.inference.from_measurements`) or
+by what she learns of it (:mod:`tap_service.inference.gap_smoother`), and follows every outcome that
+remains likely, beside every threshold. She has to hear what came after before she can infer what
+was lost, so she decodes all that she keeps anew each time she has heard twice as much as before.
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ from typing import ClassVar, Final
 import numpy as np
 
 from protocol.knowledge import Knowledge
-from tap_service.beam import Beam
-from tap_service.eavesdroppers.interface import (
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
     KEPT_MESSAGES,
     Belief,
     Eavesdropper,
@@ -24,12 +24,12 @@ from tap_service.eavesdroppers.interface import (
     even,
 )
 from tap_service.eavesdroppers.list_decoder import belief_of, nearest
-from tap_service.from_measurements import infer_from_measurements
-from tap_service.from_offers import OffersReader
-from tap_service.known_law import KnownLaw
-from tap_service.smoothing import Smoother as Inference
-from tap_service.smoothing import Step
-from tap_service.transcript import Transition
+from tap_service.inference.from_measurements import infer_from_measurements
+from tap_service.inference.gap_smoother import Smoother as Inference
+from tap_service.inference.gap_smoother import Step
+from tap_service.inference.list_decoding import Beam
+from tap_service.inference.particle_smoother import OffersReader
+from tap_service.inference.policy import KnownLaw
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go, decoded for good."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from compose.composition import BASE_IMAGE, Composition, base_image, docker, leftovers
+from tests.compose.composition import BASE_IMAGE, Composition, base_image, docker, leftovers
 
 NO_ENGINE = (
     "No Docker engine answers, and these tests start containers. To get one: on Debian, as root, "

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
-from compose.composition import ROOT
+from tests.compose.composition import ROOT
 
 
 class Terminal:

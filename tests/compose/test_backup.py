@@ -3,7 +3,7 @@
 import sqlite3
 from pathlib import Path
 
-from compose.composition import RUN, Composition, all_healthy, arrives, wait_for
+from tests.compose.composition import RUN, Composition, all_healthy, arrives, wait_for
 
 SERVICES = ("controller", "plant", "tap")
 

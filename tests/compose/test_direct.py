@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from compose.composition import RUN, Composition, all_healthy, arrives, docker, wait_for
+from tests.compose.composition import RUN, Composition, all_healthy, arrives, docker, wait_for
 
 SERVICES = ("controller", "plant", "tap")
 
@@ -124,7 +124,7 @@ def test_the_tap_has_no_route_to_ops(direct: Composition) -> None:
 
 LISTEN = """
 import json, time
-from protocol.transport import ZenohBus
+from protocol.runtime.zenoh_bus import ZenohBus
 heard = {}
 with ZenohBus(connect=json.loads(%r)) as bus:
     bus.subscribe("**", lambda key, payload, t_ns: heard.update({key: heard.get(key, 0) + 1}))
@@ -157,7 +157,7 @@ def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:
 
 FORGE = """
 import time
-from protocol.transport import ZenohBus
+from protocol.runtime.zenoh_bus import ZenohBus
 with ZenohBus(connect=["tcp/plant.field:7461"]) as bus:
     offer = bus.publisher("wyner/v1/loop/offer")
     while not offer.matched():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from compose.composition import ROOT, Composition, advancing, arrives, docker, wait_for
+from tests.compose.composition import ROOT, Composition, advancing, arrives, docker, wait_for
 
 SERVICES = ("controller", "plant", "tap")
 SYMBOLS_BEFORE = 20
@@ -97,9 +97,9 @@ def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path:
     for service in SERVICES:
         source = f"{direct.container(service)}:/var/lib/wyner/run/{service}"
         docker("cp", source, str(tmp_path / service))
-    shutil.copyfile(ROOT / "scenarios/sustained.toml", tmp_path / "scenario.toml")
+    shutil.copyfile(ROOT / "wyner/scenarios/sustained.toml", tmp_path / "scenario.toml")
     checked = subprocess.run(
-        [sys.executable, "-m", "wyner.cli", "check", str(tmp_path), "--json"],
+        [sys.executable, "-m", "wyner.cli.main", "check", str(tmp_path), "--json"],
         capture_output=True,
         text=True,
         timeout=120,

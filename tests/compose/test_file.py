@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from compose.composition import ROOT, Composition
+from tests.compose.composition import ROOT, Composition
 
 
 def test_compose_v2_reads_the_file_and_starts_the_direct_system_by_default(engine: str) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from compose.composition import RUN, Composition, docker, leftovers, wait_for
+from tests.compose.composition import RUN, Composition, docker, leftovers, wait_for
 
 LOOPS = 5
 

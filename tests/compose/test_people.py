@@ -1,7 +1,7 @@
 """What people run beside the services: the dashboard, and the operator's command."""
 
-from compose.composition import Composition, all_healthy
-from compose.terminal import Terminal
+from tests.compose.composition import Composition, all_healthy
+from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
 

@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from compose.composition import Composition, all_healthy, arrives, wait_for
+from tests.compose.composition import Composition, all_healthy, arrives, wait_for
 
 SERVICES = ("router", "secure-controller", "secure-plant", "secure-tap")
 ROUTER = "tls/router.field:7447"
@@ -13,7 +13,7 @@ ROUTER = "tls/router.field:7447"
 OPEN = """
 import json, sys, time
 from pathlib import Path
-from protocol.transport import TlsFiles, ZenohBus
+from protocol.runtime.zenoh_bus import TlsFiles, ZenohBus
 folder, *task = json.loads(sys.argv[1])
 with ZenohBus(
     connect=["tls/router.field:7447"], client=True, tls=TlsFiles.in_folder(Path(folder))

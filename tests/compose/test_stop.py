@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from compose.composition import Composition, advancing, all_healthy, leftovers, wait_for
-from compose.terminal import Terminal
+from tests.compose.composition import Composition, advancing, all_healthy, leftovers, wait_for
+from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
 GRACE_S = 5.0

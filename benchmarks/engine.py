@@ -1,0 +1,185 @@
+"""The engine beside the plain loop and beside the services' scalar functions, in one run."""
+
+import cProfile
+import pstats
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.reference_loop import plain_run
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.design import Design, cached_design
+from plant_service.disturbance import disturbance
+from protocol.agreement import NO_SYMBOL, predict
+from protocol.link.session import rules_of
+from protocol.scenario import Scenario
+from protocol.streams import COIN, DISTURBANCE, Stream
+from wyner.simulate.engine import chunks, follow, simulate_runs
+from wyner.studies.grid import ROOT
+
+SEED: Final = 1
+ROUNDS: Final = 5
+RUNS, STEPS = 4096, 200
+PLAIN_STEPS: Final = 60
+SCALAR_STEPS: Final = 4000
+ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
+INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
+PARTS: Final = {
+    ("wyner/simulate/engine/seeding.py", "generator_states"): "seeding",
+    ("wyner/simulate/engine/draws.py", "block"): "random numbers",
+    ("wyner/simulate/engine/draws.py", "disturbances"): "disturbances",
+    ("controller_service/laws/paper.py", "indices"): "set index",
+    ("controller_service/laws/paper.py", "candidates_many"): "both programs",
+    ("wyner/simulate/engine/loop.py", "step"): "next state and gauges",
+    ("wyner/simulate/engine/loop.py", "verdict"): "verdicts",
+    ("wyner/simulate/engine/link.py", "follow"): "automata",
+}
+"""File and function of each part; none calls another."""
+
+
+def shipped(name: str) -> Scenario:
+    """A shipped scenario."""
+    from wyner.cli.options import scenario_of
+
+    return scenario_of(name)
+
+
+def scalar_run(scenario: Scenario, law: ControlLaw, steps: int) -> list[int]:
+    """One run through the functions of the services, step by step."""
+    rule = rules_of(scenario).agreement
+    noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
+    size = scenario.secrecy.candidates
+    x = scenario.plant.initial_state
+    symbols = []
+    for k in range(steps):
+        u = law.candidates(x)
+        d = disturbance(scenario.plant.disturbance, k, noise.at(k))
+        centre = predict(scenario.plant.A, scenario.plant.B, x, u[int(coins.at(k)[0] * size)])
+        x_next = tuple([c + e for c, e in zip(centre, d, strict=True)])
+        symbols.append(rule.verdict(x, u, x_next).symbol)
+        x = x_next
+    return symbols
+
+
+def engine_run(scenario: Scenario, law: ControlLaw, runs: int, steps: int) -> None:
+    """Many runs with the automata at the scenario's alpha."""
+    for part in chunks(scenario, law, seed=SEED, runs=range(runs), steps=steps):
+        follow(part, [scenario.secrecy.alpha])
+
+
+def paper_sweep() -> float:
+    """Seconds of the paper's whole sweep, from reading the cached design to every rate."""
+    begin = time.perf_counter()
+    scenario = shipped("paper")
+    law = make_law(scenario, cached_design(scenario))
+    for x in INITIAL_STATES:
+        plant = scenario.plant.model_copy(update={"initial_state": x})
+        one = scenario.model_copy(update={"plant": plant})
+        follow(simulate_runs(one, law, seed=SEED, runs=range(20), steps=50), ALPHAS)
+    return time.perf_counter() - begin
+
+
+def where(call: Callable[[], object], rounds: int) -> dict[str, float]:
+    """The share of engine runs' processor time that each part takes, from a profile."""
+    profile = cProfile.Profile(time.process_time)
+    for _ in range(rounds):
+        profile.runcall(call)
+    stats: Any = pstats.Stats(profile)  # the type stubs leave out what it holds
+    spent = {
+        (file.removeprefix(f"{ROOT}/"), function): cumulative
+        for (file, _, function), (_, _, _, cumulative, _) in stats.stats.items()
+    }
+    shares = {text: spent[part] / stats.total_tt for part, text in PARTS.items()}
+    shares["the rest"] = 1.0 - sum(shares.values())
+    return shares
+
+
+def timed(call: Callable[[], object]) -> tuple[float, float]:
+    """Seconds of wall time and of this process's processor time."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    call()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def measure(
+    rounds: int = ROUNDS,
+    runs: int = RUNS,
+    steps: int = STEPS,
+    scalar_steps: int = SCALAR_STEPS,
+    plain_steps: int = PLAIN_STEPS,
+) -> dict[str, Any]:
+    """Alternate the three ways for some rounds; medians, and the ratio of the medians.
+
+    ``steps_per_second`` counts seconds of processor time: steps a second a core, whoever else uses
+    the machine. ``ratio`` is against the plain way by the same clock, ``wall_ratio`` by the wall's.
+    """
+    scenario = shipped("sustained")
+    design: Design = cached_design(scenario)
+    law = make_law(scenario, design)
+    ways: dict[str, tuple[int, Callable[[], object]]] = {
+        "engine": (runs * steps, lambda: engine_run(scenario, law, runs, steps)),
+        "scalar": (scalar_steps, lambda: scalar_run(scenario, law, scalar_steps)),
+        "plain": (
+            plain_steps,
+            lambda: plain_run(scenario, design, seed=SEED, run=0, steps=plain_steps),
+        ),
+    }
+    engine_run(scenario, law, runs, steps)
+    wall: dict[str, list[float]] = {name: [] for name in ways}
+    cpu: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(rounds):
+        for name, (count, call) in ways.items():
+            seconds, processor = timed(call)
+            wall[name].append(count / seconds)
+            cpu[name].append(count / processor)
+    rate = {name: statistics.median(values) for name, values in cpu.items()}
+    wall_rate = {name: statistics.median(values) for name, values in wall.items()}
+    plain = plain_run(scenario, design, seed=SEED, run=0, steps=200).symbols
+    ours = simulate_runs(scenario, law, seed=SEED, runs=range(1), steps=200)
+    possible = ours.largest[:, 0] <= scenario.secrecy.alpha
+    verdicts = np.where(possible, ours.symbol[:, 0], NO_SYMBOL)
+    return {
+        "scenario": scenario.name,
+        "seed": SEED,
+        "rounds": rounds,
+        "runs": runs,
+        "steps": steps,
+        "steps_per_second": rate["engine"],
+        "spread": [min(cpu["engine"]), max(cpu["engine"])],
+        "wall_steps_per_second": wall_rate["engine"],
+        "ratio": rate["engine"] / rate["plain"],
+        "wall_ratio": wall_rate["engine"] / wall_rate["plain"],
+        "plain_steps_per_second": rate["plain"],
+        "plain_spread": [min(cpu["plain"]), max(cpu["plain"])],
+        "scalar_steps_per_second": rate["scalar"],
+        "ratio_to_scalar": rate["engine"] / rate["scalar"],
+        "same_verdicts_as_plain": float((np.array(plain) == verdicts).mean()),
+        "paper_sweep_seconds": statistics.median(paper_sweep() for _ in range(rounds)),
+        "parts": where(lambda: engine_run(scenario, law, runs, steps), rounds),
+    }
+
+
+def render(r: dict[str, Any]) -> str:
+    """The figures in lines for people."""
+    low, high = r["spread"]
+    plow, phigh = r["plain_spread"]
+    lines = [
+        f"engine, {r['scenario']}, {r['runs']} runs of {r['steps']} steps: "
+        f"{r['steps_per_second']:.3g} steps/s a core [{low:.3g}, {high:.3g}]; by the wall clock "
+        f"{r['wall_steps_per_second']:.3g}",
+        f"plain loop, two OSQP solves and four linear programs a step: "
+        f"{r['plain_steps_per_second']:.3g} steps/s [{plow:.3g}, {phigh:.3g}]; same verdicts on "
+        f"{100 * r['same_verdicts_as_plain']:.1f} % of 200 steps",
+        f"ratio {r['ratio']:.0f} (medians of {r['rounds']} alternating rounds, processor time; by "
+        f"the wall clock {r['wall_ratio']:.0f})",
+        f"the services' scalar functions: {r['scalar_steps_per_second']:.3g} steps/s, ratio "
+        f"{r['ratio_to_scalar']:.0f}",
+        f"the paper's sweep, 14 alphas, 3 initial states, 20 runs of 50 steps: "
+        f"{r['paper_sweep_seconds']:.3f} s",
+        "where an engine step's time goes:",
+    ]
+    lines += [f"  {100 * share:5.1f} %  {text}" for text, share in r["parts"].items()]
+    return "\n".join(lines)

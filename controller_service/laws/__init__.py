@@ -1,0 +1,1 @@
+"""Control laws evaluated online, at one state or at many."""

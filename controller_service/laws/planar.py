@@ -1,0 +1,266 @@
+"""Planar plants with one input: set index and both programs by look-up, one state or many.
+
+One state and many states take the same look-ups and the same elementwise arithmetic in the same
+order, so their results agree to the last bit. No BLAS, no fused multiply and add, no arctangent.
+
+Membership in T_i asks one facet only: the one in whose sector, seen from the origin, x lies. The
+sectors of all sets lie in one sorted list, set i in the range 4 i to 4 i + 4, and are searched
+by the pseudo-angle of x. The programs' inputs form an interval. Along the line A x + B u one facet
+of the target bounds u from above and one from below; they depend on the line's offset alone, and
+are found in two more sorted lists.
+"""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller_service.laws.programs import Quadratic
+from controller_service.sets.design import Design
+from controller_service.tolerances import CHAIN_PARALLEL
+from protocol.convex import Array, Polytope, planar_vertices
+from protocol.scenario import Cost
+
+Indices = NDArray[np.intp]
+
+
+def pseudo_angle(x1: Array, x2: Array) -> Array:
+    """A number in [0, 4] that grows with the angle of (x1, x2); see the scalar twin in Planar."""
+    r = np.abs(x1) + np.abs(x2)
+    r = np.where(r > 0.0, r, 1.0)
+    q = x2 / r
+    p: Array = np.where(x1 < 0.0, 2.0 - q, np.where(x2 < 0.0, 4.0 + q, q))
+    return p
+
+
+class Sectors:
+    """The facets of T_0..T_N by sector.
+
+    ``keys`` holds 4 i + the pseudo-angle of each corner of T_i; a set with r facets has r corners
+    and r + 1 entries in ``a1``, ``a2``, ``b``, the first of them repeated across the angle zero.
+    """
+
+    def __init__(self, family: Sequence[tuple[Array, Array]]) -> None:
+        keys, rows = [], []
+        for i, (H, h) in enumerate(family):
+            corner = planar_vertices(Polytope(H, h))
+            angle = pseudo_angle(corner[:, 0], corner[:, 1])
+            start = int(angle.argmin())
+            keys.append(4.0 * i + np.maximum.accumulate(np.roll(angle, -start)))
+            # Corner j is of rows j and j + 1: the sector before corner `start` is row `start`'s.
+            ring = np.roll(np.column_stack([H, h]), -start, axis=0)
+            rows.append(np.vstack([ring, ring[:1]]))
+        self.first = len(keys[0])  # corners of T_0
+        self.keys = np.concatenate(keys)
+        table = np.vstack(rows)
+        self.a1, self.a2, self.b = (np.ascontiguousarray(table[:, j]) for j in range(3))
+
+
+class Chain:
+    """The facets of the targets that bound u on one side, by the offset of the line A x + B u.
+
+    The offset is scaled to [-1, 1] in each target; ``keys`` holds 4 j + the scaled offset of each
+    corner between two facets of target j. A bound is ``q - (c1 x_1 + c2 x_2)``.
+    """
+
+    def __init__(self, design: Design, side: float, scale: Sequence[float], shrink: Array) -> None:
+        B = design.B[:, 0]
+        across = np.array([-B[1], B[0]])
+        keys, rows = [], []
+        for j, (H, h) in enumerate(design.targets):
+            g = H @ B
+            bounding = side * g > CHAIN_PARALLEL * float(np.abs(B).sum())
+            offset = planar_vertices(Polytope(H, h)) @ across * (shrink[j] * scale[j])
+            # Facets are sorted by angle, so a chain is one run of them, circular.
+            first = int(np.flatnonzero(bounding & ~np.roll(bounding, 1))[0])
+            run = (first + np.arange(int(bounding.sum()))) % len(h)
+            order, between = run, offset[run[:-1]]
+            if side < 0:
+                # Counter-clockwise the offset falls along the lower chain.
+                order, between = order[::-1], between[::-1]
+            keys.append(4.0 * j + np.maximum.accumulate(between))
+            G = g[order]
+            rows.append(
+                np.column_stack([h[order] * shrink[j] / G, (H[order] @ design.A) / G[:, None]])
+            )
+        self.first = len(keys[0])  # keys of target 0
+        self.keys = np.concatenate(keys)
+        table = np.vstack(rows)
+        self.q, self.c1, self.c2 = (np.ascontiguousarray(table[:, i]) for i in range(3))
+
+
+class Planar:
+    """Index and candidates of a planar plant with one input."""
+
+    def __init__(
+        self,
+        design: Design,
+        u_min: float,
+        u_max: float,
+        costs: Sequence[Cost],
+        sustained: bool,
+    ) -> None:
+        self.N = design.horizon
+        self.sustained = sustained
+        self.u_min, self.u_max = u_min, u_max
+        shrink = 1 - np.array(design.margins)
+        self.sectors = Sectors(design.T)
+        B = design.B[:, 0]
+        across = np.array([-B[1], B[0]])
+        widths = [
+            float(np.abs(planar_vertices(Polytope(H, h)) @ across).max()) for H, h in design.targets
+        ]
+        scale = [1 / (w * k) for w, k in zip(widths, shrink.tolist(), strict=True)]
+        self.upper = Chain(design, 1.0, scale, shrink)
+        self.lower = Chain(design, -1.0, scale, shrink)
+        line = across @ design.A
+        # Offset of target j's line, already scaled: line1[j] x_1 + line2[j] x_2 + 4 j.
+        self.line1 = line[0] * np.array(scale)
+        self.line2 = line[1] * np.array(scale)
+        self.shift = 4.0 * np.arange(len(scale))
+        forms = [Quadratic.of(design.A, design.B, cost) for cost in costs]
+        self.gains = [-q.F[0] / q.P[0, 0] for q in forms]
+        self.K = design.K[0]
+        self._lists()
+
+    def _lists(self) -> None:
+        """Plain floats for the path of one state."""
+        s = self.sectors
+        self._keys = s.keys.tolist()
+        self._first = s.first
+        self._facets = list(zip(s.a1.tolist(), s.a2.tolist(), s.b.tolist(), strict=True))
+        self._chains = [
+            (c.keys.tolist(), list(zip(c.q.tolist(), c.c1.tolist(), c.c2.tolist(), strict=True)))
+            for c in (self.upper, self.lower)
+        ]
+        self._lines = list(
+            zip(self.line1.tolist(), self.line2.tolist(), self.shift.tolist(), strict=True)
+        )
+        self._gains = [(float(k[0]), float(k[1])) for k in self.gains]
+        self._K = (float(self.K[0]), float(self.K[1]))
+
+    def index(self, x: Sequence[float]) -> int:
+        """i(k), or N + 1 outside every set: T_0 first, where a closed loop nearly always is."""
+        x1, x2 = float(x[0]), float(x[1])
+        r = abs(x1) + abs(x2)
+        q = x2 / r if r > 0.0 else x2
+        p = 2.0 - q if x1 < 0.0 else (4.0 + q if x2 < 0.0 else q)
+        keys, facets = self._keys, self._facets
+        a1, a2, b = facets[bisect_right(keys, p, 0, self._first)]
+        if a1 * x1 + a2 * x2 <= b:
+            return 0
+        low, high = 1, self.N + 1
+        while low < high:
+            i = (low + high) >> 1
+            a1, a2, b = facets[bisect_right(keys, 4.0 * i + p) + i]
+            if a1 * x1 + a2 * x2 <= b:
+                high = i
+            else:
+                low = i + 1
+        return low
+
+    def indices(self, X: Array) -> Indices:
+        """i(k) of each row, N + 1 outside every set."""
+        x1, x2 = np.ascontiguousarray(X[:, 0]), np.ascontiguousarray(X[:, 1])
+        p = pseudo_angle(x1, x2)
+        s = self.sectors
+        at = np.searchsorted(s.keys[: self._first], p, side="right")
+        outside = np.flatnonzero(~(s.a1[at] * x1 + s.a2[at] * x2 <= s.b[at]))
+        out = np.zeros(len(X), dtype=np.intp)
+        if len(outside):
+            out[outside] = self._bisect(x1[outside], x2[outside], p[outside])
+        return out
+
+    def _bisect(self, x1: Array, x2: Array, p: Array) -> Indices:
+        """i(k) of rows outside T_0."""
+        s = self.sectors
+        low = np.ones(len(p), dtype=np.intp)
+        high = np.full(len(p), self.N + 1, dtype=np.intp)
+        for _ in range(self.N.bit_length()):
+            i = (low + high) >> 1
+            open_ = low < high
+            j = np.where(open_, i, 0)
+            at = np.searchsorted(s.keys, 4.0 * j + p, side="right") + j
+            inside = s.a1[at] * x1 + s.a2[at] * x2 <= s.b[at]
+            high = np.where(open_ & inside, i, high)
+            low = np.where(open_ & ~inside, i + 1, low)
+        return low
+
+    def interval(self, x1: float, x2: float, j: int) -> tuple[float, float]:
+        """Inputs in U that steer x into the tightened target j; empty when low > high."""
+        l1, l2, shift = self._lines[j]
+        key = (l1 * x1 + l2 * x2) + shift
+        keys, facets = self._chains[0]
+        q, c1, c2 = facets[bisect_right(keys, key) + j]
+        high = q - (c1 * x1 + c2 * x2)
+        keys, facets = self._chains[1]
+        q, c1, c2 = facets[bisect_right(keys, key) + j]
+        low = q - (c1 * x1 + c2 * x2)
+        return (
+            low if low > self.u_min else self.u_min,
+            high if high < self.u_max else self.u_max,
+        )
+
+    def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
+        """One input for each cost at index i; ValueError when the interval is empty."""
+        x1, x2 = float(x[0]), float(x[1])
+        if i == 0 and not self.sustained:
+            k1, k2 = self._K
+            u = k1 * x1 + k2 * x2
+            return ((u,),) * len(self._gains)
+        low, high = self.interval(x1, x2, i - 1 if i > 0 else 0)
+        if not low <= high:
+            raise ValueError(f"no input in [{low!r}, {high!r}]")
+        out = []
+        for k1, k2 in self._gains:
+            u = k1 * x1 + k2 * x2
+            if u < low:
+                u = low
+            elif u > high:
+                u = high
+            out.append((u,))
+        return tuple(out)
+
+    def candidates_many(self, X: Array, indices: Indices) -> Array:
+        """One input for each row and cost, shape (R, M, 1); ValueError where none is left."""
+        x1, x2 = np.ascontiguousarray(X[:, 0]), np.ascontiguousarray(X[:, 1])
+        out = np.empty((len(self._gains), len(X)))
+        if self.sustained:
+            self._clip(x1, x2, indices, out)
+            return out.T[:, :, None]
+        out[:] = self._K[0] * x1 + self._K[1] * x2
+        rest = np.flatnonzero(indices)
+        if len(rest):
+            clipped = np.empty((len(self._gains), len(rest)))
+            self._clip(x1[rest], x2[rest], indices[rest], clipped)
+            out[:, rest] = clipped
+        return out.T[:, :, None]
+
+    def _clip(self, x1: Array, x2: Array, indices: Indices, out: Array) -> None:
+        """Each cost's own minimiser, clipped to the admissible interval, into a row of ``out``."""
+        j = np.maximum(indices - 1, 0)
+        inner = not j.any()  # every target is T_0's: its tables alone, which stay in cache
+        if inner:
+            key = self.line1[0] * x1 + self.line2[0] * x2
+        else:
+            key = (self.line1[j] * x1 + self.line2[j] * x2) + self.shift[j]
+        bounds = []
+        for c in (self.upper, self.lower):
+            if inner:
+                at = np.searchsorted(c.keys[: c.first], key, side="right")
+            else:
+                at = np.searchsorted(c.keys, key, side="right") + j
+            bounds.append(c.q[at] - (c.c1[at] * x1 + c.c2[at] * x2))
+        high, low = bounds
+        low = np.where(low > self.u_min, low, self.u_min)
+        high = np.where(high < self.u_max, high, self.u_max)
+        empty = ~(low <= high)
+        if empty.any():
+            row = int(empty.argmax())
+            raise ValueError(
+                f"no input in [{low[row]!r}, {high[row]!r}] at x = {[x1[row], x2[row]]}"
+            )
+        for row, k in zip(out, self._gains, strict=True):
+            u = k[0] * x1 + k[1] * x2
+            row[:] = np.where(u < low, low, np.where(u > high, high, u))

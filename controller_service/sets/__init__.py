@@ -1,0 +1,1 @@
+"""Sets computed offline: the terminal set, the recursion, the design and its cache."""

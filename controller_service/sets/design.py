@@ -1,0 +1,190 @@
+"""Offline design: the terminal set T_0 and the one-step controllable sets T_1..T_N.
+
+T_0 is an outer approximation of the minimal robust positively invariant set of
+x+ = (A + B K) x + d, d in D_c; in the plane Rakovic's (Rakovic et al. 2005). Then
+T_i = { x : there is u in U with A x + B u in T_{i-1} ~ D_c }, equation (26) read as (27) uses it:
+eroded once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from controller_service.sets.recursion import Recursion, recursion, support
+from controller_service.sets.terminal import (
+    SynthesisError,
+    Terminal,
+    feedback_gain,
+    input_interval,
+    set_corners,
+    terminal_set,
+)
+from controller_service.tolerances import TERMINAL_MARGIN
+from protocol.convex import Array, Polytope, SetError, corners
+from protocol.scenario import Scenario
+
+__all__ = [
+    "Design",
+    "Progress",
+    "SynthesisError",
+    "Terminal",
+    "cached_design",
+    "feedback_gain",
+    "input_interval",
+    "set_corners",
+    "synthesise",
+]
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The sets of one scenario.
+
+    Parameters
+    ----------
+    A, B, K : array, shapes (n, n), (n, m), (m, n)
+        Model and terminal gain.
+    T : tuple of (H, h), shapes (r_i, n) and (r_i,)
+        T_0..T_N, unit rows, irredundant; sorted by angle in the plane.
+    targets : tuple of (H, h)
+        T_i ~ D_c for i = 0..N, irredundant.
+    terminal : Terminal
+        How T_0 was made.
+    gain_given : bool
+        Whether K was stated (else it is a linear quadratic regulator's).
+    margins : tuple of float
+        Fraction by which the programs tighten each target; T_(i+1) was shrunk by twice that of
+        target i, so that the tightened programs are feasible with as much to spare.
+    seconds : float
+        Time that the synthesis took.
+    cached : bool
+        Whether the design was read from the cache.
+    """
+
+    A: Array
+    B: Array
+    K: Array
+    T: tuple[tuple[Array, Array], ...]
+    targets: tuple[tuple[Array, Array], ...]
+    terminal: Terminal
+    gain_given: bool
+    margins: tuple[float, ...]
+    seconds: float
+    cached: bool = False
+
+    @property
+    def horizon(self) -> int:
+        """N, the index of the largest set; below the scenario's when the sets stop growing."""
+        return len(self.T) - 1
+
+    @property
+    def facets(self) -> tuple[int, ...]:
+        """Number of facets of each T_i."""
+        return tuple(len(h) for _, h in self.T)
+
+    def set(self, i: int) -> tuple[Array, Array]:
+        """T_i as (H, h)."""
+        return self.T[i]
+
+    def target(self, i: int) -> tuple[Array, Array]:
+        """T_i ~ D_c as (H, h)."""
+        return self.targets[i]
+
+
+def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) -> None:
+    """T_0 robust invariant with the programs' margin to spare, K T_0 within U, T_0 within X."""
+    V = corners(T0.H, T0.h)
+    needed = support(V @ (r.A + r.B @ K).T, T0.H) + support(r.DV, T0.H)
+    worst = float((needed / T0.h).max())
+    # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
+    if not worst <= 1 - r.settle(T0)[2]:
+        raise SynthesisError(
+            f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
+            "of itself)"
+        )
+    control = scenario.control
+    bounds = [("control.gain: K T_0 is not within control.inputs", V @ K.T, control.inputs)]
+    if control.states is not None:
+        bounds.append(("control.states: T_0 is not within the state bounds", V, control.states))
+    for complaint, points, allowed in bounds:
+        H, h = (np.array(a) for a in allowed.rows())
+        reach = support(points, H)
+        if not (reach <= h).all():
+            j = int((reach / h).argmax())
+            raise SynthesisError(
+                f"{complaint}, row {j + 1} reaches {reach[j]:.6g}, expected at most {h[j]:.6g}"
+            )
+
+
+def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
+    """Compute a scenario's design; ``progress(done, total)`` is called after each set.
+
+    Raises
+    ------
+    SynthesisError
+        With one line: K does not stabilise, K T_0 not within U, an empty set at some index, or a
+        plant with more states or inputs than the route serves.
+    """
+    import time
+
+    begin = time.perf_counter()
+    if scenario.n > 4 or scenario.m > 2:
+        raise SynthesisError(
+            f"plant: got {scenario.n} states and {scenario.m} inputs, expected 1 to 4 states and "
+            "1 or 2 inputs"
+        )
+    K = feedback_gain(scenario)
+    larger = scenario.defender.disturbance.scaled(1 + TERMINAL_MARGIN)
+    try:
+        r = recursion(scenario)
+        T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+        _check_terminal(T0, K, r, scenario)
+    except SetError as error:
+        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+    T: list[tuple[Array, Array]] = []
+    targets: list[tuple[Array, Array]] = []
+    margins: list[float] = []
+    for i, p, q, deflation in r.run(T0, scenario.control.horizon):
+        T.append((p.H, p.h))
+        targets.append((q.H, q.h))
+        margins.append(0.5 * deflation)
+        if progress is not None:
+            progress(i, scenario.control.horizon)
+    return Design(
+        A=r.A,
+        B=r.B,
+        K=K,
+        T=tuple(T),
+        targets=tuple(targets),
+        terminal=terminal,
+        gain_given=scenario.control.gain is not None,
+        margins=tuple(margins),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def cached_design(
+    scenario: Scenario, progress: Progress | None = None, cache_dir: Path | None = None
+) -> Design:
+    """Read the scenario's design from the cache, or compute and store it.
+
+    The default folder is ``$XDG_CACHE_HOME/wyner/designs``, else ``~/.cache/wyner/designs``.
+
+    Raises
+    ------
+    SynthesisError
+        As :func:`synthesise`.
+    """
+    from controller_service.sets.design_cache import load, store
+
+    fingerprint = scenario.design_fingerprint()
+    found = load(fingerprint, cache_dir)
+    if found is not None:
+        return found
+    design = synthesise(scenario, progress)
+    store(design, fingerprint, cache_dir)
+    return design

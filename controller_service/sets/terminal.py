@@ -1,0 +1,175 @@
+"""The gain K and the terminal set T_0: where the recursion of the sets starts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller_service.tolerances import TERMINAL_ERROR
+from protocol.convex import Array, Polytope, corners, planar_reduce, planar_vertices
+from protocol.scenario import ConvexSet, Scenario
+
+
+class SynthesisError(Exception):
+    """A scenario for which no sets exist; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """How T_0 was made.
+
+    Parameters
+    ----------
+    method : str
+        ``interval`` (one state), ``rakovic`` (two) or ``modal``.
+    order : int
+        Rakovic's s, the number of terms summed; 0 for the others.
+    alpha : float
+        Rakovic's alpha with (A + B K)^s D_c within alpha D_c; 0 for the others.
+    bound : float
+        No point of T_0 is farther than this from the minimal invariant set (infinity norm) of the
+        D_c that is larger by ``TERMINAL_MARGIN``.
+    """
+
+    method: str
+    order: int
+    alpha: float
+    bound: float
+
+
+def set_corners(s: ConvexSet) -> Array:
+    """Corners of a scenario's set, shape (corners, n)."""
+    if s.half_widths is not None:
+        grid = np.meshgrid(*[(-w, w) for w in s.half_widths], indexing="ij")
+        return np.stack([g.ravel() for g in grid], axis=1)
+    return corners(*s.rows())
+
+
+def input_interval(inputs: ConvexSet) -> tuple[float, float]:
+    """U of one input as (u_min, u_max)."""
+    H, h = inputs.rows()
+    bounds = [(row[0], b / row[0]) for row, b in zip(H, h, strict=True) if row[0] != 0]
+    below, above = [b for a, b in bounds if a < 0], [b for a, b in bounds if a > 0]
+    if not below or not above:
+        raise SynthesisError("control.inputs: the set is unbounded, expected a compact one")
+    return max(below), min(above)
+
+
+def feedback_gain(scenario: Scenario) -> Array:
+    """K, shape (m, n): the stated gain, or the regulator's for u = K x.
+
+    Raises
+    ------
+    SynthesisError
+        When A + B K is not stable or no regulator exists.
+    """
+    A, B = np.array(scenario.A), np.array(scenario.B)
+    if scenario.control.gain is not None:
+        K = np.array(scenario.control.gain)
+    else:
+        from scipy.linalg import LinAlgError, solve_discrete_are
+
+        weights = scenario.control.regulator
+        assert weights is not None
+        Q, R = np.diag(weights.next_state), np.diag(weights.input)
+        try:
+            P = solve_discrete_are(A, B, Q, R)
+        except (LinAlgError, ValueError) as error:
+            raise SynthesisError(
+                f"control.regulator: no stabilising regulator exists ({str(error).rstrip('.')})"
+            ) from None
+        K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    radius = float(np.abs(np.linalg.eigvals(A + B @ K)).max())
+    if not radius < 1:
+        raise SynthesisError(
+            f"control.gain: K does not stabilise, the spectral radius of A + B K is {radius:.6g}, "
+            "expected below 1"
+        )
+    return K
+
+
+def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, Terminal]:
+    """An invariant set of x+ = A_c x + d, d in D, by the number of states.
+
+    Raises
+    ------
+    SynthesisError
+        When the route finds none; the message is one line.
+    """
+    if len(Ac) == 1:
+        return invariant_interval(float(Ac[0, 0]), set_corners(D)[:, 0])
+    if len(Ac) == 2:
+        H, h = D.rows()
+        return rakovic(Ac, (np.array(H), np.array(h)), order)
+    return modal(Ac, set_corners(D))
+
+
+def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
+    """The minimal invariant set of x+ = a x + d itself, d between the entries of D."""
+    low, high = float(D.min()), float(D.max())
+    if a < 0:  # every other term of D + a D + a^2 D + ... is turned round
+        low, high = (low + a * high) / (1 - a * a), (high + a * low) / (1 - a * a)
+    else:
+        low, high = low / (1 - a), high / (1 - a)
+    p = Polytope(np.array([[1.0], [-1.0]]), np.array([high, -low]))
+    return p, Terminal("interval", 0, 0.0, 0.0)
+
+
+def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polytope, Terminal]:
+    """F(alpha, s) = (1 - alpha)^-1 (D + A_c D + ... + A_c^(s-1) D) in the plane."""
+    unit = Polytope.from_rows(*D)
+    D_c = planar_reduce(unit.H, unit.h)
+    V = planar_vertices(D_c)
+    powers = [np.eye(2)]
+    reach = np.zeros(2)
+    while True:
+        s = len(powers)
+        reach = reach + np.abs(V @ powers[-1].T).max(axis=0)
+        power = Ac @ powers[-1]
+        alpha = float(((V @ power.T @ D_c.H.T).max(axis=0) / D_c.h).max())
+        if alpha < 1:
+            # The sum's radius in the infinity norm: its support along the axes, term by term.
+            radius = float(reach.max())
+            bound = alpha / (1 - alpha) * radius
+            if s == order or (order is None and bound <= TERMINAL_ERROR * radius):
+                break
+        if s == order or s >= 200:
+            raise SynthesisError(
+                f"control.terminal_order: with {s} terms A_c^s D_c is {alpha:.3g} times D_c, "
+                "expected below 1"
+            )
+        powers.append(power)
+    # The sum's normals are those across the terms' edges; its support is the sum of theirs.
+    terms = np.stack(powers)
+    edges = D_c.H @ np.array([[0.0, -1.0], [1.0, 0.0]])
+    directions = (edges @ terms.transpose(0, 2, 1)).reshape(-1, 2)
+    normals = np.stack([directions[:, 1], -directions[:, 0]], axis=1)
+    lengths = np.sqrt((normals * normals).sum(axis=1))
+    normals = normals[lengths > 0] / lengths[lengths > 0, None]
+    normals = np.vstack([normals, -normals])
+    support = (V @ terms.transpose(0, 2, 1) @ normals.T).max(axis=1).sum(axis=0)
+    return planar_reduce(normals, support / (1 - alpha)), Terminal("rakovic", s, alpha, bound)
+
+
+def modal(Ac: Array, V: Array) -> tuple[Polytope, Terminal]:
+    """The parallelepiped { x : |W x|_i <= z_i } in the modes of A_c, W A_c = M W."""
+    values, vectors = np.linalg.eig(Ac)
+    columns: list[Array] = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag == 0:
+            columns.append(vector.real)
+        elif value.imag > 0:
+            columns += [vector.real, vector.imag]
+    basis = np.stack(columns, axis=1)
+    refusal = SynthesisError(
+        "control.gain: the modes of A + B K give no invariant parallelepiped, expected real or "
+        "well damped, distinct eigenvalues"
+    )
+    if np.linalg.cond(basis) > 1e8:
+        raise refusal
+    W = np.linalg.inv(basis)
+    M = np.abs(W @ Ac @ basis)
+    if not np.abs(np.linalg.eigvals(M)).max() < 1 - 1e-9:
+        raise refusal
+    z = np.linalg.solve(np.eye(len(M)) - M, np.abs(V @ W.T).max(axis=0))
+    p = Polytope.from_rows(np.vstack([W, -W]), np.concatenate([z, z]))
+    return p, Terminal("modal", 0, 0.0, float(np.abs(corners(p.H, p.h)).max()))

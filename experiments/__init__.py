@@ -1,1 +1,0 @@
-"""Experiments: the loop over many runs, sweeps, figures, benchmarks and their references."""

@@ -1,0 +1,435 @@
+"""The controller's end of the link, sans I/O, by the rules of :mod:`protocol.link.session`."""
+
+from collections.abc import Callable
+from typing import Final, Literal, NamedTuple, Protocol
+
+from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.link.session import Rules, Transition, Vector
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.schemes.framing import IDLE, encode_frame
+from protocol.schemes.switched import INITIAL, MESSAGE, State, advance_sender, encrypt
+from protocol.streams import SymbolSource
+
+REMEMBERED_SESSIONS: Final = 16
+"""Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
+
+
+LARGEST: Final = 1e150
+"""No number of a state is larger: sums and quotients of larger ones need not be finite."""
+
+STALE: Final = 64
+"""Measurements of steps gone by, without a newer one between, after which the plant is believed and
+not the journal: a newest step that the plant never made was answered. A network that reorders holds
+back fewer."""
+
+
+class Outbox(Protocol):
+    """The queue of messages to deliver, in order, numbered from 0."""
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
+
+
+class SenderRecord(NamedTuple):
+    """All that the controller must not forget, as its journal keeps it.
+
+    ``cipher`` is the decided symbol of the next transition and ``message_symbol`` the m[p] inside
+    it (-1 in state 1); ``message`` and ``offset`` say where in which queued frame the next message
+    symbol comes from, and ``framed`` whether the pending one came from there or is idle.
+    ``offer`` is the one answer that may still be applied.
+    """
+
+    session: str | None = None
+    ended: tuple[str, ...] = ()
+    s: int = INITIAL.s
+    key: int = INITIAL.key
+    k: int = -1
+    applied_k: int = -1
+    transitions: int = 0
+    agreements: int = 0
+    p: int = 0
+    cipher: int = 0
+    message_symbol: int = NO_SYMBOL
+    framed: bool = False
+    message: int = 0
+    offset: int = 0
+    x: Vector = ()
+    offer: Offer | None = None
+
+    @property
+    def state(self) -> State:
+        """The sender automaton's state."""
+        return State(self.s, self.key)
+
+
+class Decision(NamedTuple):
+    """The decided symbol of the next transition; the fields are those of :class:`SenderRecord`."""
+
+    cipher: int
+    message_symbol: int
+    framed: bool
+    offset: int
+
+
+class Counted(NamedTuple):
+    """What a measurement made of the transition it reports: verdict, state, the next symbol."""
+
+    verdict: Verdict
+    after: State
+    message: int
+    delivered: int | None
+    following: Decision
+
+
+class Answer(NamedTuple):
+    """A measurement that moved the link on, what it counts, and the offer in answer if any."""
+
+    measurement: Measurement
+    counted: Counted | None
+    offer: Offer | None
+
+
+class SenderEffects(NamedTuple):
+    """What the controller's shell must do, in this order: trace, save, publish.
+
+    ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
+    the record before them, and then for :meth:`Sender.settle`, once the offer is on its way.
+    ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
+    session that is not this process's.
+    """
+
+    save: bool = False
+    append: bool = False
+    transition: Transition | None = None
+    delivered: int | None = None
+    offer: Offer | None = None
+    reply: ControllerHello | None = None
+    refusal: str = ""
+    greet: bool = False
+
+
+NOTHING: Final = SenderEffects()
+
+
+class Sender:
+    """The controller's end of the link.
+
+    Parameters
+    ----------
+    rules : Rules
+    propose : callable
+        x -> M candidate inputs; raises `LookupError` where the law has no answer.
+    outbox : Outbox
+    fresh : SymbolSource
+        Random cipher symbols.
+    instance : str
+        Random id of this process.
+    record : SenderRecord, optional
+        As read back from the journal.
+    step : tuple of Measurement and Offer, optional
+        What was heard and said after that record, as read back: to be settled first.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        propose: Callable[[Vector], tuple[Vector, ...]],
+        outbox: Outbox,
+        fresh: SymbolSource,
+        instance: str,
+        record: SenderRecord | None = None,
+        step: tuple[Measurement, Offer] | None = None,
+    ) -> None:
+        self.rules = rules
+        self.record = record or SenderRecord()
+        self.instance = instance
+        self._propose = propose
+        self._outbox = outbox
+        self._fresh = fresh
+        self._plant: str | None = None
+        self._elsewhere: str | None = None
+        self._refused = False
+        self._stale = 0
+        self._frame: tuple[int, bytes] = (-1, b"")
+        self._answer: Answer | None = None
+        if step is not None:
+            measurement, offer = step
+            self._answer = Answer(measurement, self._count(measurement, offer.cipher), offer)
+
+    @property
+    def plant(self) -> str | None:
+        """The plant process whose session is taken up, if any."""
+        return self._plant
+
+    @property
+    def refused(self) -> bool:
+        """Whether the only plant there shares another model: there is nothing to go on with."""
+        return self._refused
+
+    def greeting(self) -> ControllerHello:
+        """The first word after a start: asks the plant to say which session it is in."""
+        return self._hello("greeting")
+
+    def heard_plant(self, hello: PlantHello, *, running: bool = False) -> SenderEffects:
+        """The plant asks to take up a session (rule 6).
+
+        ``running`` says that the plant whose session is taken up was heard just now: another one
+        then has to wait.
+        """
+        record = self.record
+        if hello.fingerprint != self.rules.fingerprint:
+            self._refused = record.session is None and not record.ended
+            return SenderEffects(
+                reply=self._hello("other-model", hello),
+                refusal=f"plant {hello.instance} shares another model",
+            )
+        ours = hello.session == record.session
+        if running and not ours and self._plant not in (None, hello.instance):
+            return SenderEffects(
+                refusal=f"plant {hello.instance} speaks up while plant {self._plant} runs: "
+                "two plants on one loop?"
+            )
+        if ours and hello.instance == self._plant and hello.applied_k < record.applied_k:
+            return NOTHING  # it was overtaken
+        if hello.controller is None:
+            self._elsewhere = None
+            return SenderEffects(reply=self.greeting())
+        if hello.controller != self.instance:
+            return self._step_back(hello)
+        self._elsewhere = None
+        if ours:
+            outstanding = record.offer.k if record.offer is not None else record.applied_k
+            if hello.applied_k in (record.applied_k, outstanding):
+                self._plant = hello.instance
+                return SenderEffects(reply=self._hello("accepted", hello))
+            return self._end_session(hello, "the journals do not fit together")
+        if hello.transitions or hello.session in record.ended:
+            return self._end_session(hello, "the plant is in a session this journal does not know")
+        self._adopt(hello)
+        return SenderEffects(save=True, reply=self._hello("accepted", hello))
+
+    def measured(self, measurement: Measurement) -> SenderEffects:
+        """A measurement arrived: count what it reports, decide, offer (rules 2 and 3).
+
+        With ``append`` among the effects, what the offer hangs on is done and the rest is left to
+        :meth:`settle`, which must come before the next event.
+
+        Raises
+        ------
+        ValueError
+            When its vectors do not have the plant's dimension, or are too large to reckon with:
+            garbage; nothing has changed.
+        """
+        assert self._answer is None, "the answer before has not been settled"
+        record = self.record
+        n = self.rules.states
+        if len(measurement.x) != n:
+            raise ValueError(f"measurement.x: got {len(measurement.x)} states, expected {n}")
+        if len(measurement.x_after) not in (0, n):
+            raise ValueError(
+                f"measurement.x_after: got {len(measurement.x_after)} states, expected {n} or none"
+            )
+        if max(map(abs, measurement.x + measurement.x_after)) > LARGEST:
+            raise ValueError(f"measurement: got a state beyond {LARGEST:g}")
+        if self._plant is None or measurement.session != record.session:
+            return SenderEffects(greet=measurement.session != self._elsewhere)
+        if measurement.k < record.k:
+            self._stale += 1
+            return NOTHING if self._stale < STALE else self._diverged(measurement)
+        self._stale = 0
+        offer = record.offer
+        if offer is not None and measurement.k == offer.k:
+            if measurement.applied_k == record.applied_k and measurement.x == record.x:
+                return SenderEffects(offer=offer)
+            return self._diverged(measurement)
+        counted = None
+        if measurement.applied_k != record.applied_k:
+            if offer is None or measurement.applied_k != offer.k or not measurement.x_after:
+                return self._diverged(measurement)
+            counted = self._count(measurement)
+        try:
+            candidates = self._propose(measurement.x)
+        except LookupError as error:
+            self._answer = Answer(measurement, counted, None)
+            return self.settle()._replace(save=True, refusal=str(error))
+        offer = Offer(
+            session=measurement.session,
+            k=measurement.k,
+            candidates=candidates,
+            cipher=record.cipher if counted is None else counted.following.cipher,
+        )
+        self._answer = Answer(measurement, counted, offer)
+        return SenderEffects(append=True, offer=offer)
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether an answer, given now or read back from the journal, waits for `settle`."""
+        return self._answer is not None
+
+    def settle(self) -> SenderEffects:
+        """Bring the record up to the answer given: the transition it counted, if any."""
+        assert self._answer is not None, "there is no answer to settle"
+        (measurement, counted, offer), self._answer = self._answer, None
+        before = self.record
+        if counted is None:
+            self.record = before._replace(k=measurement.k, x=measurement.x, offer=offer)
+            return NOTHING
+        after, following = counted.after, counted.following
+        applied = before.offer
+        assert applied is not None
+        tested = before.s != MESSAGE
+        p = before.p + (0 if tested else 1)
+        transition = Transition(
+            session=applied.session,
+            j=before.transitions,
+            k=applied.k,
+            x=before.x,
+            candidates=applied.candidates,
+            cipher=applied.cipher,
+            x_next=measurement.x_after,
+            role="test" if tested else "message",
+            verdict=counted.verdict,
+            symbol=after.key,
+            key=before.key,
+            message_symbol=before.message_symbol,
+            p=p,
+            s=after.s,
+        )
+        self.record = before._replace(
+            s=after.s,
+            key=after.key,
+            k=measurement.k,
+            applied_k=applied.k,
+            transitions=before.transitions + 1,
+            agreements=before.agreements + (1 if after.key != NO_SYMBOL else 0),
+            p=p,
+            cipher=following.cipher,
+            message_symbol=following.message_symbol,
+            framed=following.framed,
+            message=counted.message,
+            offset=following.offset,
+            x=measurement.x,
+            offer=offer,
+        )
+        return SenderEffects(
+            save=counted.delivered is not None,
+            transition=transition,
+            delivered=counted.delivered,
+        )
+
+    def _count(self, measurement: Measurement, decided: int | None = None) -> Counted | None:
+        """Advance over the offer that ``measurement`` reports as applied; decide the next symbol.
+
+        None where it reports none that is new. ``decided`` is the cipher symbol of an answer that
+        was given before.
+        """
+        record = self.record
+        offer = record.offer
+        if offer is None or measurement.applied_k == record.applied_k:
+            return None
+        verdict = self.rules.agreement.verdict(record.x, offer.candidates, measurement.x_after)
+        after = advance_sender(record.state, verdict.symbol, self.rules.size)
+        delivered = None
+        message, offset = record.message, record.offset
+        whole = offset == len(self._symbols(message))  # looked at in both states, as in `_decide`
+        if whole and record.framed:
+            delivered = message
+            message, offset = message + 1, 0
+        following = self._decide(after, record.transitions + 1, message, offset, decided)
+        return Counted(verdict, after, message, delivered, following)
+
+    def _decide(
+        self, state: State, transitions: int, message: int, offset: int, decided: int | None = None
+    ) -> Decision:
+        """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
+
+        Both symbols are made in both states, so that neither takes longer.
+        """
+        fresh = self._fresh.symbol(transitions, self.rules.size) if decided is None else decided
+        symbols = self._symbols(message)
+        framed = bool(symbols)
+        message_symbol = symbols[offset] if framed else IDLE
+        cipher = encrypt(message_symbol, state.key, self.rules.size)
+        if state.s != MESSAGE:
+            return Decision(fresh, NO_SYMBOL, False, offset)
+        return Decision(cipher, message_symbol, framed, offset + framed)
+
+    def _symbols(self, message: int) -> bytes:
+        """The frame of a queued message, or nothing while there is none."""
+        number, symbols = self._frame
+        if number != message:
+            payload = self._outbox.payload(message)
+            if payload is None:
+                return b""
+            symbols = encode_frame(payload, self.rules.size)
+            self._frame = (message, symbols)
+        return symbols
+
+    def _adopt(self, hello: PlantHello) -> None:
+        """Begin a session; the frame under way starts again."""
+        fresh = SenderRecord(
+            session=hello.session,
+            ended=self._ended_now(),
+            message=self.record.message,
+            k=-1,
+        )
+        first = self._decide(fresh.state, 0, fresh.message, 0)
+        self.record = fresh._replace(cipher=first.cipher)
+        self._plant = hello.instance
+        self._stale = 0
+
+    def _ended_now(self) -> tuple[str, ...]:
+        if self.record.session is None:
+            return self.record.ended
+        return (*self.record.ended, self.record.session)[-REMEMBERED_SESSIONS:]
+
+    def _drop_session(self) -> bool:
+        """Forget the session and its half-agreed key; False when there is none to forget."""
+        self._plant = None
+        self._stale = 0
+        if self.record.session is None:
+            return False
+        self.record = SenderRecord(ended=self._ended_now(), message=self.record.message)
+        return True
+
+    def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:
+        save = self._drop_session() if hello.session == self.record.session else False
+        return SenderEffects(save=save, reply=self._hello("unknown-session", hello), refusal=why)
+
+    def _step_back(self, hello: PlantHello) -> SenderEffects:
+        """The plant asks another controller, or is with one: offer nothing in that session.
+
+        Who worked in that very session until now drops it: the other one has its journal.
+        """
+        overtaken = self._plant is not None and hello.session == self.record.session
+        if overtaken:
+            self._drop_session()
+        self._plant = None
+        self._elsewhere = hello.session
+        return SenderEffects(
+            save=overtaken,
+            refusal=f"plant {hello.instance} is with controller {hello.controller}, and not with "
+            f"this one, {self.instance}",
+        )
+
+    def _diverged(self, measurement: Measurement) -> SenderEffects:
+        """The plant reports what this journal rules out: one of the two went back in time."""
+        self._drop_session()
+        return SenderEffects(
+            save=True,
+            greet=True,
+            refusal=f"measurement {measurement.k} does not follow from the journal; session ended",
+        )
+
+    def _hello(
+        self,
+        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
+        hello: PlantHello | None = None,
+    ) -> ControllerHello:
+        return ControllerHello(
+            instance=self.instance,
+            fingerprint=self.rules.fingerprint,
+            verdict=verdict,
+            session=hello.session if hello else self.record.session,
+            answers=hello.instance if hello else None,
+        )

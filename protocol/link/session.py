@@ -1,0 +1,124 @@
+"""Exactly once over a network that loses, repeats, delays and reorders, with processes that die.
+
+Both ends (:mod:`protocol.link.sender`, :mod:`protocol.link.receiver`) are sans I/O: events go in,
+effects come out, and nothing is sent before it is saved. Here is what they share. The rules are
+those of docs/protocol.md, numbered there and here:
+
+1. The plant owns the step counter k and repeats Measurement(k) until Offer(k) or its deadline.
+2. The controller counts a transition when a measurement first reports it, and answers the same
+   measurement with the same offer, byte for byte.
+3. The cipher symbol of a transition is decided once, when the one before it is counted; it is sent
+   again, unchanged, in every offer until one of them has been applied.
+4. A missed step is no transition: it is never tested and moves no automaton.
+5. The plant takes an offer for its session and its current k only, once.
+6. A session has a random id made by the plant, for the one controller that it asks to take it up;
+   another process may go on with it only from the journal that it was kept in. A side whose journal
+   is gone or does not fit makes it end: the half-agreed key is dropped and the message starts again
+   from its last whole frame.
+7. Messages are framed and queue up in order.
+
+What holds under every schedule: what the plant has recovered is a prefix of what was sent; both
+automata agree on every transition both have counted; no key symbol serves two message symbols.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple
+
+from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
+from protocol.scenario import Scenario
+
+Vector = tuple[float, ...]
+
+SILENCE_S: Final = 2.0
+"""Seconds after which a partner that does not answer counts as away, and another may come in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What both ends share: the agreement rule, the plant's shape and the fingerprint of it all.
+
+    Parameters
+    ----------
+    agreement : AgreementRule
+    size : int
+        M, the number of candidates and of symbols.
+    states, inputs : int
+        n and m.
+    fingerprint : str
+        Compared over ops before the first step.
+    inputs_gauge : Gauge
+        The gauge of U, the admissible inputs.
+    """
+
+    agreement: AgreementRule
+    size: int
+    states: int
+    inputs: int
+    fingerprint: str
+    inputs_gauge: Gauge
+
+    def admissible(self, u: Vector) -> bool:
+        """Whether ``u`` is in U, to rounding."""
+        return self.inputs_gauge(u) <= INSIDE
+
+
+def rules_of(scenario: Scenario) -> Rules:
+    """The rules that both ends of a scenario share."""
+    H, h = scenario.defender.disturbance.rows()
+    return Rules(
+        agreement=AgreementRule(
+            A=scenario.A,
+            B=scenario.B,
+            gauge=Gauge.from_rows(H, h),
+            alpha=scenario.secrecy.alpha,
+        ),
+        size=scenario.secrecy.candidates,
+        states=scenario.n,
+        inputs=scenario.m,
+        fingerprint=scenario.fingerprint(),
+        inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
+    )
+
+
+class Transition(NamedTuple):
+    """A transition as one side counted it: the public part, and what that side made of it.
+
+    ``role`` is ``test`` in state 1 and ``message`` in state 2; ``symbol`` the key symbol agreed,
+    ``key`` the key in use, ``message_symbol`` the m[p] carried (each -1 where there is none);
+    ``p`` counts message symbols up to here, ``s`` is the automaton's state afterwards.
+    """
+
+    session: str
+    j: int
+    k: int
+    x: Vector
+    candidates: tuple[Vector, ...]
+    cipher: int
+    x_next: Vector
+    role: Literal["test", "message"]
+    verdict: Verdict
+    symbol: int
+    key: int
+    message_symbol: int
+    p: int
+    s: int
+
+    def as_event(self) -> dict[str, Any]:
+        """The transition as a trace's event."""
+        return {
+            "event": "transition",
+            "session": self.session,
+            "j": self.j,
+            "k": self.k,
+            "x": self.x,
+            "candidates": self.candidates,
+            "cipher": self.cipher,
+            "x_next": self.x_next,
+            "role": self.role,
+            "gauges": self.verdict.gauges,
+            "symbol": self.symbol,
+            "key": self.key,
+            "message_symbol": self.message_symbol,
+            "p": self.p,
+            "s": self.s,
+        }

@@ -1,0 +1,127 @@
+"""What the tap sees of the field bus, and how well: knobs apart from what the loop itself loses.
+
+They are applied before the capture is written, so that a replay of it sees what was seen live. The
+capture's header says which.
+"""
+
+import random
+from collections import deque
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from protocol.knowledge import Knowledge, Matrix
+from protocol.messages import Measurement, Offer
+from tap_service.eavesdroppers.base import Eavesdropper
+
+Vector = tuple[float, ...]
+
+
+class View(BaseModel):
+    """Knobs of what the tap sees.
+
+    Parameters
+    ----------
+    view : str
+        Which direction: ``both``, ``measurements`` or ``offers``.
+    loss : float
+        Probability that she misses a message, each for itself.
+    noise : float
+        Standard deviation of the Gaussian noise on every number of a state or an input.
+    quantise : float
+        Step to which these numbers are rounded; 0 leaves them as they are.
+    delay : int
+        Messages by which everything reaches her late.
+    model_error : float
+        Relative error of every entry of A and B in what she is told, with random sign.
+    seed : int
+        Of the draws of all these.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    view: Literal["both", "measurements", "offers"] = "both"
+    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
+    noise: Annotated[float, Field(ge=0)] = 0.0
+    quantise: Annotated[float, Field(ge=0)] = 0.0
+    delay: Annotated[int, Field(ge=0, le=100_000)] = 0
+    model_error: Annotated[float, Field(ge=0)] = 0.0
+    seed: int = 0
+
+    @property
+    def clear(self) -> bool:
+        """Whether every message passes as it is, at once."""
+        return self.view == "both" and not (self.loss or self.noise or self.quantise or self.delay)
+
+    def told(self, knowledge: Knowledge) -> Knowledge:
+        """``knowledge`` with the model error (the same seed gives the same), and her receiver's."""
+        knowledge = knowledge.model_copy(update={"noise": self.noise, "quantise": self.quantise})
+        if not self.model_error:
+            return knowledge
+        draw = random.Random(f"model {self.seed}")
+
+        def wrong(matrix: Matrix | None) -> Matrix | None:
+            if matrix is None:
+                return None
+            e = self.model_error
+            return tuple(tuple(v * (1 + draw.choice((-e, e))) for v in row) for row in matrix)
+
+        return knowledge.model_copy(update={"A": wrong(knowledge.A), "B": wrong(knowledge.B)})
+
+
+def told(knowledge: Knowledge, kind: type[Eavesdropper], view: View) -> Knowledge:
+    """What an eavesdropper of a kind is told: with the view's model error, or no model at all."""
+    if kind.told_model or view.model_error:
+        return view.told(knowledge)
+    nothing = dict.fromkeys(("A", "B", "disturbance_H", "disturbance_h", "policy"))
+    return view.told(knowledge.model_copy(update=nothing))
+
+
+class Ear:
+    """The tap's imperfect ear: decides which messages get through, and what becomes of them."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self._draw = random.Random(f"view {view.seed}")
+        self._held: deque[tuple[int, Measurement | Offer]] = deque()
+
+    def hear(
+        self, t_ns: int, message: Measurement | Offer
+    ) -> Iterator[tuple[int, Measurement | Offer]]:
+        """The messages that reach her now, this one or one that was held back, with their time."""
+        view = self.view
+        if view.view != "both" and (view.view == "offers") != isinstance(message, Offer):
+            return
+        if view.loss and self._draw.random() < view.loss:
+            return
+        if view.noise or view.quantise:
+            message = self._blur(message)
+        if not view.delay:
+            yield t_ns, message
+            return
+        self._held.append((t_ns, message))
+        if len(self._held) > view.delay:
+            yield self._held.popleft()
+
+    def rest(self) -> Iterator[tuple[int, Measurement | Offer]]:
+        """What was held back, when nothing more comes."""
+        while self._held:
+            yield self._held.popleft()
+
+    def _blur(self, message: Measurement | Offer) -> Measurement | Offer:
+        if isinstance(message, Offer):
+            candidates = tuple(self._blurred(u) for u in message.candidates)
+            return message.model_copy(update={"candidates": candidates})
+        x = self._blurred(message.x)
+        # the same number told twice in one message was read from one instrument
+        after = x if message.x_after == message.x else self._blurred(message.x_after)
+        return message.model_copy(update={"x": x, "x_after": after})
+
+    def _blurred(self, vector: Vector) -> Vector:
+        noise, step = self.view.noise, self.view.quantise
+        if noise:
+            vector = tuple(v + self._draw.gauss(0.0, noise) for v in vector)
+        if step:
+            vector = tuple(round(v / step) * step for v in vector)
+        return vector

@@ -1,0 +1,483 @@
+"""Captures: every field message as one JSON line, on disk before anyone looks at it.
+
+A capture is one or more parts, ``capture.jsonl``, ``capture.0001.jsonl``, ..., each with a header
+of its own. A part ends by size or age; the oldest are dropped where the whole would outgrow its
+bound, and for no other reason. Recording pauses while the disk has too little room left. Both are
+counted and said. A writer that is killed loses at most the line it was writing.
+"""
+
+import base64
+import errno
+import logging
+import os
+import re
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json, to_json
+
+from protocol.messages import Measurement, Offer
+from protocol.runtime.trace import CAPTURE, TRACE_FORMAT, TRACE_VERSION
+
+CAPTURE_VERSION: Final = 1
+FIELD_TYPES: Final[dict[str, type[Measurement] | type[Offer]]] = {
+    Measurement.topic: Measurement,
+    Offer.topic: Offer,
+}
+
+_PART = re.compile(r"^(?P<stem>.+?)(?:\.(?P<part>\d{4,}))?\.jsonl$")
+_MIB: Final = 2**20
+
+
+class CaptureError(Exception):
+    """A capture that cannot be read; one line that names the file and what was expected."""
+
+
+class Limits(BaseModel):
+    """Bounds of what a recording may take on disk.
+
+    Parameters
+    ----------
+    part_bytes, part_s : int, float
+        Size and age at which a part ends; it ends at half of `total_bytes` in any case, so that
+        something is left when the oldest is dropped.
+    total_bytes : int
+        Bound of all parts together, the one in use included; the oldest are dropped to keep to it.
+    free_bytes : int
+        Room that must stay free on the disk; recording pauses below it, and nothing is dropped.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    part_bytes: int = Field(64 * _MIB, ge=1024)
+    part_s: float = Field(3600.0, gt=0)
+    total_bytes: int = Field(1024 * _MIB, ge=2048)
+    free_bytes: int = Field(256 * _MIB, ge=0)
+
+
+HELD_BYTES: Final = 1 << 16
+"""Lines of a recording that may wait for the next flush."""
+
+
+class RotatingLog:
+    """JSON lines in parts of bounded size, each line handed to the operating system whole.
+
+    Parameters
+    ----------
+    path : Path
+        The first part; later ones carry a number before the suffix. Parts that are already there
+        are kept, and a new one is begun.
+    header : mapping
+        Written first in every part, beside its format, version, number and start.
+    limits : Limits
+    log : logging.Logger
+        Told when a part is dropped, and when recording pauses and resumes.
+    """
+
+    _LOOK_AT_DISK_S: Final = 1.0
+
+    def __init__(
+        self, path: Path, header: Mapping[str, Any], limits: Limits, log: logging.Logger
+    ) -> None:
+        self.written = 0
+        self.dropped = 0
+        self.parts_dropped = 0
+        self.paused = False
+        self._current = path
+        self._size = 0
+        self._held: list[bytes] = []
+        self._held_bytes = 0
+        self._path = path
+        self._header = header
+        self._limits = limits
+        self._part_bytes = min(limits.part_bytes, limits.total_bytes // 2)
+        self._log = log
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._parts = {p: p.stat().st_size for p in parts_of(path)}
+        self._number = max((number_of(p) for p in self._parts), default=-1)
+        self._old_bytes = sum(self._parts.values())
+        self._file: int | None = None
+        self._begin()
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk, all parts together."""
+        return self._old_bytes + self._size
+
+    def write(self, line: bytes) -> None:
+        """Append one line (without its newline), or count it as dropped.
+
+        It is dropped while paused, and where it and the part in use exceed the bound of all parts.
+        It is handed to the operating system by the next :meth:`flush`, which `HELD_BYTES` of lines
+        bring about by themselves.
+        """
+        now = time.monotonic()
+        if now >= self._next_look:
+            self._look(now)
+        if self._file is None or not self._make_room(len(line) + 1):
+            self.dropped += 1
+            return
+        self._held.append(line)
+        self._held_bytes += len(line) + 1
+        if self._size + self._held_bytes >= self._part_bytes:
+            self._begin()
+        elif self._held_bytes >= HELD_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system, in one piece: it survives ``kill -9``."""
+        held, self._held, self._held_bytes = self._held, [], 0
+        if self._file is None or not held:
+            return
+        block = b"\n".join([*held, b""])
+        try:
+            written = os.write(self._file, block)
+        except OSError as error:
+            self._pause(error.strerror or "write failed")
+            self.dropped += len(held)
+            return
+        self._size += written
+        whole = len(held) if written == len(block) else block.count(b"\n", 0, written)
+        self.written += whole
+        if whole != len(held):
+            self.dropped += len(held) - whole
+            self._pause("disk full")
+
+    def close(self) -> None:
+        """End the recording."""
+        self.flush()
+        if self._file is None:
+            return
+        os.close(self._file)
+        self._file = None
+        self._parts[self._current] = self._size
+        self._old_bytes += self._size
+        self._size = 0
+
+    def _begin(self) -> None:
+        self.close()
+        self._began = time.monotonic()
+        self._next_look = 0.0
+        number = self._number + 1
+        path = part_path(self._path, number)
+        header = {
+            "event": "header",
+            "format": TRACE_FORMAT,
+            "version": TRACE_VERSION,
+            "vantage": "tap",
+            "capture_version": CAPTURE_VERSION,
+            "part": number,
+            "started_ns": time.time_ns(),
+            **self._header,
+        }
+        line = to_json(header, inf_nan_mode="strings") + b"\n"
+        if not self._make_room(len(line)):
+            self._pause("the bound of all parts has no room for a header")
+            return
+        try:
+            self._file = _new_part(path, line)
+        except OSError as error:
+            self._pause(error.strerror or "cannot be opened")
+            return
+        self._number, self._current, self._size = number, path, len(line)
+        if self.paused:
+            self.paused = False
+            self._log.info("%s: recording again, %d lines were dropped", self._path, self.dropped)
+
+    def _make_room(self, length: int) -> bool:
+        """Drop the oldest parts until ``length`` bytes more fit; False where they never do."""
+        needed = self._size + self._held_bytes + length
+        if needed > self._limits.total_bytes:
+            return False
+        while self._old_bytes + needed > self._limits.total_bytes:
+            self._drop_oldest()
+        return True
+
+    def _drop_oldest(self) -> None:
+        oldest = min(self._parts, key=number_of)
+        self._old_bytes -= self._parts.pop(oldest)
+        oldest.unlink(missing_ok=True)
+        self.parts_dropped += 1
+        self._log.warning(
+            "%s: part dropped, the bound of all parts is reached (%d so far)",
+            oldest,
+            self.parts_dropped,
+        )
+
+    def _pause(self, why: str) -> None:
+        self.close()
+        if not self.paused:
+            self.paused = True
+            self._log.error("%s: recording paused: %s", self._path, why)
+
+    def _look(self, now: float) -> None:
+        """Once a second: the part's age, and the room that the disk has left."""
+        self._next_look = now + self._LOOK_AT_DISK_S
+        if self._free() < self._limits.free_bytes:
+            self._pause(f"less than {self._limits.free_bytes} bytes are free on the disk")
+        elif self._file is None or now - self._began >= self._limits.part_s:
+            self._begin()
+            self._next_look = now + self._LOOK_AT_DISK_S
+
+    def _free(self) -> int:
+        status = os.statvfs(self._path.parent)
+        return status.f_bavail * status.f_frsize
+
+
+def _new_part(path: Path, header: bytes) -> int:
+    """Begin a part; where its header cannot be written whole, no file is left behind."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+    try:
+        if os.write(file, header) != len(header):
+            raise OSError(errno.ENOSPC, "disk full")
+    except OSError:
+        os.close(file)
+        path.unlink(missing_ok=True)
+        raise
+    return file
+
+
+def part_path(path: Path, number: int) -> Path:
+    """The file of part ``number`` of the recording that begins at ``path``."""
+    return path if number == 0 else path.with_name(f"{path.stem}.{number:04d}.jsonl")
+
+
+def number_of(path: Path) -> int:
+    """The number of a part, from its name."""
+    match = _PART.match(path.name)
+    return int(match["part"]) if match and match["part"] else 0
+
+
+def first_part(path: Path) -> Path:
+    """The first part of the recording that ``path`` is a part of."""
+    match = _PART.match(path.name)
+    return path.with_name(f"{match['stem']}.jsonl") if match else path
+
+
+def parts_of(path: Path) -> list[Path]:
+    """The parts of the recording at ``path`` that are on disk, in order."""
+    found = [p for p in path.parent.glob(f"{path.stem}.*jsonl") if _PART.match(p.name)]
+    mine = [p for p in found if p == path or _PART.match(p.name)["stem"] == path.stem]  # type: ignore[index]
+    return sorted(mine, key=number_of)
+
+
+def mirror_line(t_ns: int, topic: str, payload: bytes) -> bytes:
+    """The capture line of a message that was decoded; ``payload`` is its JSON."""
+    if b"\n" in payload or b"\r" in payload:
+        payload = to_json(from_json(payload))
+    return b'{"event":"field","t_ns":%d,"topic":"%s","message":%s}' % (
+        t_ns,
+        topic.encode(),
+        payload,
+    )
+
+
+def garbage_line(t_ns: int, key: str, payload: bytes) -> bytes:
+    """The capture line of something on a field key that is no message."""
+    return to_json(
+        {
+            "event": "garbage",
+            "t_ns": t_ns,
+            "key": key,
+            "base64": base64.b64encode(payload).decode("ascii"),
+        }
+    )
+
+
+CHUNK: Final = 1 << 20
+"""Bytes of a capture that are read at once."""
+
+SETTINGS: Final = ("loop", "knowledge", "view")
+"""What the messages of a capture mean depends on: all its parts' headers must agree on it."""
+
+
+@dataclass(slots=True)
+class CaptureReader:
+    """Reads a capture in order, part by part, also while it is being written.
+
+    Every line after a header is given out or counted once: as ``torn``, ``garbage`` or ``skipped``.
+    A part without a header is left out, its lines are ``torn``.
+
+    Parameters
+    ----------
+    path : Path
+        The capture's first part, or the directory of a run.
+    like : mapping, optional
+        A header: the parts up to the last one that was recorded with other settings are left out.
+
+    Raises
+    ------
+    CaptureError
+        When there is no such capture, or no part has a header, or one's is of another version or
+        of other settings than the first's; also while reading, for a part that came later.
+    """
+
+    path: Path
+    like: Mapping[str, Any] | None = None
+    torn: int = 0
+    garbage: int = 0
+    parts_missing: int = 0
+    skipped: int = 0
+    header: dict[str, Any] = field(init=False)
+    _number: int = field(init=False, default=0)
+    _offset: int = field(init=False, default=0)
+    _rest: bytes = field(init=False, default=b"")
+    _lines: deque[bytes] = field(init=False, default_factory=deque)
+    _headed: bool | None = field(init=False, default=None)  # None: its first line was not read yet
+
+    def __post_init__(self) -> None:
+        if self.path.is_dir():
+            self.path /= CAPTURE
+        parts = parts_of(self.path)
+        if parts and parts[0] != self.path:
+            self.parts_missing = number_of(parts[0])
+        headers = {p: _header_of(_first_line(p)) for p in parts}
+        if self.like is not None:
+            mine = from_json(to_json(self.like, inf_nan_mode="strings"))
+            others = [p for p, h in headers.items() if h is not None and _differs(h, mine)]
+            parts = parts[parts.index(others[-1]) + 1 :] if others else parts
+            if others and not parts:
+                raise CaptureError(f"{self.path}: no part with these settings")
+        if not parts:
+            raise CaptureError(f"{self.path}: cannot be read: no such capture")
+        headed = [(p, h) for p in parts if (h := headers[p]) is not None]
+        if not headed:
+            raise CaptureError(f"{parts[0]}: line 1: expected a header of format {TRACE_FORMAT!r}")
+        self._number = number_of(parts[0])
+        self.header = headed[0][1]
+        for path, header in headed:
+            self._check(path, header)
+
+    @property
+    def behind_bytes(self) -> int:
+        """Bytes of lines that were not given out yet."""
+        behind = sum(len(line) + 1 for line in self._lines)
+        for path in parts_of(self.path):
+            if number_of(path) >= self._number:
+                read = self._offset if number_of(path) == self._number else 0
+                behind += max(_size_of(path) - read, 0)
+        return behind
+
+    def records(self) -> Iterator[tuple[int, Measurement | Offer]]:
+        """The messages that are there and were not given out yet: time (ns) and message."""
+        while self._lines or self._read_on():
+            record = self._decode(self._lines.popleft())
+            if record is not None:
+                yield record
+
+    def skip(self, keep: int) -> None:
+        """Leave lines unread, and count them, until at most ``keep`` bytes are left.
+
+        Whole chunks are skipped, so that up to `CHUNK` less may be left.
+        """
+        while self.behind_bytes > keep and (self._lines or self._read_on()):
+            self.skipped += len(self._lines)
+            self._lines.clear()
+
+    def finish(self) -> None:
+        """Count a last line that was never finished; after the last record of an ended capture."""
+        self.torn += bool(self._rest)
+        self._rest = b""
+
+    def _read_on(self) -> bool:
+        """Read until there are lines to give out; False when there are none yet."""
+        while not self._lines:
+            parts = {number_of(p): p for p in parts_of(self.path)}
+            later = [n for n in parts if n > self._number]
+            path = parts.get(self._number)
+            chunk = None if path is None else self._more(path)
+            if path is not None and chunk:
+                self._split(path, chunk)
+                continue
+            if not later:
+                return False
+            empty = chunk is not None and self._offset == 0
+            self.torn += bool(self._rest) or empty
+            self.parts_missing += (chunk is None) + later[0] - self._number - 1
+            self._number, self._offset, self._rest, self._headed = later[0], 0, b"", None
+        return True
+
+    def _more(self, path: Path) -> bytes | None:
+        try:
+            with path.open("rb") as file:
+                file.seek(self._offset)
+                chunk = file.read(CHUNK)
+        except FileNotFoundError:
+            return None
+        self._offset += len(chunk)
+        return chunk
+
+    def _split(self, path: Path, chunk: bytes) -> None:
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        if lines and self._headed is None:
+            header = _header_of(lines[0])
+            if header is not None:
+                self._check(path, header)
+                del lines[0]
+            self._headed = header is not None
+        if self._headed:
+            self._lines.extend(lines)
+        else:
+            self.torn += len(lines)
+
+    def _decode(self, line: bytes) -> tuple[int, Measurement | Offer] | None:
+        try:
+            value = from_json(line)
+            if value["event"] == "garbage":
+                self.garbage += 1
+                return None
+            message = FIELD_TYPES[value["topic"]].model_validate_json(to_json(value["message"]))
+            return value["t_ns"], message
+        except (ValueError, KeyError, TypeError, ValidationError):
+            self.torn += 1
+            return None
+
+    def _check(self, path: Path, header: Mapping[str, Any]) -> None:
+        if difference := _differs(header, self.header):
+            raise CaptureError(f"{path}: line 1: {difference}")
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def _first_line(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.readline()
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _header_of(line: bytes) -> dict[str, Any] | None:
+    """The header that a part's first line holds; None where it is none."""
+    try:
+        header = from_json(line)
+    except ValueError:
+        return None
+    if isinstance(header, dict) and header.get("format") == TRACE_FORMAT:
+        return header
+    return None
+
+
+def _differs(header: Mapping[str, Any], first: Mapping[str, Any]) -> str:
+    """Why a part with this header cannot be read after one with the other; empty where it can."""
+    if header.get("vantage") != "tap" or header.get("capture_version") != CAPTURE_VERSION:
+        return f"capture_version: got {header.get('capture_version')!r}, expected {CAPTURE_VERSION}"
+    for name in SETTINGS:
+        if header.get(name) != first.get(name):
+            return (
+                f"{name}: differs from the first part's, as the tap was started again with other "
+                f"options; move the parts from here on to a folder of their own"
+            )
+    return ""

@@ -1,0 +1,258 @@
+"""The one interface of all eavesdroppers, and what they have in common.
+
+An eavesdropper is handed a :class:`~protocol.knowledge.Knowledge` and then the transitions of the
+public transcript, in order. For each she answers with a :class:`Guess`; at any time she says what
+she believes of the message. Live and offline she is fed the same things by the same code.
+"""
+
+from abc import ABC, abstractmethod
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from protocol.agreement import Gauge, predict
+from protocol.knowledge import Knowledge
+from protocol.schemes.framing import Deframer
+from tap_service.capture.transcript import Transition
+
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
+
+NO_SYMBOL: Final = -1
+KEPT_SYMBOLS: Final = 32768
+"""Message symbols that a belief keeps, the newest; memory stays bounded over any run."""
+
+KEPT_MESSAGES: Final = 64
+"""Whole messages that a belief keeps, the newest."""
+
+IDLE_GUESS: Final = 0
+"""Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
+
+
+class KnowledgeError(Exception):
+    """An eavesdropper that is not told what it needs; the text names what is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What an eavesdropper thinks of one transition, right after it.
+
+    Parameters
+    ----------
+    k : int
+        The transition's step.
+    symbol : tuple of float, shape (M,)
+        The probability of each candidate to be the applied one.
+    agreed : float
+        The probability that a key symbol was agreed here.
+    session : str
+        In second thoughts the transition's session; empty for that of the newest one.
+    """
+
+    k: int
+    symbol: Vector
+    agreed: float
+    session: str = ""
+
+    @property
+    def best(self) -> int:
+        """The likeliest symbol, the smallest index among equals."""
+        return self.symbol.index(max(self.symbol))
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What an eavesdropper thinks of the message so far.
+
+    Parameters
+    ----------
+    message : bytes
+        Her best message: the last whole one, or what there is of the one under way.
+    whole : tuple of bytes
+        The last messages whose frame check held, oldest first.
+    whole_count : int
+        How many there were in all.
+    confidence : float
+        How sure she is of ``message``, 0 to 1.
+    candidates_left : int
+        Candidate messages that remain; 0 where they are not counted.
+    solved_k : int
+        The step at which she was first sure of a whole message; -1 not yet.
+    symbols : tuple of (int, int)
+        Step and message symbol of every transition that she takes for a message's, the newest
+        :data:`KEPT_SYMBOLS`.
+    A, B : tuple of tuple of float
+        The model she uses; empty when she has none.
+    """
+
+    message: bytes = b""
+    whole: tuple[bytes, ...] = ()
+    whole_count: int = 0
+    confidence: float = 0.0
+    candidates_left: int = 0
+    solved_k: int = -1
+    symbols: tuple[tuple[int, int], ...] = ()
+    A: Matrix = ()
+    B: Matrix = ()
+
+
+class Eavesdropper(ABC):
+    """Base of all eavesdroppers.
+
+    A subclass sets ``name``, and ``heavy`` when one transition may cost her more than some
+    microseconds: she then works from the capture in a process of her own, on a bounded share of
+    a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
+    f_c nor D_e, unless the model she is told is wrong on purpose.
+
+    Attributes
+    ----------
+    settled : list of Guess
+        Last thoughts on transitions that she lets go, because she keeps a bounded number of them.
+        Whoever feeds her takes them off.
+
+    Raises
+    ------
+    KnowledgeError
+        From the constructor, when she needs more than she is told.
+    """
+
+    name: ClassVar[str]
+    heavy: ClassVar[bool] = False
+    told_model: ClassVar[bool] = True
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        self.knowledge = knowledge
+        self.size = knowledge.candidates
+        self.settled: list[Guess] = []
+
+    @abstractmethod
+    def observe(self, transition: Transition) -> Guess:
+        """Take the next transition; her guess of it with what she knows by now."""
+
+    @abstractmethod
+    def belief(self) -> Belief:
+        """Her best message by now. May be costly; it is asked for at a bounded rate."""
+
+    def review(self) -> Sequence[Guess]:
+        """Second thoughts on the transitions that she keeps; none by default."""
+        return ()
+
+
+def even(size: int) -> Vector:
+    """The uniform distribution over ``size`` symbols."""
+    return (1.0 / size,) * size
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Her f_c and the shape of her disturbance set: enough to measure every candidate.
+
+    Parameters
+    ----------
+    A, B : tuple of tuple of float, shapes (n, n) and (n, m)
+    gauge : Gauge
+        The gauge of D_e, in units of D_e: membership in Reach^e is a value of at most 1.
+    """
+
+    A: Matrix
+    B: Matrix
+    gauge: Gauge
+
+    @classmethod
+    def of(cls, knowledge: Knowledge, needed_by: str) -> "Model":
+        """The model in ``knowledge``.
+
+        Raises
+        ------
+        KnowledgeError
+            When a part of it is not known.
+        """
+        k = knowledge
+        missing = [f for f in ("A", "B", "disturbance_H", "disturbance_h") if getattr(k, f) is None]
+        if missing:
+            raise KnowledgeError(
+                f"eavesdropper {needed_by}: knowledge lacks {', '.join(missing)}, expected a model"
+            )
+        assert k.A is not None
+        assert k.B is not None
+        assert k.disturbance_H is not None
+        assert k.disturbance_h is not None
+        return cls(k.A, k.B, Gauge.from_rows(k.disturbance_H, k.disturbance_h))
+
+    def gauges(
+        self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
+    ) -> list[float]:
+        """g(x_next - c_i) for each candidate, in units of D_e."""
+        gauges = []
+        for u in candidates:
+            centre = predict(self.A, self.B, x, u)
+            gauges.append(self.gauge([a - b for a, b in zip(x_next, centre, strict=True)]))
+        return gauges
+
+
+class Follower:
+    """Follows the two automata on verdicts of her own, and collects the message symbols.
+
+    Between an agreement as she sees it and the next transition she holds its symbol; the next
+    cipher symbol minus it is a message symbol, and that transition is not tested.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.key = NO_SYMBOL
+        self._steps = array("q")
+        self._symbols = bytearray()
+        self.whole: list[bytes] = []
+        self.whole_count = 0
+        self.solved_k = -1
+        self._deframer = Deframer(size)
+
+    def restart(self) -> None:
+        """A new session: both automata in state 1, and the frame from its start."""
+        self.key = NO_SYMBOL
+        self._deframer.reset()
+
+    @property
+    def tests(self) -> bool:
+        """Whether she takes the next transition for one that is tested."""
+        return self.key == NO_SYMBOL
+
+    def step(self, k: int, symbol: int, cipher: int | None) -> None:
+        """Count one transition on which her test says ``symbol`` (or -1)."""
+        if self.key == NO_SYMBOL:
+            self.key = symbol
+            return
+        value = IDLE_GUESS if cipher is None else (cipher - self.key) % self.size
+        self.key = NO_SYMBOL
+        self._steps.append(k)
+        self._symbols.append(value)
+        if len(self._steps) >= 2 * KEPT_SYMBOLS:
+            del self._steps[:KEPT_SYMBOLS]
+            del self._symbols[:KEPT_SYMBOLS]
+        frame = self._deframer.push(value)
+        if frame is None:
+            return
+        if not frame.intact or not frame.payload:
+            return
+        self.whole.append(frame.payload)
+        del self.whole[:-KEPT_MESSAGES]
+        self.whole_count += 1
+        if self.solved_k < 0:
+            self.solved_k = k
+
+    def belief(self, model: Model | None, confidence: float = 0.0) -> Belief:
+        """What this way of following gives: certain once a frame check held."""
+        partial = self._deframer.partial
+        return Belief(
+            message=self.whole[-1] if self.whole else partial,
+            whole=tuple(self.whole),
+            whole_count=self.whole_count,
+            confidence=1.0 if self.whole else confidence,
+            solved_k=self.solved_k,
+            symbols=tuple(
+                zip(self._steps[-KEPT_SYMBOLS:], self._symbols[-KEPT_SYMBOLS:], strict=True)
+            ),
+            A=() if model is None else model.A,
+            B=() if model is None else model.B,
+        )

@@ -1,0 +1,45 @@
+"""The engine's benchmark: the shape and the arithmetic of its result, never its speed."""
+
+import json
+from typing import Any
+
+import pytest
+
+from benchmarks import engine as bench_engine
+from benchmarks.engine import PARTS, measure, render
+from wyner.cli.main import main
+
+QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40, "plain_steps": 3}
+
+
+@pytest.fixture(scope="module")
+def result() -> dict[str, Any]:
+    return measure(**QUICK)
+
+
+def test_the_ratios_are_those_of_the_rates(result: dict[str, Any]) -> None:
+    assert result["ratio"] == result["steps_per_second"] / result["plain_steps_per_second"] > 0
+    assert result["ratio_to_scalar"] == (
+        result["steps_per_second"] / result["scalar_steps_per_second"]
+    )
+    low, high = result["spread"]
+    assert 0 < low <= result["steps_per_second"] <= high
+    assert result["same_verdicts_as_plain"] == 1.0
+    assert (result["rounds"], result["runs"], result["steps"]) == (2, 40, 20)
+
+
+def test_the_parts_are_the_whole_and_none_counts_twice(result: dict[str, Any]) -> None:
+    assert set(result["parts"]) == {*PARTS.values(), "the rest"}
+    assert sum(result["parts"].values()) == pytest.approx(1)
+    assert all(0 < share < 1 for share in result["parts"].values())
+
+
+def test_the_result_for_machines_and_for_people(
+    result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench_engine, "measure", lambda: result)
+    assert main(["bench", "engine", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
+    text = render(result)
+    assert f"ratio {result['ratio']:.0f} " in text
+    assert all(part in text for part in result["parts"])

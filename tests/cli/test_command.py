@@ -1,0 +1,452 @@
+"""The command: help everywhere, errors in one line, exit codes, never a traceback."""
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import termios
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.process import UsageError
+from protocol.runtime.zenoh_bus import free_endpoints
+from wyner.cli.endpoints import BUSES, DEFAULTS
+from wyner.cli.main import COMMANDS, main
+from wyner.cli.options import keep_scenario
+
+ROOT = Path(__file__).resolve().parents[2]
+PRESENT = [name for name in COMMANDS if (ROOT / "wyner" / "cli" / f"{name}.py").exists()]
+
+
+def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
+    """The lines that a wrong use prints; nothing goes to standard output."""
+    assert main(argv) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert lines
+    assert all(line.startswith("wyner: ") for line in lines), err
+    assert "Traceback" not in err
+    return lines
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    assert f"wyner {name}" in out
+    assert len(out.splitlines()) > 3
+
+
+def test_the_help_lists_every_command_that_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    for name in PRESENT:
+        assert re.search(rf"^    {name}\b", out, re.MULTILINE)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert re.fullmatch(r"wyner \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("service", ["controller", "plant", "tap"])
+def test_a_service_is_a_module_of_its_own(service: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", f"{service}_service", "--help"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"wyner {service}" in done.stdout
+
+
+# --- wrong use ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("argv", "expected"),
+    [
+        ([], "the following arguments are required: COMMAND"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["up", "--fly"], "unrecognized arguments: --fly"),
+        (["up", "--steps", "many"], "--steps: invalid int value: 'many'"),
+        (["up", "--steps", "0"], "--steps: got 0, expected"),
+        (["up", "--seed", "-1"], "--seed: got -1, expected at least 0"),
+        (["up", "--run-dir", ""], "--run-dir: got '', expected a folder"),
+        (["up", "--eavesdropper", "eve"], "eavesdropper: got 'eve', expected set-membership"),
+        (["up", "--eavesdropper", ","], "--eavesdropper: got ',', expected at least one name"),
+        (["up", "--pace", "x0"], "--pace: got 'x0', expected realtime, fast, or xN"),
+        (["up", "--message", ""], "message: got 0 bytes, expected 1 to 65535"),
+        (["up", "--message-file", "none.txt"], "none.txt: cannot be read"),
+        (["up", "--message", "a", "--message-file", "b"], "not allowed with"),
+        (["up", "--scenario", "none.toml"], "none.toml: cannot be read"),
+        (["plant", "--seed", "-1"], "--seed: got -1"),
+        (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
+        (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
+        (["plant", "--listen", "intel=tcp/127.0.0.1:1"], "with BUS one of field, ops"),
+        (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
+        (["controller", "--connect", "ops=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
+        (["controller", "--client", "intel"], "--client: got 'intel'"),
+        (["send"], "expected TEXT or --file F"),
+        (["send", "text", "--file", "f"], "and one of them only"),
+        (["send", "text", "--timeout", "0"], "--timeout: got 0.0"),
+        (["send", "text", "--id", "a b"], "--id: got 'a b'"),
+        (["check"], "the following arguments are required: RUN_DIR"),
+        (["check", "no-such-run"], "no-such-run: no run here"),
+        (["design", "none"], "none: cannot be read"),
+        (["knowledge", "none"], "none: cannot be read"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    argv: list[str],
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (line,) = usage_error(capsys, *argv)
+    assert expected in line
+
+
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_a_run_folder_that_cannot_be_made_is_wrong_use(
+    service: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (line,) = usage_error(capsys, service, "--scenario", "paper", "--run-dir", "/proc/x")
+    assert line == "wyner: --run-dir: /proc/x: cannot be made: No such file or directory"
+
+
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_an_endpoint_in_use_is_wrong_use_and_starts_nothing(
+    service: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bus = "intel" if service == "tap" else "ops"
+    (field,) = free_endpoints(1)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        args = ["--listen", f"field={field}", "--listen", f"{bus}={endpoint}"]
+        assert main([service, "--scenario", "paper", "--run-dir", str(tmp_path), *args]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", f"wyner: {endpoint}: cannot be opened: address already in use\n")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "lock"]
+
+
+@pytest.mark.parametrize("service", ["plant", "controller"])
+def test_a_run_of_another_scenario_is_left_alone(
+    service: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Their fingerprints are the same; a check would take one scenario's run for the other's."""
+    keep_scenario(tmp_path, "paper")
+    field, ops = free_endpoints(2)
+    args = ["--listen", f"field={field}", "--listen", f"ops={ops}", "--run-dir", str(tmp_path)]
+    (line,) = usage_error(capsys, service, "--scenario", "sustained", *args)
+    assert line == (
+        f"wyner: --run-dir: {tmp_path}: holds a run of another scenario (paper), "
+        f"expected a new folder, or --scenario {tmp_path / 'scenario.toml'}"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["scenario.toml"]
+
+
+def test_a_scenario_is_the_same_where_the_loop_is(tmp_path: Path) -> None:
+    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    mine = tmp_path / "mine.toml"
+    keep_scenario(tmp_path, "paper")
+    mine.write_text(f"# a note\n{text}\n[tap]\nloss = 0.5\n")
+    keep_scenario(tmp_path, str(mine))
+    mine.write_text(f'{text}\n[link]\nfallback = "zero"\n')
+    with pytest.raises(UsageError, match="another scenario"):
+        keep_scenario(tmp_path, str(mine))
+    assert (tmp_path / "scenario.toml").read_text() == text
+
+
+@pytest.mark.parametrize("command", ["up", "plant", "controller", "design", "knowledge"])
+def test_a_wrong_scenario_is_a_line_a_field(
+    command: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    text = text.replace("period_s = 0.1", 'period_s = "short"').replace("alpha = 8.0", "alpha = 0")
+    (tmp_path / "mine.toml").write_text(text)
+    option = [] if command in ("design", "knowledge") else ["--scenario"]
+    lines = usage_error(capsys, command, *option, "mine.toml")
+    assert [line.split(":")[2].strip() for line in lines] == ["plant.period_s", "secrecy.alpha"]
+
+
+def test_an_initial_state_outside_the_sets_is_said_before_anything_starts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    (tmp_path / "far.toml").write_text(text.replace("[4.0, -2.0]", "[1e6, 0.0]"))
+    (line,) = usage_error(capsys, "up", "--scenario", "far.toml")
+    assert "[1000000.0, 0.0] is outside T_250" in line
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("command", ["controller", "up"])
+def test_a_cost_without_weights_is_the_costs_fault(
+    command: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (
+        (ROOT / "wyner" / "scenarios" / "paper.toml")
+        .read_text()
+        .replace("next_state = 1.0", "next_state = 0.0")
+    )
+    Path("flat.toml").write_text(text)
+    (line,) = usage_error(capsys, command, "--scenario", "flat.toml")
+    assert line.startswith("wyner: paper: control.costs.0: ")
+
+
+@pytest.mark.parametrize("left", ["manifest.json", "plant/journal.sqlite3", "tap/capture.jsonl"])
+def test_up_leaves_a_folder_with_a_run_alone(
+    left: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / left).parent.mkdir(exist_ok=True)
+    (tmp_path / left).write_bytes(b"")
+    (line,) = usage_error(capsys, "up", "--run-dir", str(tmp_path))
+    assert "has a run already, expected a new folder" in line
+
+
+def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anything_starts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text + '[tap]\neavesdroppers = ["eve", "oracle", "zip"]\n')
+    for command in (["up"], ["tap", "--run-dir", "runs"]):
+        lines = usage_error(capsys, *command, "--scenario", "mine.toml")
+        assert [line.partition(", expected")[0] for line in lines] == [
+            f"wyner: mine.toml: tap.eavesdroppers: eavesdropper: got {name!r}"
+            for name in ("eve", "zip")
+        ]
+        assert not (tmp_path / "runs").exists()
+
+
+def test_an_unexpected_error_is_one_line_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import wyner.cli.knowledge
+
+    def fail(_args: object) -> int:
+        raise RuntimeError("something\n  nobody thought of")
+
+    monkeypatch.setattr(wyner.cli.knowledge, "run", fail)
+    assert main(["knowledge", "paper"]) == 1
+    assert capsys.readouterr().err == (
+        "wyner: unexpected RuntimeError: something nobody thought of\n"
+    )
+    monkeypatch.setenv("WYNER_TRACEBACK", "1")
+    with pytest.raises(RuntimeError):
+        main(["knowledge", "paper"])
+
+
+def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    import wyner.cli.knowledge
+
+    def interrupt(_args: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wyner.cli.knowledge, "run", interrupt)
+    assert main(["knowledge", "paper"]) == 130
+
+
+def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
+    code = (
+        "import sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'wyner.cli.main': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "from wyner.__main__ import main\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")
+
+
+@pytest.mark.parametrize(
+    ("command", "up"),
+    [
+        ("plant", b" INFO "),
+        ("controller", b" INFO "),
+        ("tap", b" INFO "),
+        ("dashboard", b"\x1b[?1049h"),
+    ],
+)
+def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
+    command: str, up: bytes, tmp_path: Path
+) -> None:
+    (free,) = free_endpoints(1)
+    args = [f"--connect={bus}={free}" for bus in DEFAULTS[command]]
+    if command != "dashboard":
+        args += ["--scenario=paper", f"--run-dir={tmp_path}"]
+    if command == "tap":
+        args += ["--eavesdropper=nearest-centre"]
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wyner", command, *args],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env={**os.environ, "TERM": "xterm"},
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    os.close(follower)
+    seen = b""
+    try:
+        while up not in seen:
+            assert select.select([leader], [], [], 20)[0], seen
+            seen += os.read(leader, 65536)
+        # the second comes before the first was attended to
+        for number in (signal.SIGSTOP, signal.SIGINT, signal.SIGTERM, signal.SIGCONT):
+            process.send_signal(number)
+        with suppress(OSError):  # the end of a terminal that nobody holds any more
+            while select.select([leader], [], [], 20)[0]:
+                seen += os.read(leader, 65536)
+        assert process.wait(20) == 130
+        assert b"Traceback" not in seen
+        assert b"Error" not in seen
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_told_to_end_the_command_gives_the_terminal_back(number: signal.Signals) -> None:
+    leader, follower = pty.openpty()
+    before = termios.tcgetattr(follower)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wyner", "dashboard", "--loop", "nobody"],
+        stdin=follower,
+        stdout=follower,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "TERM": "xterm"},
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    seen = b""
+    try:
+        while b"\x1b[?1049h" not in seen or termios.tcgetattr(follower) == before:
+            assert select.select([leader], [], [], 20)[0], seen
+            seen += os.read(leader, 65536)
+        process.send_signal(number)
+        while b"\x1b[?1049l" not in seen:
+            assert select.select([leader], [], [], 20)[0], seen
+            seen += os.read(leader, 65536)
+        assert process.wait(20) == 130
+        assert termios.tcgetattr(follower) == before
+        assert seen.rfind(b"\x1b[?25h") > seen.rfind(b"\x1b[?25l")
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
+        os.close(follower)
+
+
+def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
+    code = (
+        "import sys, wyner.cli.main\n"
+        "wyner.cli.main.main = lambda argv: print('Gr\u00fc\u00dfe \u2713') or 0\n"
+        "from wyner.__main__ import main\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        cwd=ROOT,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout == b"Gr\xfc\xdfe \\u2713\n"
+
+
+def test_a_folder_of_a_shipped_name_does_not_hide_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "paper").mkdir()
+    assert main(["knowledge", "paper"]) == 0
+    assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_is_one_line(unbuffered: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "wyner", "knowledge", "paper"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=30,
+            check=False,
+            cwd=ROOT,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        )
+    assert (done.returncode, done.stderr) == (1, "wyner: No space left on device\n")
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "wyner", "knowledge", "paper"],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=30,
+        check=False,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )
+    os.close(writer)
+    assert done.returncode == 1
+    assert done.stderr == ""
+
+
+# --- small things that are right ------------------------------------------------------------------
+
+
+def test_knowledge_is_json_without_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["knowledge", "paper"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["alpha"] is None
+    assert told["disturbance_h"] == [0.96] * 4
+
+
+def test_defaults_listen_once_and_connect_to_what_is_listened_at() -> None:
+    listened = [e for buses in DEFAULTS.values() for listen, _ in buses.values() for e in listen]
+    assert len(set(listened)) == len(listened)
+    for service, buses in DEFAULTS.items():
+        assert set(buses) <= set(BUSES)
+        for _, connect in buses.values():
+            assert set(connect) <= set(listened), service
+    assert "ops" not in DEFAULTS["tap"]

@@ -1,0 +1,210 @@
+"""``wyner design``: the text, the object, the cache, and errors in one line."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import wyner.cli.design as command
+from controller_service.sets import design as synthesis
+from wyner.cli.main import main
+
+PLANAR = """
+name = "{name}"
+[plant]
+A = [[1.0, 0.0975], [0.0, 0.9512]]
+B = [[0.0246], [0.4877]]
+period_s = 0.1
+initial_state = {start}
+[plant.disturbance]
+half_widths = [0.1, 0.1]
+[defender.disturbance]
+half_widths = [0.12, 0.12]
+[control]
+horizon = 12
+gain = {gain}
+[control.inputs]
+half_widths = [6.0]
+[secrecy]
+alpha = 4.0
+"""
+
+ONE_STATE = """
+name = "one"
+[plant]
+A = [[1.1]]
+B = [[0.5]]
+period_s = 0.1
+initial_state = [0.5]
+[plant.disturbance]
+half_widths = [0.01]
+[defender.disturbance]
+half_widths = [0.02]
+[control]
+horizon = 6
+gain = [[-1.0]]
+[control.inputs]
+half_widths = [1.0]
+[secrecy]
+alpha = 4.0
+"""
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of the test's own, and a short simulation."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(command, "RUNS", 4)
+    monkeypatch.setattr(command, "STEPS", 60)
+
+
+def scenario(folder: Path, text: str = PLANAR, **fields: Any) -> str:
+    path = folder / "plant.toml"
+    values = {"name": "short", "start": [1.0, -0.5], "gain": [[-13.27, -2.26]], **fields}
+    path.write_text(text.format(**values))
+    return str(path)
+
+
+def designs(folder: Path) -> list[Path]:
+    return list((folder / "cache").rglob("*.design"))
+
+
+def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:
+    assert main(["design", scenario(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert lines[0] == "short: 2 state(s), 1 input(s), law sustained"
+    assert lines[1].startswith("sets T_0..T_12 computed in")
+    assert "K (given): -13.27 -2.26" in lines
+    assert "Rakovic's approximation of order 11" in out
+    table = lines[lines.index("  index  facets  area") + 1 :]
+    assert [row.split()[0] for row in table[:6]] == ["0", "1", "2", "5", "10", "12"]
+    areas = [float(row.split()[2]) for row in table[:6]]
+    assert areas == sorted(areas)
+    assert "initial state [1.0, -0.5]: index" in out
+    assert "4 runs of 60 steps, seed 1, 95 % interval over runs" in out
+    assert "ceiling 5 bit/s" in out
+
+
+def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
+    assert main(["design", scenario(tmp_path), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    r = json.loads(out)
+    assert (r["scenario"], r["states"], r["inputs"], r["horizon"]) == ("short", 2, 1, 12)
+    assert r["terminal"]["method"] == "rakovic"
+    assert r["start"]["index"] >= 1
+    assert 0 < r["largest_deflation"] < 1e-11
+    assert r["seconds"] <= r["ready_seconds"]
+    rate = r["rate"]
+    p, (low, high) = rate["agreement_probability"], rate["agreement_interval_95"]
+    assert 0 <= low <= p <= high <= 1
+    assert rate["bits_per_second"] == pytest.approx(p / (1 + p) / 0.1)
+
+
+def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:
+    results = []
+    for _ in range(2):
+        assert main(["design", scenario(tmp_path), "--json"]) == 0
+        results.append(json.loads(capsys.readouterr().out))
+    assert [r["cached"] for r in results] == [False, True]
+    assert len(designs(tmp_path)) == 1
+    for key in ("sets", "gain", "start", "rate", "fingerprint", "largest_deflation"):
+        assert results[0][key] == results[1][key]
+    assert main(["design", scenario(tmp_path)]) == 0
+    assert "read from the cache, computed once in" in capsys.readouterr().out
+
+
+def test_without_the_cache_nothing_is_read_or_stored(tmp_path: Path, capsys: Any) -> None:
+    for _ in range(2):
+        assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["cached"] is False
+    assert designs(tmp_path) == []
+    assert main(["design", scenario(tmp_path)]) == 0  # stores one
+    capsys.readouterr()
+    assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cached"] is False
+
+
+def test_one_state(tmp_path: Path, capsys: Any) -> None:
+    path = scenario(tmp_path, ONE_STATE)
+    assert main(["design", path]) == 0
+    out = capsys.readouterr().out
+    assert "T_0: the minimal invariant interval" in out
+    assert "  index  facets  interval" in out
+    assert "      0       2  -0.050005 to 0.050005" in out
+    assert main(["design", path, "--json"]) == 0
+    r = json.loads(capsys.readouterr().out)
+    assert (r["states"], r["cached"]) == (1, True)
+    assert r["sets"][0]["interval"] == pytest.approx([-0.050005, 0.050005])
+    assert 0 < r["rate"]["agreement_probability"] < 1
+
+
+def test_a_start_outside_every_set_is_said(tmp_path: Path, capsys: Any) -> None:
+    path = scenario(tmp_path, start=[1e6, 0.0])
+    assert main(["design", path]) == 0
+    out = capsys.readouterr().out
+    assert "is outside T_12, the largest set" in out
+    assert "expected rate: none" in out
+    assert main(["design", path, "--json"]) == 0
+    r = json.loads(capsys.readouterr().out)
+    assert r["rate"] is None
+    assert "outside" in r["start"]
+
+
+@pytest.mark.parametrize("option", [[], ["--json"], ["--no-cache"]])
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        ([[1.0, 0.0]], "control.gain: K does not stabilise"),
+        ([[-13.27]], "control.gain: got shape (1, 1), expected (1, 2)"),
+    ],
+)
+def test_a_scenario_without_sets_is_one_line(
+    tmp_path: Path, capsys: Any, gain: list[list[float]], words: str, option: list[str]
+) -> None:
+    path = scenario(tmp_path, gain=gain)
+    assert main(["design", path, *option]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith(f"wyner: {path}: {words}")
+    assert designs(tmp_path) == []
+
+
+def test_a_cost_without_an_answer_is_one_line(tmp_path: Path, capsys: Any) -> None:
+    path = scenario(tmp_path)
+    costs = "[[control.costs]]\nnext_state = 1.0\n[[control.costs]]\ninput = 0.0\n"
+    text = Path(path).read_text().replace("[control.inputs]", costs + "[control.inputs]")
+    Path(path).write_text(text)
+    assert main(["design", path]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "control.costs.1: expected weights under which the cost grows" in err
+
+
+def test_a_missing_file_is_one_line(capsys: Any) -> None:
+    assert main(["design", "nowhere.toml"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "nowhere.toml: cannot be read" in err
+
+
+@pytest.mark.parametrize("name", ["up", "controller"])
+def test_who_computes_a_design_shows_its_progress_on_a_terminal(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+
+    def cached_design(_scenario: object, progress: object = None) -> None:
+        told.append(progress)
+        raise synthesis.SynthesisError("far enough")
+
+    monkeypatch.setattr(synthesis, "cached_design", cached_design)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main([name, "--scenario", "quadruple-tank"]) == 2
+    assert callable(told[0])
+    assert capsys.readouterr().err == "wyner: quadruple-tank: far enough\n"

@@ -1,0 +1,178 @@
+"""`wyner health` and `wyner knowledge`: what a container's checks and the tap's input rest on."""
+
+import json
+import os
+import socket
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from protocol.scenario import Scenario
+from wyner.cli.health import MAX_AGE_S, Look, advances
+from wyner.cli.main import main
+
+
+def write_status(run_dir: Path, service: str, transitions: int, age_s: float = 0.0) -> None:
+    path = run_dir / service / "status.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    status = {
+        "t_ns": time.time_ns() - int(age_s * 1e9),
+        "transitions": transitions,
+        "phase": "running",
+        "detail": "",
+    }
+    path.with_suffix(".new").write_text(json.dumps(status))
+    path.with_suffix(".new").replace(path)
+
+
+def health(run_dir: Path, service: str) -> int:
+    return main(["health", "--service", service, "--run-dir", str(run_dir), "--within", "0.6"])
+
+
+@pytest.mark.parametrize("service", ["plant", "controller"])
+def test_a_loop_that_counts_transitions_is_healthy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], service: str
+) -> None:
+    write_status(tmp_path, service, 10)
+    later = threading.Timer(0.2, write_status, (tmp_path, service, 11))
+    later.start()
+    assert health(tmp_path, service) == 0
+    later.join()
+    assert capsys.readouterr().out == f"{service} advances: running, 11 transitions\n"
+
+
+def test_a_service_that_reports_but_whose_loop_stands_still_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_status(tmp_path, "plant", 10)
+    assert health(tmp_path, "plant") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "stands still: running, 10 transitions, no more within 0.6 s" in line
+
+
+def test_a_service_that_reports_no_more_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_status(tmp_path, "plant", 10, age_s=MAX_AGE_S + 1)
+    assert health(tmp_path, "plant") == 1
+    assert "last report 6.0 s ago, expected 5 s at most" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "not json", '{"t_ns": "x"}'])
+def test_a_report_that_is_none_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    (tmp_path / "plant").mkdir()
+    (tmp_path / "plant/status.json").write_text(text)
+    assert health(tmp_path, "plant") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected a status with" in line
+
+
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_a_service_that_has_not_started_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], service: str
+) -> None:
+    assert health(tmp_path, service) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be read" in line
+
+
+def test_a_new_session_that_counts_from_nought_is_healthy_when_it_advances() -> None:
+    looks = iter([100, 1, 2])
+    seen = advances(lambda: Look(0.0, n := next(looks), f"{n}"), within_s=1.0)
+    assert seen.count == 2
+
+
+def test_a_tap_is_healthy_when_its_capture_grows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "tap"
+    folder.mkdir()
+    (folder / "beliefs.json").write_text("{}")
+    part = folder / "capture.jsonl"
+    part.write_text("header\n")
+    assert health(tmp_path, "tap") == 1
+    assert "stands still: 7 bytes captured" in capsys.readouterr().err
+
+    def append() -> None:
+        # A new part, and the old one is gone: captures rotate.
+        (folder / "capture.0001.jsonl").write_text("a line\n")
+        part.unlink()
+
+    later = threading.Timer(0.2, append)
+    later.start()
+    assert health(tmp_path, "tap") == 0
+    later.join()
+
+
+def test_a_tap_that_is_frozen_is_not_healthy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "tap"
+    folder.mkdir()
+    (folder / "capture.jsonl").write_text("header\n")
+    (folder / "beliefs.json").write_text("{}")
+    old = time.time() - 60
+    os.utime(folder / "beliefs.json", (old, old))
+    assert health(tmp_path, "tap") == 1
+    assert "last report 60.0 s ago" in capsys.readouterr().err
+
+
+def test_a_router_is_healthy_when_it_takes_a_connection(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert main(["health", "--endpoint", endpoint]) == 0
+    assert main(["health", "--endpoint", endpoint, "--within", "1"]) == 1
+    assert f"{endpoint}: no answer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--service", "plant"], "--service: expected --run-dir D as well"),
+        (["--endpoint", "tcp/nowhere"], "--endpoint: got 'tcp/nowhere', expected PROTOCOL/HOST"),
+        (["--service", "plant", "--within", "0"], "--within: got 0, expected more than 0"),
+        ([], "one of the arguments --service --endpoint is required"),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    assert main(["health", *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert expected in line
+
+
+# --- knowledge ------------------------------------------------------------------------------------
+
+
+def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
+    tmp_path: Path, sustained: Scenario, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "knowledge.json"
+    assert main(["knowledge", "sustained", "--output", str(path)]) == 0
+    assert main(["knowledge", "sustained"]) == 0
+    assert capsys.readouterr().out == path.read_text()
+    written = json.loads(path.read_text())
+    assert written["alpha"] is None
+    assert set(written["policy"]) == {"law", "costs", "gain"}  # no set of the design
+    D_c, D_e = sustained.defender.disturbance.half_widths, written["disturbance_h"]
+    assert D_c is not None
+    assert D_e == [sustained.secrecy.alpha * w for w in D_c for _ in range(2)]
+
+
+def test_knowledge_that_cannot_be_written_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main(["knowledge", "sustained", "--output", str(tmp_path / "file/k.json")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be written" in line
+    assert main(["knowledge", "nowhere.toml"]) == 2

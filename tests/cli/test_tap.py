@@ -1,0 +1,376 @@
+"""`wyner replay`, `secrecy`, `export` and the options of `wyner tap`, as a user calls them."""
+
+import csv
+import errno
+import io
+import itertools
+import json
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import FIELD
+from protocol.runtime.trace import CAPTURE, PLANT_TRACE, TraceWriter
+from tap_service.capture.channel import View
+from tap_service.capture.recording import CaptureReader, Limits, RotatingLog, mirror_line
+from wyner.cli.main import main
+from wyner.cli.options import alone_in
+from wyner.studies.secrecy.runs import Run, simulate
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulate(1000, 2)
+
+
+@pytest.fixture(scope="module")
+def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run's directory: the tap's capture, and the plant's trace as far as scoring reads it."""
+    folder = tmp_path_factory.mktemp("run")
+    header = {
+        "loop": "loop",
+        "knowledge": run.scenario.knowledge().model_dump(mode="json"),
+        "view": View().model_dump(mode="json"),
+        "eavesdroppers": ["set-membership", "nearest-centre"],
+    }
+    limits = Limits(part_bytes=60_000, free_bytes=0)
+    log = RotatingLog(folder / CAPTURE, header, limits, logging.getLogger("test"))
+    for i, message in enumerate(run.messages):
+        log.write(mirror_line(1000 + i, message.topic, message.wire()))
+    log.close()
+    trace = TraceWriter(folder / PLANT_TRACE, "plant", {})
+    session = run.messages[0].session
+    for k in range(run.truth.transitions):
+        at = (session, k)
+        trace.write(
+            {
+                "event": "transition",
+                "session": session,
+                "k": k,
+                "candidates": [[0.0], [0.0]],
+                "role": "message" if at in run.truth.symbols else "test",
+                "symbol": run.truth.keys.get(at, -1),
+                "message_symbol": run.truth.symbols.get(at, -1),
+            }
+        )
+        for whole_k, payload in run.truth.whole:
+            if whole_k == k:
+                import base64
+
+                text = base64.b64encode(payload).decode()
+                trace.write({"event": "recovered", "payload": text})
+    trace.close()
+    return folder
+
+
+def call(capsys: pytest.CaptureFixture[str], *args: object) -> tuple[int, str, str]:
+    code = main([str(a) for a in args])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_replay_decodes_and_scores(
+    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = call(
+        capsys, "replay", run_dir, "--eavesdropper", "list-decoder", "--score", run_dir, "--json"
+    )
+    assert code == 0
+    report = json.loads(out)
+    assert report["transitions"] == 1000
+    assert report["taps"]["list-decoder"]["message"] == run.payloads[0].decode()
+    assert report["score"]["list-decoder"]["symbol_accuracy"] == 1.0
+    assert report["score"]["list-decoder"]["messages_exact"] == 1
+
+
+def test_replay_in_words_with_the_ones_who_listened(
+    run_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = call(capsys, "replay", run_dir / CAPTURE, "--score", run_dir)
+    assert code == 0
+    assert "1000 transitions, 0 with something missing" in out
+    assert "nearest-centre: none whole" in out
+    assert all(line.isprintable() for line in out.splitlines())
+    assert max(map(len, out.splitlines())) < 120
+    assert "100.0 % of key symbols" in out
+
+
+def test_replay_of_a_stretch(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ("replay", run_dir, "--eavesdropper", "nearest-centre", "--from", 100, "--to", 149)
+    assert json.loads(call(capsys, *args, "--json")[1])["transitions"] == 50
+
+
+def test_replay_watched_in_a_pipe_prints_lines(
+    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wyner.cli import replay
+
+    monkeypatch.setattr(replay, "WATCHED_AT_ONCE", 250)
+    code, out, _ = call(capsys, "replay", run_dir, "--watch", "--eavesdropper", "list-decoder")
+    assert code == 0
+    assert "list-decoder" in out
+    assert run.payloads[0].decode() in out
+    assert "\x1b" not in out
+
+
+def test_the_oracle_in_a_replay_needs_the_scenario(
+    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = call(capsys, "replay", run_dir, "--eavesdropper", "oracle")
+    assert code == 2
+    assert err == "wyner: eavesdropper oracle: expected --scenario, for alpha\n"
+    args = ("replay", run_dir, "--eavesdropper", "oracle", "--scenario", "sustained", "--json")
+    report = json.loads(call(capsys, *args)[1])
+    assert report["taps"]["oracle"]["message"] == run.payloads[0].decode()
+
+
+def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    figure = tmp_path / "report.svg"
+    args = ("--eavesdropper", "set-membership,list-decoder", "--figure", figure)
+    code, out, _ = call(capsys, "secrecy", run_dir, *args)
+    assert code == 0
+    assert "CLAIMED EXCEEDS TRUE" in out
+    assert "H(model | transcript)" in out
+    assert figure.read_bytes().startswith(b"<?xml")
+    code, out, _ = call(capsys, "secrecy", run_dir, run_dir, *args[:2], "--json")
+    report = json.loads(out)
+    assert report["strongest"] == "list-decoder"
+    assert report["claimed_exceeds_true"] is True
+    assert report["taps"]["list-decoder"]["exact_message_rate"]["of"] == 2
+
+
+def test_export_to_csv(run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = call(capsys, "export", run_dir, "--to", "csv")
+    assert code == 0
+    rows = list(csv.DictReader(io.StringIO(out)))
+    assert len(rows) == len(run.messages)
+    for row, message in zip(rows, run.messages, strict=True):
+        assert (row["topic"], int(row["k"])) == (message.topic, message.k)
+        if message.topic == "measurement":
+            assert tuple(json.loads(row["x"])) == message.x  # type: ignore[union-attr]
+        else:
+            assert int(row["cipher"]) == message.cipher  # type: ignore[union-attr]
+    assert "2001 messages, 0 undecodable left out, 0 torn lines" in err
+
+
+def test_export_to_parquet(
+    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "c.parquet"
+    assert call(capsys, "export", run_dir, "--to", "parquet", "--output", path)[0] == 0
+    rows = parquet.read_table(path).to_pylist()
+    assert [r["k"] for r in rows] == [m.k for m in run.messages]
+    assert rows[0]["x"] == list(run.messages[0].x)  # type: ignore[union-attr]
+    assert rows[1]["candidates"] == [list(u) for u in run.messages[1].candidates]  # type: ignore[union-attr]
+    assert rows[0]["cipher"] is None
+
+
+def test_export_to_mcap_is_read_by_the_public_reader(
+    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader_module = pytest.importorskip("mcap.reader")
+    path = tmp_path / "c.mcap"
+    assert call(capsys, "export", run_dir, "--to", "mcap", "--output", path)[0] == 0
+    with path.open("rb") as file:
+        reader = reader_module.make_reader(file)
+        summary = reader.get_summary()
+        got = [
+            (schema.name, channel.topic, message.log_time, json.loads(message.data))
+            for schema, channel, message in reader.iter_messages()
+        ]
+    assert {s.name for s in summary.schemas.values()} == {"Measurement", "Offer"}
+    assert all(s.encoding == "jsonschema" for s in summary.schemas.values())
+    assert len(got) == len(run.messages)
+    for (name, topic, t_ns, data), (i, message) in zip(got, enumerate(run.messages), strict=True):
+        assert name == type(message).__name__
+        assert topic == f"wyner/v1/loop/{message.topic}"
+        assert t_ns == 1000 + i
+        assert type(message).model_validate(data) == message
+
+
+def test_the_exported_schemas_hold_no_reference() -> None:
+    for kind in FIELD:
+        text = json.dumps(kind.model_json_schema())
+        assert "$ref" not in text
+        assert "$defs" not in text
+
+
+def test_a_torn_capture_is_exported_without_its_last_line(
+    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "capture.jsonl"
+    whole = (run_dir / CAPTURE).read_bytes()
+    path.write_bytes(whole[:-5])
+    code, out, err = call(capsys, "export", path, "--to", "csv")
+    assert code == 0
+    assert "1 torn lines" in err
+    reader = CaptureReader(path)
+    assert len(out.splitlines()) - 1 == sum(1 for _ in reader.records())
+
+
+@pytest.mark.parametrize("to", ["csv", "mcap", "parquet"])
+@pytest.mark.parametrize("capture", ["capture.jsonl", "capture.0002.jsonl"])
+def test_export_refuses_to_write_over_the_capture(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], to: str, capture: str
+) -> None:
+    tap = run_dir / "tap"
+    before = {p: p.read_bytes() for p in tap.iterdir()}
+    assert tap / "capture.0001.jsonl" in before
+    link = tmp_path / "link.csv"
+    link.symlink_to(tap / "capture.0001.jsonl")
+    for output in (tap / "capture.jsonl", tap / ".." / "tap" / "capture.0001.jsonl", link):
+        code, out, err = call(capsys, "export", tap / capture, "--to", to, "--output", output)
+        assert (code, out) == (2, "")
+        assert err == f"wyner: --output: {output}: is a part of the capture itself\n"
+    assert {p: p.read_bytes() for p in tap.iterdir()} == before
+
+
+@pytest.mark.parametrize("to", ["csv", "mcap", "parquet"])
+def test_a_failed_export_leaves_what_was_there(
+    run_dir: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    to: str,
+) -> None:
+    pytest.importorskip("pyarrow" if to == "parquet" else to)
+    output = tmp_path / f"c.{to}"
+    output.write_text("mine")
+    records = CaptureReader.records
+
+    def breaks(self: CaptureReader) -> Iterator[object]:
+        yield from itertools.islice(records(self), 10)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(CaptureReader, "records", breaks)
+    code, _, err = call(capsys, "export", run_dir, "--to", to, "--output", output)
+    assert (code, err) == (1, f"wyner: {output}: cannot be written: No space left on device\n")
+    assert [p.name for p in tmp_path.iterdir()] == [output.name]
+    assert output.read_text() == "mine"
+    monkeypatch.undo()
+    assert call(capsys, "export", run_dir, "--to", to, "--output", output)[0] == 0
+    assert [p.name for p in tmp_path.iterdir()] == [output.name]
+    assert len(output.read_bytes()) > 1000
+
+
+def test_export_writes_to_a_device_itself_and_through_a_link(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(capsys, "export", run_dir, "--to", "csv", "--output", os.devnull)[0] == 0
+    assert Path(os.devnull).is_char_device()
+    link, target = tmp_path / "link.csv", tmp_path / "target.csv"
+    link.symlink_to(target)
+    assert call(capsys, "export", run_dir, "--to", "csv", "--output", link)[0] == 0
+    assert link.is_symlink()
+    assert target.read_text().startswith("t_ns,")
+
+
+def test_a_capture_of_two_taps_is_refused_in_one_line(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = (run_dir / CAPTURE).read_bytes()
+    (tmp_path / "tap").mkdir()
+    (tmp_path / CAPTURE).write_bytes(first)
+    header = first.splitlines()[0].replace(b'"loss":0.0', b'"loss":0.5')
+    later = tmp_path / "tap" / "capture.0001.jsonl"
+    later.write_bytes(header + b"\n")
+    for args in (("export", tmp_path, "--to", "csv"), ("replay", tmp_path)):
+        code, out, err = call(capsys, *args)
+        assert (code, out) == (2, "")
+        assert err.startswith(f"wyner: {later}: line 1: view: differs from the first part's")
+        assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (("replay", "nowhere", "--from", "-1"), "--from: got -1, expected at least 0"),
+        (("replay", "nowhere", "--from", "5", "--to", "2"), "--to: got 2, expected at least 5"),
+        (("replay", "nowhere"), "nowhere: cannot be read: no such capture"),
+        (("export", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
+        (("export", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
+        (("secrecy", "nowhere"), "nowhere/plant/trace.jsonl: cannot be read"),
+        (("tap", "--scenario", "sustained", "--run-dir", "d", "--loss", "2"), "--loss: got 2.0"),
+        (("tap", "--scenario", "sustained", "--run-dir", "d", "--view", "up"), "invalid choice"),
+        (
+            ("tap", "--scenario", "sustained", "--run-dir", "d", "--eavesdropper", "x"),
+            "eavesdropper: got 'x', expected set-membership, nearest-centre",
+        ),
+        (("tap", "--knowledge", "nowhere", "--run-dir", "d"), "--knowledge: nowhere: cannot be"),
+        (
+            ("tap", "--scenario", "sustained", "--run-dir", "d", "--part-bytes", "3"),
+            "--part-bytes: got 3",
+        ),
+        (
+            ("tap", "--scenario", "sustained", "--run-dir", "d", "--part-seconds", "-1"),
+            "--part-seconds: got -1.0",
+        ),
+    ],
+)
+def test_wrong_usage_is_one_line_and_code_2(
+    args: tuple[str, ...],
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, *args)
+    assert code == 2
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert expected in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_knowledge_gets_one_line_a_field(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "k.json"
+    file.write_text('{"scenario": "s", "candidates": "two", "secret": 1}')
+    code, _, err = call(capsys, "tap", "--knowledge", file, "--run-dir", tmp_path / "d")
+    assert code == 2
+    assert len(err.splitlines()) == 3
+    for field in ("period_s", "candidates", "secret"):
+        assert f"k.json: {field}:" in err
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lock = tmp_path / "tap" / "lock"
+    lock.mkdir(parents=True)
+    code, _, err = call(capsys, "tap", "--scenario", "sustained", "--run-dir", tmp_path)
+    assert code == 2
+    assert err == f"wyner: --run-dir: {lock}: cannot be written: Is a directory\n"
+
+
+def test_a_second_tap_in_a_folder_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code = (
+        "import sys, pathlib\n"
+        "from wyner.cli.options import alone_in\n"
+        "with alone_in(pathlib.Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "tap")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == b"held\n"
+        args = ("tap", "--scenario", "sustained", "--run-dir", tmp_path)
+        status, _, err = call(capsys, *args)
+        first.kill()
+        first.wait()
+    assert status == 2
+    assert err == f"wyner: --run-dir: {tmp_path / 'tap'}: another process is using it\n"
+    with alone_in(tmp_path / "tap"):
+        pass

@@ -1,0 +1,284 @@
+"""The design: soundness, the paper's figures, refusals and the cache."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from benchmarks.exact_sets import exact_sets
+from benchmarks.sets import relative_errors
+from controller_service.sets.design import (
+    Design,
+    SynthesisError,
+    cached_design,
+    set_corners,
+    synthesise,
+)
+from controller_service.sets.design_cache import design_path
+from protocol.convex import corners
+from protocol.scenario import Scenario, load_scenario
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+
+
+def changed(scenario: Scenario, **fields: Any) -> Scenario:
+    """The scenario with some fields of its control table replaced."""
+    data = scenario.model_dump(exclude_none=True)
+    data["control"].update(fields)
+    for name in [k for k, v in fields.items() if v is None]:
+        del data["control"][name]
+    return Scenario.model_validate(data)
+
+
+@pytest.fixture(scope="module")
+def paper() -> Scenario:
+    return load_scenario(SCENARIOS / "paper.toml")
+
+
+@pytest.fixture(scope="module")
+def tank() -> Scenario:
+    return load_scenario(SCENARIOS / "quadruple-tank.toml")
+
+
+@pytest.fixture(scope="module")
+def design(paper: Scenario) -> Design:
+    return synthesise(paper)
+
+
+def test_facets_of_the_papers_sets(design: Design) -> None:
+    assert [design.facets[i] for i in (20, 50, 100, 250)] == [38, 98, 198, 498]
+    assert design.horizon == 250
+
+
+def test_the_papers_gain_keeps_the_terminal_set(design: Design, paper: Scenario) -> None:
+    V = corners(*design.set(0))
+    assert np.abs(V @ design.K.T).max() < 6
+    H, h = design.set(0)
+    reach = (V @ (design.A + design.B @ design.K).T @ H.T).max(axis=0)
+    assert (reach + 0.12 * np.abs(H).sum(axis=1) < h).all()
+
+
+def test_the_terminal_bound_holds(design: Design) -> None:
+    # Against the invariant set's own support, summed until nothing is left.
+    Ac = design.A + design.B @ design.K
+    V = corners(*design.set(0))
+    for direction in ([1.0, 0.0], [0.0, 1.0], [0.6, -0.8]):
+        d, smallest = np.array(direction), 0.0
+        for _ in range(300):
+            smallest += 0.12 * np.abs(d).sum()
+            d = Ac.T @ d
+        outer = float((V @ np.array(direction)).max())
+        assert smallest <= outer
+        # T_0 is made for a D_c larger by 1e-4, hence the second term.
+        assert outer - smallest <= 2 * (design.terminal.bound + 1e-4 * smallest)
+
+
+def test_the_order_can_be_stated(paper: Scenario) -> None:
+    low, high = (synthesise(changed(paper, terminal_order=s, horizon=1)) for s in (6, 20))
+    assert (low.terminal.order, high.terminal.order) == (6, 20)
+    assert high.terminal.bound < low.terminal.bound
+
+
+@pytest.mark.parametrize("name", ["paper", "quadruple-tank"])
+def test_every_corner_of_a_set_is_steered_into_the_set_before(name: str) -> None:
+    """A linear program at each corner, with the whole D_c: independent of the recursion."""
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    # The tank's first sets have the hard geometry; the oracle is slow, so not all of them.
+    design = synthesise(changed(scenario, horizon=6 if name == "quadruple-tank" else 60))
+    DV = set_corners(scenario.defender.disturbance)
+    bounds = [(-w, w) for w in scenario.control.inputs.half_widths or ()]
+    rng = np.random.default_rng(0)
+    for i in {1, 2, 3, 6, design.horizon}:
+        H, h = design.set(i - 1)
+        eroded = h - (DV @ H.T).max(axis=0)
+        V = corners(*design.set(i))
+        if len(V) > 120:
+            V = rng.permutation(V)[:120]
+        G = H @ design.B
+        for v in V:
+            program = linprog(
+                np.r_[np.zeros(G.shape[1]), 1.0],
+                A_ub=np.hstack([G, -h[:, None]]),
+                b_ub=eroded - H @ design.A @ v,
+                bounds=[*bounds, (None, None)],
+            )
+            assert program.success
+            # The variable t is the largest relative excess over the target's rows.
+            assert program.fun is not None and program.fun <= 1e-9
+
+
+@pytest.mark.slow
+def test_rational_certificate_for_all_sets(paper: Scenario, design: Design) -> None:
+    """Each corner of each T_i, exactly, is steered into T_(i-1) ~ D_c by some u in U."""
+    A = [[Fraction(v) for v in row] for row in design.A.tolist()]
+    B = [Fraction(v) for v in design.B[:, 0].tolist()]
+    D = Fraction(0.12)
+    exactly = 0
+    for i in range(design.horizon + 1):
+        H, h = design.set(i)
+        j = max(i - 1, 0)
+        G, g = design.set(j)
+        rows = [
+            (Fraction(p), Fraction(q), Fraction(b))
+            for (p, q), b in zip(H.tolist(), h.tolist(), strict=True)
+        ]
+        before = [
+            (Fraction(p), Fraction(q), Fraction(b) - D * (abs(Fraction(p)) + abs(Fraction(q))))
+            for (p, q), b in zip(G.tolist(), g.tolist(), strict=True)
+        ]
+        eroded = g - 0.12 * np.abs(G).sum(axis=1)
+        gb, ga = G @ design.B[:, 0], G @ design.A
+        for k in range(len(rows)):
+            (p, q, b), (r, s, c) = rows[k - 1], rows[k]
+            det = p * s - q * r
+            assert det > 0  # sorted, no gap of half a turn: T_i is within the hull of the corners
+            x = ((b * s - c * q) / det, (p * c - r * b) / det)
+            xf = np.array([float(x[0]), float(x[1])])
+            if i == 0:
+                u = float(design.K[0] @ xf)
+            else:
+                room = eroded - ga @ xf
+                high = min(6.0, (room[gb > 1e-12] / gb[gb > 1e-12]).min())
+                low = max(-6.0, (room[gb < -1e-12] / gb[gb < -1e-12]).max())
+                u = min(6.0, max(-6.0, 0.5 * (low + high)))
+            assert abs(u) <= 6
+            uf = Fraction(u)
+            y = [A[n][0] * x[0] + A[n][1] * x[1] + B[n] * uf for n in range(2)]
+            yf = np.array([float(y[0]), float(y[1])])
+            # A row with more room than any rounding can take is certain; the others are exact.
+            scale = np.abs(G) @ np.abs(yf) + np.abs(g) + 1
+            doubtful = np.flatnonzero(eroded - G @ yf <= 1e-14 * scale)
+            for n in doubtful:
+                a1, a2, bound = before[n]
+                assert a1 * y[0] + a2 * y[1] <= bound, (i, k)
+                exactly += 1
+    assert exactly > 1000  # the filter leaves the touching rows to exact arithmetic
+
+
+@pytest.mark.slow
+def test_right_to_1e_9_at_the_papers_horizon(paper: Scenario, design: Design) -> None:
+    H, h = design.set(0)
+    exact = list(exact_sets(paper.A, paper.B, (0.12, 0.12), 6.0, (H.tolist(), h.tolist()), 250))
+    for i in (1, 20, 100, 250):
+        outwards, inwards = relative_errors(*design.set(i), exact[i])
+        assert len(exact[i]) == design.facets[i]
+        assert -1e-9 < inwards <= outwards < 0
+
+
+def test_rounding_the_oracle_changes_nothing_that_shows(paper: Scenario, design: Design) -> None:
+    H, h = design.set(0)
+    start = (H.tolist(), h.tolist())
+    kept, cut = (
+        list(exact_sets(paper.A, paper.B, (0.12, 0.12), 6.0, start, 25, bits))[-1]
+        for bits in (None, 256)
+    )
+    for a, b in zip(kept, cut, strict=True):
+        assert a[0] * b[1] == a[1] * b[0]
+        error = Fraction(b[2] * a[0], b[0] * a[2]) - 1 if a[0] else Fraction(0)
+        assert 0 <= error < Fraction(1, 10**60)
+
+
+def test_the_comparison_sees_a_missing_and_a_moved_facet(paper: Scenario, design: Design) -> None:
+    H, h = design.set(0)
+    start = (H.tolist(), h.tolist())
+    exact = list(exact_sets(paper.A, paper.B, (0.12, 0.12), 6.0, start, 20))[-1]
+    H, h = design.set(20)
+    assert relative_errors(H, h, exact)[0] < 0
+    longest = int(np.argmax(np.diff(np.arctan2(H[:, 1], H[:, 0])))) + 1
+    assert relative_errors(np.delete(H, longest, 0), np.delete(h, longest), exact)[0] > 1e-6
+    moved = h.copy()
+    moved[longest] *= 0.99
+    assert relative_errors(H, moved, exact)[1] == pytest.approx(-0.01, rel=1e-3)
+
+
+def test_sets_that_stop_growing_end_the_recursion(tank: Scenario) -> None:
+    stable = changed(tank, horizon=60, states={"half_widths": [1.5, 1.5, 1.2, 1.2]})
+    design = synthesise(stable)
+    assert design.horizon < 60
+    assert len(design.targets) == len(design.margins) == len(design.T)
+
+
+def test_nested(design: Design) -> None:
+    for i in range(0, 250, 10):
+        V = corners(*design.set(i))
+        H, h = design.set(i + 1)
+        assert (h >= V @ H.T).all()
+
+
+def test_progress_is_told(paper: Scenario) -> None:
+    seen: list[tuple[int, int]] = []
+    synthesise(changed(paper, horizon=5), lambda done, total: seen.append((done, total)))
+    assert seen == [(i, 5) for i in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"gain": [[1.0, 0.0]]}, "does not stabilise"),
+        ({"inputs": {"half_widths": [3.0]}}, "not within control.inputs"),
+        ({"states": {"half_widths": [0.2, 0.2]}}, "control.states"),
+        ({"terminal_order": 1}, "control.terminal_order"),
+    ],
+)
+def test_refusals_are_one_line(paper: Scenario, fields: dict[str, Any], words: str) -> None:
+    with pytest.raises(SynthesisError, match=words) as caught:
+        synthesise(changed(paper, **fields))
+    assert "\n" not in str(caught.value)
+
+
+def test_too_large_a_disturbance_is_refused(paper: Scenario) -> None:
+    data = paper.model_dump(exclude_none=True)
+    data["defender"]["disturbance"] = {"half_widths": [0.5, 0.5]}
+    with pytest.raises(SynthesisError):
+        synthesise(Scenario.model_validate(data))
+
+
+def test_a_regulator_gives_the_gain(tank: Scenario) -> None:
+    design = synthesise(changed(tank, horizon=1))
+    assert not design.gain_given
+    assert np.abs(np.linalg.eigvals(design.A + design.B @ design.K)).max() < 1
+
+
+def test_cache(paper: Scenario, tmp_path: Path) -> None:
+    short = changed(paper, horizon=20)
+    first = cached_design(short, cache_dir=tmp_path)
+    second = cached_design(short, cache_dir=tmp_path)
+    assert (first.cached, second.cached) == (False, True)
+    for one, two in zip(first.T + first.targets, second.T + second.targets, strict=True):
+        assert np.array_equal(one[0], two[0])
+        assert np.array_equal(one[1], two[1])
+    assert np.array_equal(first.K, second.K)
+    assert (first.margins, first.terminal) == (second.margins, second.terminal)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "foreign"])
+def test_a_damaged_or_foreign_file_is_rebuilt(paper: Scenario, tmp_path: Path, damage: str) -> None:
+    short = changed(paper, horizon=5)
+    fresh = cached_design(short, cache_dir=tmp_path)
+    path = design_path(short.design_fingerprint(), tmp_path)
+    data = bytearray(path.read_bytes())
+    if damage == "flip":
+        data[-3] ^= 1
+    elif damage == "cut":
+        del data[len(data) // 2 :]
+    elif damage == "empty":
+        data.clear()
+    else:
+        other = changed(paper, horizon=6)
+        cached_design(other, cache_dir=tmp_path)
+        data = bytearray(design_path(other.design_fingerprint(), tmp_path).read_bytes())
+    path.write_bytes(data)
+    rebuilt = cached_design(short, cache_dir=tmp_path)
+    assert not rebuilt.cached
+    assert np.array_equal(rebuilt.set(5)[1], fresh.set(5)[1])
+    assert cached_design(short, cache_dir=tmp_path).cached
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(paper: Scenario, tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    assert cached_design(changed(paper, horizon=2), cache_dir=blocked).horizon == 2

@@ -1,0 +1,157 @@
+"""The laws: one state and many to the same bit, constraints, and the index that falls."""
+
+import itertools
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError, make_law
+from controller_service.sets.design import Design, set_corners, synthesise
+from protocol.agreement import predict
+from protocol.convex import Polytope, corners
+from protocol.scenario import Scenario, load_scenario
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+LAWS = ("paper", "sustained")
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return synthesise(load_scenario(SCENARIOS / "paper.toml"))
+
+
+@pytest.fixture(scope="module", params=LAWS)
+def law(request: pytest.FixtureRequest, design: Design) -> ControlLaw:
+    return make_law(load_scenario(SCENARIOS / f"{request.param}.toml"), design)
+
+
+def states(design: Design, count: int, seed: int) -> np.ndarray:
+    """States in the sets: some spread, some on edges and at corners of a set, or a bit off."""
+    rng = np.random.default_rng(seed)
+    near = rng.normal(size=(count // 2, 2)) * np.exp(rng.normal(size=(count // 2, 1)))
+    pieces = [near, np.zeros((1, 2)), np.array([[-0.0, 0.0], [0.0, -0.0]])]
+    while sum(map(len, pieces)) < count:
+        V = corners(*design.set(int(rng.integers(0, 251))))
+        weight = rng.choice([0.0, 0.5, 1.0, rng.uniform()], size=(len(V), 1))
+        edge = V * weight + np.roll(V, 1, axis=0) * (1 - weight)
+        pieces.append(edge * rng.choice([1 - 1e-9, 1 - 1e-15, 1.0, 0.5]))
+    X = np.concatenate(pieces)[:count]
+    H, h = design.set(250)
+    return X[(h * (1 - 1e-10) > X @ H.T).all(axis=1)]
+
+
+def bits(values: Any) -> bytes:
+    return struct.pack(f"{len(values)}d", *values)
+
+
+def test_one_state_and_many_agree_to_the_last_bit(law: ControlLaw, design: Design) -> None:
+    X = states(design, 100_000, 1)
+    assert len(X) > 90_000
+    index = law.indices(X)
+    C = law.candidates_many(X, index)
+    assert [law.index(x) for x in X.tolist()] == index.tolist()
+    for x, c in zip(X.tolist(), C[:, :, 0].tolist(), strict=True):
+        one = [u for (u,) in law.candidates(x)]
+        assert bits(one) == bits(c), x
+
+
+def test_answers_satisfy_the_constraints_and_are_optimal(law: ControlLaw, design: Design) -> None:
+    X = states(design, 4000, 2)
+    X = X[np.abs(X).max(axis=1) < 1e5]
+    index = law.indices(X)
+    C = law.candidates_many(X, index)[:, :, 0]
+    B = design.B[:, 0]
+    paper = not law.programs.sustained  # type: ignore[attr-defined]
+    for x, i, c in zip(X, index, C, strict=True):
+        if paper and i == 0:
+            assert c == pytest.approx([design.K[0] @ x] * 2, rel=1e-12)
+            continue
+        H, h = design.target(max(int(i) - 1, 0))
+        assert (np.abs(c) <= 6).all()
+        free = design.A @ x
+        g = H @ B
+        room = h - H @ free
+        high = min(6.0, (room[g > 1e-12] / g[g > 1e-12]).min())
+        low = max(-6.0, (room[g < -1e-12] / g[g < -1e-12]).max())
+        best = [-(B @ free) / (B @ B), 0.0]
+        for u, wanted in zip(c, best, strict=True):
+            assert Polytope(H, h).excess(free + B * u) <= 1e-9
+            assert u == pytest.approx(min(max(wanted, low), high), abs=2e-5)
+
+
+def test_the_index_is_the_smallest(law: ControlLaw, design: Design) -> None:
+    X = states(design, 600, 3)
+    for x, i in zip(X, law.indices(X), strict=True):
+        H, h = design.set(int(i))
+        tolerance = 1e-14 * np.abs(x).max() + 1e-15
+        assert (H @ x <= h + tolerance).all()
+        if i > 0:
+            H, h = design.set(int(i) - 1)
+            assert (H @ x > h - tolerance).any()
+
+
+def test_the_index_falls_from_adversarial_disturbances(law: ControlLaw, design: Design) -> None:
+    """10^5 steps and more: d at a corner of D_c, either candidate, the start anywhere."""
+    rng = np.random.default_rng(4)
+    X = states(design, 3000, 5)
+    D = np.array(list(itertools.product((-0.12, 0.12), repeat=2)))
+    A, B = (tuple(map(tuple, m.tolist())) for m in (design.A, design.B))
+    index, steps = law.indices(X), 0
+    for k in range(60):
+        C = law.candidates_many(X, index)
+        u = C[np.arange(len(X)), rng.integers(0, 2, len(X)), 0]
+        if k < 3:  # the plant's own arithmetic, in plain floats
+            centre = np.array([predict(A, B, x, (v,)) for x, v in zip(X.tolist(), u, strict=True)])
+        else:
+            centre = X @ design.A.T + u[:, None] * design.B[:, 0]
+        X = centre + D[rng.integers(0, 4, len(X))]
+        after = law.indices(X)
+        assert (after <= np.maximum(index - 1, 0)).all()
+        index, steps = after, steps + len(X)
+    assert steps > 100_000
+
+
+def test_outside_says_by_how_much(law: ControlLaw) -> None:
+    with pytest.raises(OutsideError, match=r"\[1000000000.0, 0.0\] is outside T_250") as caught:
+        law.candidates((1e9, 0.0))
+    assert "beyond a facet" in str(caught.value)
+    with pytest.raises(OutsideError):
+        law.indices([[0.0, 0.0], [1e9, 0.0]])
+    with pytest.raises(OutsideError):
+        law.candidates((float("nan"), 0.0))
+    with pytest.raises(OutsideError):
+        law.indices([[float("nan"), 0.0]])
+
+
+def test_candidates_coincide_in_the_terminal_set_of_the_paper_only(design: Design) -> None:
+    x = (0.05, -0.2)
+    for name, same in (("paper", True), ("sustained", False)):
+        one, two = make_law(load_scenario(SCENARIOS / f"{name}.toml"), design).candidates(x)
+        assert (one == two) is same
+
+
+def test_a_cost_without_a_unique_minimiser_is_refused(design: Design) -> None:
+    data = load_scenario(SCENARIOS / "paper.toml").model_dump(exclude_none=True)
+    data["control"]["costs"] = ({"next_state": 1.0}, {})
+    with pytest.raises(ProgramError, match=r"control\.costs\.1"):
+        make_law(Scenario.model_validate(data), design)
+
+
+def test_importing_the_laws_stays_light() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, controller_service.laws.paper as _;"
+        "print(sorted({'scipy', 'zenoh', 'osqp', 'daqp'} & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_corners_of_the_disturbance(design: Design) -> None:
+    scenario = load_scenario(SCENARIOS / "paper.toml")
+    assert np.abs(set_corners(scenario.defender.disturbance)).tolist() == [[0.12, 0.12]] * 4

@@ -1,0 +1,202 @@
+"""Programs of the general route: several inputs and states, and its solvers."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import controller_service.laws.programs as programs_module
+from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError, make_law
+from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
+from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
+from protocol.convex import Polytope
+from protocol.scenario import Cost, Scenario, load_scenario
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+TOP = np.array([6.0, 6.0, 1.7, 1.3])
+
+
+@pytest.fixture(scope="module")
+def tank() -> Scenario:
+    return load_scenario(SCENARIOS / "quadruple-tank.toml")
+
+
+@pytest.fixture(scope="module")
+def design(tank: Scenario) -> Design:
+    return synthesise(tank)
+
+
+@pytest.fixture(scope="module")
+def law(tank: Scenario, design: Design) -> ControlLaw:
+    return make_law(tank, design)
+
+
+def test_the_tanks_answers_hold_and_one_state_equals_many(law: ControlLaw, design: Design) -> None:
+    X = np.random.default_rng(0).uniform(-0.999, 0.999, (300, 4)) * TOP
+    index = law.indices(X)
+    C = law.candidates_many(X, index)
+    for x, i, c in zip(X, index, C, strict=True):
+        assert law.index(x.tolist()) == i
+        assert np.array_equal(np.array(law.candidates(x.tolist())), c)
+        target = Polytope(*design.target(max(int(i) - 1, 0)))
+        for u in c:
+            assert target.excess(design.A @ x + design.B @ u) <= 0
+            assert np.abs(u).max() <= 3
+
+
+def test_the_tanks_index_falls(law: ControlLaw, design: Design, tank: Scenario) -> None:
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-0.999, 0.999, (400, 4)) * TOP
+    D = set_corners(tank.defender.disturbance)
+    index = law.indices(X)
+    for _ in range(45):
+        C = law.candidates_many(X, index)
+        u = C[np.arange(len(X)), rng.integers(0, 2, len(X))]
+        X = X @ design.A.T + u @ design.B.T + D[rng.integers(0, len(D), len(X))]
+        assert (np.abs(X) <= TOP).all()
+        after = law.indices(X)
+        assert (after <= np.maximum(index - 1, 0)).all()
+        index = after
+    assert (index == 0).all()
+
+
+def test_daqp_and_osqp_agree(law: ControlLaw, design: Design, monkeypatch: Any) -> None:
+    X = np.random.default_rng(2).uniform(-0.99, 0.99, (40, 4)) * TOP
+    index = law.indices(X)
+    by_daqp = law.candidates_many(X, index)
+    monkeypatch.setattr(programs_module, "solve_daqp", lambda *_: None)
+    by_osqp = law.candidates_many(X, index)
+    assert np.abs(by_daqp - by_osqp).max() < 1e-6
+
+
+def test_a_wrong_answer_is_replaced_or_refused(law: ControlLaw, monkeypatch: Any) -> None:
+    x = [3.0, -3.0, 0.5, -0.5]
+    right = law.candidates(x)
+
+    def off(*_: object) -> np.ndarray:
+        return np.array([3.0 + 1e-8, 0.0])
+
+    monkeypatch.setattr(programs_module, "solve_daqp", off)
+    assert np.abs(np.array(law.candidates(x)) - np.array(right)).max() < 1e-6
+    monkeypatch.setattr(programs_module, "solve_osqp", off)
+    with pytest.raises(ProgramError, match="no solver's answer"):
+        law.candidates(x)
+
+
+@pytest.mark.parametrize("solve", [solve_daqp, solve_osqp])
+def test_solvers_meet_the_optimality_conditions(solve: Any) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        L = rng.normal(size=(2, 2))
+        P, f = L @ L.T + 0.1 * np.eye(2), 5 * rng.normal(size=2)
+        G = np.vstack([rng.normal(size=(12, 2)), np.eye(2), -np.eye(2)])
+        b = np.concatenate([rng.uniform(0.2, 1, 12), np.ones(4)])
+        u = solve(P, f, G, b)
+        assert (G @ u <= b + 1e-7).all()
+        # The gradient is a combination of active rows with non-positive factors.
+        active = G[G @ u > b - 1e-6]
+        gradient = P @ u + f
+        if not len(active):
+            assert np.abs(gradient).max() < 1e-6
+            continue
+        from scipy.optimize import nnls
+
+        _, left = nnls(active.T, -gradient)
+        assert left < 1e-5
+
+
+@pytest.mark.parametrize("solve", [solve_daqp, solve_osqp])
+def test_solvers_admit_that_there_is_no_answer(solve: Any) -> None:
+    G, b = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([-1.0, -1.0])
+    assert solve(np.eye(2), np.array([0.3, -0.2]), G, b) is None
+
+
+def test_the_general_route_gives_what_the_planar_one_gives() -> None:
+    scenario = load_scenario(SCENARIOS / "sustained.toml")
+    control = scenario.control.model_copy(update={"horizon": 40})
+    scenario = scenario.model_copy(update={"control": control})
+    design = synthesise(scenario)
+    planar = make_law(scenario, design)
+    general = General(design, scenario.control.inputs, scenario.control.costs, sustained=True)
+    X = np.random.default_rng(4).normal(size=(3000, 2)) * 2
+    index = planar.indices(X)
+    assert np.array_equal(general.indices(X), index)
+    left, right = planar.candidates_many(X, index), general.candidates_many(X, index)
+    assert np.abs(left - right).max() < 1e-10
+
+
+def three_states(**control: Any) -> Scenario:
+    """Three integrators in a chain with one input and a box of states."""
+    return Scenario.model_validate(
+        {
+            "name": "chain",
+            "plant": {
+                "A": [[0.9, 0.2, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]],
+                "B": [[0.0], [0.1], [0.5]],
+                "period_s": 0.1,
+                "initial_state": [0.5, 0.0, 0.0],
+                "disturbance": {"half_widths": [0.01, 0.01, 0.01]},
+            },
+            "defender": {"disturbance": {"half_widths": [0.02, 0.02, 0.02]}},
+            "control": {
+                "horizon": 8,
+                "inputs": {"half_widths": [1.0]},
+                "states": {"half_widths": [3.0, 3.0, 3.0]},
+                "gain": [[-0.05, -0.02, -0.01]],
+                **control,
+            },
+            "secrecy": {"alpha": 4.0},
+        }
+    )
+
+
+def test_three_states_one_input_to_the_last_bit() -> None:
+    scenario = three_states()
+    design = synthesise(scenario)
+    law = make_law(scenario, design)
+    rng = np.random.default_rng(5)
+    X = rng.uniform(-0.4, 0.4, (400, 3))
+    X[:3] = 0.0, -0.0, 0.1
+    index = law.indices(X)
+    C = law.candidates_many(X, index)
+    D = set_corners(scenario.defender.disturbance)
+    for x, i, c in zip(X, index, C, strict=True):
+        assert law.index(x.tolist()) == i
+        assert np.array(law.candidates(x.tolist())).tobytes() == c.tobytes()
+    for _ in range(20):
+        u = law.candidates_many(X, index)[np.arange(len(X)), rng.integers(0, 2, len(X))]
+        X = X @ design.A.T + u @ design.B.T + D[rng.integers(0, len(D), len(X))]
+        after = law.indices(X)
+        assert (after <= np.maximum(index - 1, 0)).all()
+        index = after
+
+
+def test_plants_beyond_the_route_are_refused() -> None:
+    data = three_states().model_dump(exclude_none=True)
+    data["plant"]["B"] = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]
+    data["control"]["inputs"] = {"half_widths": [1.0, 1.0, 1.0]}
+    data["control"]["gain"] = [[-0.1, 0.0, 0.0]] * 3
+    with pytest.raises(SynthesisError, match="3 states and 3 inputs"):
+        synthesise(Scenario.model_validate(data))
+
+
+def test_outside_the_tanks_sets(law: ControlLaw) -> None:
+    with pytest.raises(OutsideError):
+        law.index([6.5, 0.0, 0.0, 0.0])
+
+
+def test_the_expanded_cost_is_the_cost() -> None:
+    rng = np.random.default_rng(6)
+    A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
+    cost = Cost(next_state=(1.0, 2.0, 0.0), input=(0.5, 3.0))
+    q = Quadratic.of(A, B, cost)
+    x = rng.normal(size=3)
+
+    def value(u: np.ndarray) -> float:
+        c = A @ x + B @ u
+        return float(c @ (np.array([1.0, 2.0, 0.0]) * c) + u @ (np.array([0.5, 3.0]) * u))
+
+    u = rng.normal(size=2)
+    expanded = 0.5 * u @ q.P @ u + (q.F @ x) @ u
+    assert value(u) - value(np.zeros(2)) == pytest.approx(expanded)

@@ -1,0 +1,546 @@
+"""The live screen on a real terminal, and the lines without one."""
+
+import fcntl
+import io
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import PlantStatus
+from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from wyner.dashboard.app import Ending, Watch, has_screen, speaks_unicode
+from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
+from wyner.dashboard.keymap import KEYS
+from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.source import ScriptedSource
+from wyner.dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
+
+SIZE = (80, 24)
+
+
+def plant_of(board: Board) -> PlantStatus:
+    assert board.plant is not None
+    return board.plant
+
+
+def source(steps: int = 300) -> ScriptedSource:
+    return ScriptedSource(Rehearsal().arrivals(steps))
+
+
+def text_of(watch: Watch, now_ns: int = 0) -> str:
+    return "\n".join(line.plain for line in watch.draw(SIZE, now_ns))
+
+
+@pytest.fixture
+def watch(tmp_path: Path) -> Watch:
+    return Watch(unicode=True, folder=tmp_path)
+
+
+# --- keys --------------------------------------------------------------------------------------
+
+
+def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
+    script = source()
+    for _ in range(5):
+        watch.take(script)
+    watch.press(" ", SIZE, 0)
+    held = text_of(watch)
+    for _ in range(5):
+        watch.take(script)
+    still = text_of(watch)
+    assert "FROZEN, 0 steps on" in held
+    assert "FROZEN, 50 steps on" in still
+    assert held.splitlines()[1:] == still.splitlines()[1:]
+    assert watch.board.received == 50
+    watch.press(" ", SIZE, 0)
+    assert "FROZEN" not in text_of(watch)
+    assert "step k 100 " in text_of(watch)
+
+
+def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> None:
+    script = source()
+    for _ in range(20):
+        watch.take(script)
+    watch.press(" ", SIZE, 0)
+    plant = plant_of(watch.board)
+    fresh = {"session": "f" * 16, "k": 3, "seq": 0, "t_ns": plant.t_ns + 1}
+    watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
+    assert "FROZEN, new session" in text_of(watch)
+    watch.press(" ", SIZE, 0)
+    assert "step k 3 " in text_of(watch)
+
+
+def test_frozen_before_the_plant_was_heard_counts_no_steps(watch: Watch) -> None:
+    watch.press(" ", SIZE, 0)
+    assert "FROZEN, 0 steps on" in text_of(watch)
+    watch.take(source())
+    assert "FROZEN, new session" in text_of(watch)
+
+
+def test_help_comes_and_goes(watch: Watch) -> None:
+    watch.press("?", SIZE, 0)
+    assert KEYS[0].meaning in text_of(watch)
+    watch.press(ESCAPE, SIZE, 0)
+    assert KEYS[0].meaning not in text_of(watch)
+
+
+def test_a_filter_is_typed_mended_kept_and_dropped(watch: Watch) -> None:
+    script = source(3000)
+    while not script.exhausted:
+        watch.take(script)
+    for key in "/qnx\x7fear":
+        watch.press(key, SIZE, 0)
+    assert not watch.quit, "q is a letter while a filter is typed"
+    watch.press("\x7f", SIZE, 0)
+    assert watch.wishes.filter == "qnea"
+    for key in ESCAPE + "/near\r":
+        watch.press(key, SIZE, 0)
+    shown = text_of(watch)
+    assert "/near: 1 of 3 taps" in shown
+    assert "\n list-decoder" not in shown
+    watch.press(ESCAPE, SIZE, 0)
+    assert "\n list-decoder" in text_of(watch)
+
+
+def test_saving_names_the_files_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    watch = Watch(unicode=True, folder=tmp_path)
+    watch.press("s", SIZE, 0)
+    assert "saved screen-1.svg and screen-1.txt" in text_of(watch)
+    assert [path.exists() for path in watch.saved] == [True, True]
+    lost = Watch(unicode=True, folder=tmp_path / "nowhere")
+    lost.press("s", SIZE, 0)
+    assert "not saved" in text_of(lost)
+    assert lost.saved == []
+
+
+def test_unknown_keys_change_nothing_and_q_quits(watch: Watch) -> None:
+    before = watch.wishes
+    for key in "xyz1":
+        watch.press(key, SIZE, 0)
+    assert watch.wishes == before
+    watch.press("q", SIZE, 0)
+    assert watch.quit
+
+
+def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> None:
+    script = source()
+    assert watch.due(SIZE, 0)
+    watch.draw(SIZE, 0)
+    assert not watch.due(SIZE, 1)
+    assert watch.due((81, 24), 1)
+    assert watch.due(SIZE, 1_000_000_000)
+    watch.take(script)
+    assert watch.due(SIZE, 1)
+    watch.draw(SIZE, 1)
+    watch.press("x", SIZE, 1)
+    assert watch.due(SIZE, 1)
+
+
+@pytest.mark.parametrize(
+    ("typed", "keys"),
+    [
+        ("q", ["q"]),
+        ("\x1b[A", []),
+        ("a\x1b[1;5Cb", ["a", "b"]),
+        ("\x1bOPz", ["z"]),
+        ("\x1b", ["\x1b"]),
+        ("\x1b[", []),
+        ("é?", ["é", "?"]),
+    ],
+)
+def test_keys_are_split_and_sequences_swallowed(typed: str, keys: list[str]) -> None:
+    assert split_keys(typed) == keys
+
+
+# --- the terminal ------------------------------------------------------------------------------
+
+
+@contextmanager
+def terminal(columns: int = 80, rows: int = 24) -> Iterator[tuple[int, int]]:
+    leader, follower = pty.openpty()
+    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    try:
+        yield leader, follower
+    finally:
+        os.close(leader)
+        os.close(follower)
+
+
+def test_the_terminal_is_restored_after_an_exception() -> None:
+    with terminal() as (leader, follower):
+        before = termios.tcgetattr(follower)
+        with pytest.raises(RuntimeError), cbreak(follower) as keys:
+            assert not termios.tcgetattr(follower)[3] & termios.ICANON
+            os.write(leader, b"k\x1a")
+            assert keys.read(5) == ["k", "\x1a"]
+            raise RuntimeError
+        assert termios.tcgetattr(follower) == before
+
+
+def test_without_a_keyboard_nothing_is_read() -> None:
+    read, write = os.pipe()
+    with cbreak(read) as keys:
+        os.write(write, b"q")
+        assert keys.read(0) == []
+    os.close(write)
+    end = Keyboard(read)
+    assert end.read(1) == ["q"]
+    assert end.read(1) == []
+    assert end.read(0) == []
+    os.close(read)
+
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from wyner.dashboard.app import run_dashboard
+from tools.rehearsal import Rehearsal
+from wyner.dashboard.source import ScriptedSource
+source = ScriptedSource(Rehearsal().arrivals(100000))
+def until():
+    print("complaint behind the screen", file=sys.stderr)
+    if sys.argv[1] == "raise" and source.now_ns() > 5e8:
+        raise RuntimeError("on purpose")
+    return sys.argv[1] == "finish" and source.now_ns() > 5e8
+if sys.argv[1] == "half":
+    from rich.console import Console
+    show = Console.set_alt_screen
+    def show_and_be_interrupted(console, enable=True):
+        show(console, enable)
+        if enable:
+            raise KeyboardInterrupt
+    Console.set_alt_screen = show_and_be_interrupted
+print(run_dashboard(source, until=until, run_dir=Path(sys.argv[2])))
+"""
+
+
+class Screen:
+    """The program on a terminal of its own."""
+
+    def __init__(self, mode: str, folder: Path, **environment: str) -> None:
+        self.leader, follower = pty.openpty()
+        fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        self.before = termios.tcgetattr(self.leader)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, mode, str(folder)],
+            stdin=follower,
+            stdout=follower,
+            stderr=follower,
+            start_new_session=True,
+            env={**os.environ, "TERM": "xterm-256color", "PYTHONUTF8": "1", **environment},
+        )
+        os.close(follower)
+        self.seen = b""
+
+    def wait_for(self, text: str, timeout_s: float = 20) -> None:
+        end = time.monotonic() + timeout_s
+        while text.encode() not in self.seen:
+            assert time.monotonic() < end, f"no {text!r} in {self.seen[-3000:]!r}"
+            self._read(0.1)
+
+    def _read(self, timeout_s: float) -> None:
+        ready, _, _ = select.select([self.leader], [], [], timeout_s)
+        if ready:
+            with suppress(OSError):
+                self.seen += os.read(self.leader, 65536)
+
+    def type(self, keys: str) -> None:
+        os.write(self.leader, keys.encode())
+
+    def resize(self, columns: int, rows: int) -> None:
+        fcntl.ioctl(self.leader, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+
+    def end(self) -> str:
+        """Wait for the end; what was printed after the screen closed."""
+        end = time.monotonic() + 20
+        while self.process.poll() is None:
+            assert time.monotonic() < end
+            self._read(0.05)
+        for _ in range(5):
+            self._read(0.05)
+        assert termios.tcgetattr(self.leader) == self.before
+        os.close(self.leader)
+        shown, _, after = self.seen.rpartition(b"\x1b[?1049l")
+        assert b"\x1b[?1049h" in shown
+        assert after.count(b"\x1b[?25l") == 0
+        assert self.seen.rfind(b"\x1b[?25h") > self.seen.rfind(b"\x1b[?25l")
+        return after.decode()
+
+
+def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path: Path) -> None:
+    screen = Screen("watch", tmp_path)
+    screen.wait_for("step k")
+    screen.type("s")
+    screen.wait_for("saved screen-1.svg")
+    screen.type("?")
+    screen.wait_for("How to read it")
+    screen.type("\x1b[Aq")
+    after = screen.end()
+    assert "complaint behind the screen" in after
+    assert f"saved {tmp_path / 'screen-1.svg'}" in after
+    assert "Ending.QUIT" in after
+    assert "complaint" not in screen.seen.partition(b"\x1b[?1049l")[0].decode()
+
+
+def test_control_c_is_an_interruption_and_restores_the_terminal(tmp_path: Path) -> None:
+    screen = Screen("watch", tmp_path)
+    screen.wait_for("step k")
+    os.killpg(screen.process.pid, signal.SIGINT)
+    assert "Ending.INTERRUPTED" in screen.end()
+
+
+def test_an_interruption_while_the_screen_is_set_up_restores_the_terminal(tmp_path: Path) -> None:
+    assert "Ending.INTERRUPTED" in Screen("half", tmp_path).end()
+
+
+def test_the_end_of_the_watch_and_an_error_restore_the_terminal(tmp_path: Path) -> None:
+    done = Screen("finish", tmp_path)
+    assert "Ending.FINISHED" in done.end()
+    failed = Screen("raise", tmp_path)
+    assert "RuntimeError: on purpose" in failed.end()
+
+
+def test_a_resize_is_followed(tmp_path: Path) -> None:
+    screen = Screen("watch", tmp_path)
+    screen.wait_for("step k")
+    assert "Last steps" not in screen.seen.decode()
+    screen.resize(120, 40)
+    screen.wait_for("Last steps")
+    screen.type("q")
+    screen.end()
+
+
+def test_no_color_has_no_colour_on_the_live_screen(tmp_path: Path) -> None:
+    screen = Screen("finish", tmp_path, NO_COLOR="1")
+    screen.end()
+    assert b"EXCEEDS TRUE" in screen.seen
+    assert b"\x1b[31m" not in screen.seen
+    assert b"\x1b[1;31m" not in screen.seen
+
+
+# --- without a terminal ------------------------------------------------------------------------
+
+
+class Pretender(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("out", "term", "expected"),
+    [
+        (Pretender(), "xterm", True),
+        (Pretender(), "dumb", False),
+        (Pretender(), "", False),
+        (io.StringIO(), "xterm", False),
+    ],
+)
+def test_a_screen_needs_a_terminal_that_is_not_dumb(
+    out: io.StringIO, term: str, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert has_screen(out) is expected
+
+
+def test_ascii_streams_get_ascii() -> None:
+    assert speaks_unicode(io.TextIOWrapper(io.BytesIO(), encoding="utf-8"))
+    assert not speaks_unicode(io.TextIOWrapper(io.BytesIO(), encoding="latin-1"))
+
+
+def headless(steps: int, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr("wyner.dashboard.headless.time.sleep", lambda seconds: None)
+    script, out = source(steps), io.StringIO()
+    assert run_headless(script, until=lambda: script.exhausted, out=out) is Ending.FINISHED
+    return out.getvalue()
+
+
+def test_headless_lines_tell_the_story_without_control_codes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = headless(2000, monkeypatch)
+    assert all(c.isprintable() for c in text.replace("\n", ""))
+    for told in (
+        "session 3f2a9c51d07be684: rehearsal",
+        "an experiment, nothing here is secret",
+        "plant running",
+        "controller running",
+        "tap nearest-centre heard",
+        f'message 1 recovered at k 1170: "{MESSAGE_TEXT}"',
+        f'tap list-decoder holds the true message at k 1100: "{MESSAGE_TEXT}"',
+        "tap list-decoder was sure of a message at k 1163, and it is the true one",
+    ):
+        assert text.count(told) == 1, told
+    assert "CLAIMED EXCEEDS TRUE" in text.splitlines()[-1]
+
+
+def test_headless_lines_come_at_a_bounded_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = headless(6000, monkeypatch).splitlines()
+    # A minute of wall time, a progress line each two seconds, and a dozen events.
+    assert len([line for line in lines if line.startswith("k ")]) <= 60 / 2 + 2
+    assert len(lines) <= 60 / 2 + 2 + 15
+
+
+def test_a_burst_of_events_is_cut_and_counted() -> None:
+    board = Board()
+    for batch in Rehearsal().arrivals(20):
+        board = reduce_all(board, batch)
+    tap = board.taps["list-decoder"]
+    for i in range(12):
+        status = tap.status.model_copy(update={"name": f"t{i}", "solved_k": 3})
+        board = reduce_all(board, [Arrival(board.plant_seen_ns, status)])
+    lines, _ = Reporter().report(board, 0)
+    assert len(lines) == LINES_AT_ONCE + 2
+    assert any("events more" in line for line in lines)
+
+
+def test_nothing_new_says_nothing() -> None:
+    board = Board()
+    for batch in Rehearsal().arrivals(20):
+        board = reduce_all(board, batch)
+    first, reporter = Reporter().report(board, 0)
+    assert first
+    for second in range(1, 60):
+        again, reporter = reporter.report(board, second * 1_000_000_000)
+        assert again == []
+
+
+def after(steps: int) -> Board:
+    return reduce_all(Board(), (a for batch in Rehearsal().arrivals(steps) for a in batch))
+
+
+def with_plant(board: Board, **changes: object) -> Board:
+    """The board after one more plant status; the step stands still unless it is changed."""
+    plant = plant_of(board)
+    later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
+    arrival = Arrival(board.plant_seen_ns + 1, plant.model_copy(update=later))
+    return reduce_all(board, [arrival])
+
+
+def with_controller(board: Board, **changes: object) -> Board:
+    assert board.controller is not None
+    later = {"seq": board.controller.seq + 1, "t_ns": board.controller.t_ns + 1, **changes}
+    arrival = Arrival(board.plant_seen_ns, board.controller.model_copy(update=later))
+    return reduce_all(board, [arrival])
+
+
+def test_what_happens_while_no_step_is_made_is_said_once() -> None:
+    board = after(20)
+    _, reporter = Reporter().report(board, 0)
+    trouble = with_plant(
+        board,
+        phase="refused",
+        detail="another model",
+        symbol_errors=2,
+        frames_refused=1,
+        messages=1,
+        last_message="Hello",
+    )
+    said = []
+    for glance in range(70):
+        lines, reporter = reporter.report(trouble, glance * 100_000_000)
+        said += lines
+    assert said == [
+        "plant refused: another model",
+        "2 symbols decoded unlike b_r at k 20",
+        "1 frames refused by their check at k 20",
+        'message 1 recovered at k 20: "Hello"',
+    ]
+    back, _ = reporter.report(with_plant(trouble, phase="running", detail=""), 0)
+    assert back == ["plant running"]
+
+
+def test_progress_is_told_of_a_new_session_that_stands_at_the_same_step() -> None:
+    board = after(20)
+    _, reporter = Reporter().report(board, 0)
+    lines, _ = reporter.report(with_plant(board, session="f" * 16), 3_000_000_000)
+    assert lines[0].startswith(f"session {'f' * 16} began: ")
+    assert lines[-1].startswith("k 20  x (")
+
+
+def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
+    whole = after(2000)
+    text = "A second message."
+    board = Board()
+    for message in (
+        plant_of(with_plant(whole, partial="A sec")),
+        with_controller(whole, sending=text, frame_symbols=40, frame_length=200).controller,
+        whole.taps["list-decoder"].status,
+    ):
+        assert message is not None
+        board = reduce_all(board, [Arrival(1, message)])
+    lines, _ = Reporter().report(board, 0)
+    assert lines[0].startswith("session 3f2a9c51d07be684: rehearsal")
+    assert f'message 1 is the last recovered: "{MESSAGE_TEXT}"' in lines
+    assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
+    assert "tap list-decoder was sure of a message at k 1163" in lines
+    assert not any(word in "\n".join(lines) for word in (" began", " at k 2000", " steps:"))
+    assert lines[-1].endswith("62/62 characters, old")
+    assert progress(whole).endswith("62/62 characters")
+
+
+def test_a_truth_that_comes_last_gives_no_step_to_the_tap_that_held_it() -> None:
+    whole = after(2000)
+    tap = whole.taps["list-decoder"].status
+    board = reduce_all(Board(), [Arrival(1, tap)])
+    _, reporter = Reporter().report(board, 0)
+    lines, _ = reporter.report(reduce_all(board, [Arrival(2, plant_of(whole))]), 0)
+    assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
+
+
+@pytest.mark.parametrize(("heard", "judged"), [(False, ""), (True, ", but it is not a true one")])
+def test_only_who_was_heard_before_is_called_wrong(heard: bool, judged: str) -> None:
+    board = after(500)
+    if not heard:
+        board = replace(board, taps={})
+    tap = after(500).taps["list-decoder"].status
+    sure = {"solved_k": 490, "message": "wrong", "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    later = reduce_all(board, [Arrival(board.plant_seen_ns, tap.model_copy(update=sure))])
+    lines, _ = Reporter(board).report(later, 0)
+    assert f"tap list-decoder was sure of a message at k 490{judged}" in lines
+
+
+def test_lines_stay_short_when_the_state_runs_away() -> None:
+    line = progress(with_plant(after(20), x=(4e200, -123456.789)))
+    assert "x (4.0e200, -1.2e5)" in line
+    assert len(line) < 150
+
+
+def test_lines_show_all_that_is_printable_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    message = "第二の手紙 second ✓ e\u0301"
+    board = after(20)
+    board = with_controller(board, sending=message)
+    board = with_plant(board, law="\x1b[2J", messages=1, last_message=message)
+    tap = board.taps["list-decoder"].status
+    named = {"name": "\x1b[31mtap", "message": message, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    board = reduce_all(board, [Arrival(1, tap.model_copy(update=named))])
+    lines = [*Reporter().report(board, 0)[0], secrecy_line(board)]
+    assert f'message 1 is the last recovered: "{message}"' in lines
+    assert f'tap ·[31mtap holds the true message: "{message}"' in lines
+    assert "·[31mtap leaves at most 0 bit" in lines[-1]
+    assert all(c.isprintable() for line in lines for c in line)
+
+
+def quiet_batches() -> Sequence[Sequence[Arrival]]:
+    return [()] * 3
+
+
+def test_nothing_heard_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wyner.dashboard.headless.time.sleep", lambda seconds: None)
+    script, out = ScriptedSource(quiet_batches()), io.StringIO()
+    run_headless(script, until=lambda: script.exhausted, out=out)
+    assert out.getvalue() == ""

@@ -1,0 +1,408 @@
+"""The board and the scores: pure, bounded, and right about who knows what."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.topics import key_of
+from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from wyner.dashboard.model import (
+    PICTURE_NS,
+    STATES_KEPT,
+    STEPS_KEPT,
+    TAPS_KEPT,
+    Arrival,
+    Automata,
+    Board,
+    compare_automata,
+    reduce,
+    reduce_all,
+)
+from wyner.dashboard.score import (
+    SCORED_AT_LEAST,
+    characters_right,
+    model_error,
+    ranked,
+    score,
+    secrecy,
+    truth_for,
+    wilson_lower,
+)
+from wyner.dashboard.source import BusSource
+
+
+@cache
+def batches(steps: int) -> tuple[tuple[Arrival, ...], ...]:
+    return tuple(tuple(batch) for batch in Rehearsal().arrivals(steps))
+
+
+@cache
+def board_after(steps: int) -> Board:
+    board = Board()
+    for batch in batches(steps):
+        board = reduce_all(board, batch)
+    return board
+
+
+def plant_of(board: Board) -> PlantStatus:
+    assert board.plant is not None
+    return board.plant
+
+
+def with_plant(board: Board, **changes: object) -> Board:
+    """The board after one more plant status, later than the last."""
+    plant = plant_of(board)
+    later = plant.model_copy(update={"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes})
+    return reduce(board, Arrival(board.plant_seen_ns + 1, later))
+
+
+def with_tap(board: Board, name: str, **changes: object) -> Board:
+    tap = board.taps["list-decoder"].status
+    later = tap.model_copy(
+        update={"name": name, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1, **changes}
+    )
+    return reduce(board, Arrival(board.plant_seen_ns + 1, later))
+
+
+# --- the reducer -------------------------------------------------------------------------------
+
+
+def test_every_arrival_is_counted_and_only_statuses_change_more() -> None:
+    board = board_after(100)
+    assert board.received == sum(len(batch) for batch in batches(100))
+    offer = Offer(session="0" * 16, k=1, candidates=((0.0,), (1.0,)), cipher=0)
+    after = reduce(board, Arrival(1, offer))
+    assert after == replace(board, received=board.received + 1)
+
+
+def test_reducing_changes_no_earlier_board() -> None:
+    board = board_after(100)
+    truths, taps = dict(board.truths), dict(board.taps)
+    for batch in batches(200)[10:]:
+        reduce_all(board, batch)
+    assert dict(board.truths) == truths
+    assert dict(board.taps) == taps
+
+
+@given(st.permutations(range(8)))
+def test_late_statuses_change_nothing_whatever_their_order(order: list[int]) -> None:
+    first = batches(100)[:8]
+    ordered = reduce_all(Board(), (a for batch in first for a in batch))
+    mixed = reduce_all(ordered, (a for i in order for a in first[i]))
+    assert mixed == replace(ordered, received=mixed.received)
+
+
+def test_a_restarted_service_is_believed_although_it_counts_from_zero() -> None:
+    board = board_after(100)
+    plant = plant_of(board)
+    again = plant.model_copy(update={"seq": 0, "t_ns": plant.t_ns + 5, "k": 1})
+    assert plant_of(reduce(board, Arrival(1, again))).k == 1
+
+
+def test_a_new_session_voids_what_was_known_by_step() -> None:
+    board = with_plant(
+        board_after(100), session="f" * 16, tail_k=(), tail_x=(), tail_role=(), tail_symbol=()
+    )
+    assert board.truths == {}
+    assert all(tap.guesses == {} for tap in board.taps.values())
+
+
+def test_the_board_stays_bounded() -> None:
+    board = board_after(6000)
+    plant = plant_of(board)
+    fewest = STEPS_KEPT - STEPS_KEPT // 8
+    for held in (board.truths, *(tap.guesses for tap in board.taps.values())):
+        assert fewest <= len(held) <= STEPS_KEPT
+        assert set(range(plant.k - fewest, plant.k)) <= held.keys()
+    assert len(board.states) <= STATES_KEPT
+    for i in range(TAPS_KEPT + 5):
+        board = with_tap(board, f"tap-{i}")
+    assert len(board.taps) == TAPS_KEPT
+    assert board.garbage == board.refused == 5 + 3
+
+
+def test_recovered_is_a_prefix_of_sent_all_the_way() -> None:
+    board = Board()
+    for batch in batches(2000):
+        board = reduce_all(board, batch)
+        assert board.sent == MESSAGE_TEXT
+        assert MESSAGE_TEXT.startswith(board.recovered)
+    assert board.recovered == MESSAGE_TEXT
+
+
+# --- automata ----------------------------------------------------------------------------------
+
+
+def test_automata_of_the_rehearsal_are_in_step_all_the_way() -> None:
+    board = Board()
+    for batch in batches(500):
+        board = reduce_all(board, batch)
+        both = compare_automata(board)
+        assert both is not None
+        assert both.in_step
+
+
+@pytest.mark.parametrize("behind", range(5))
+def test_a_controller_that_reported_earlier_is_compared_at_its_own_transition(behind: int) -> None:
+    board = board_after(200)
+    plant, controller = plant_of(board), board.controller
+    assert controller is not None
+    at = len(plant.tail_k) - behind
+    role, symbol = plant.tail_role[at - 1], plant.tail_symbol[at - 1]
+    state = 2 if role == "test" and symbol >= 0 else 1
+    for automaton in (1, 2):
+        older = controller.model_copy(
+            update={"transitions": plant.transitions - behind, "automaton": automaton}
+        )
+        both = compare_automata(replace(board, controller=older))
+        assert both is not None
+        assert both == Automata(plant.transitions - behind, automaton, state)
+        assert both.in_step is (automaton == state)
+
+
+def test_the_last_comparison_is_kept_until_the_next_one_or_a_new_session() -> None:
+    board = board_after(200)
+    assert board.controller is not None
+    other = board.controller.model_copy(
+        update={"seq": 10**6, "automaton": 3 - board.controller.automaton}
+    )
+    parted = reduce(board, Arrival(1, other))
+    assert parted.automata is not None
+    assert not parted.automata.in_step
+    ahead = other.model_copy(update={"seq": 10**6 + 1, "transitions": 10**6})
+    assert reduce(parted, Arrival(1, ahead)).automata == parted.automata
+    assert with_plant(parted, session="f" * 16).automata is None
+
+
+def test_a_pictured_step_stays_half_a_second_unless_an_agreement_comes() -> None:
+    board = board_after(200)
+    assert board.pictured is not None
+    start = board.plant_seen_ns + 10**9
+
+    def after(board: Board, k: int, symbol: int, t_ns: int) -> tuple[Board, int]:
+        status = plant_of(board).model_copy(
+            update={
+                "seq": plant_of(board).seq + 1,
+                "pictured_k": k,
+                "pictured_symbol": symbol,
+            }
+        )
+        board = reduce(board, Arrival(t_ns, status))
+        assert board.pictured is not None
+        return board, board.pictured.pictured_k
+
+    board, shown = after(board, 1000, -1, start)
+    assert shown == 1000
+    board, shown = after(board, 1001, -1, start + 10)
+    assert shown == 1000
+    board, shown = after(board, 1002, 1, start + 20)
+    assert shown == 1002
+    board, shown = after(board, 1003, 0, start + 30)
+    assert shown == 1002
+    board, shown = after(board, 1004, -1, start + 20 + PICTURE_NS)
+    assert shown == 1004
+
+
+def test_out_of_reach_is_not_called_out_of_step() -> None:
+    board = board_after(200)
+    assert board.controller is not None
+    far = board.controller.model_copy(update={"transitions": 0})
+    other = board.controller.model_copy(update={"session": "0" * 16})
+    assert compare_automata(replace(board, controller=far)) is None
+    assert compare_automata(replace(board, controller=other)) is None
+    assert compare_automata(Board()) is None
+
+
+# --- scores ------------------------------------------------------------------------------------
+
+
+def test_scores_count_agreed_steps_only() -> None:
+    board = board_after(500)
+    agreed = [t for t in board.truths.values() if t.symbol >= 0]
+    its = score(board, board.taps["nearest-centre"])
+    assert (its.scored, its.right) == (len(agreed), len(agreed))
+    blind = score(board, board.taps["set-membership"])
+    assert blind.scored == len(agreed)
+    assert blind.right == sum(
+        t.symbol == board.taps["set-membership"].guesses[k].symbol
+        for k, t in board.truths.items()
+        if t.symbol >= 0
+    )
+
+
+def test_a_revised_guess_replaces_the_first_one() -> None:
+    board = board_after(500)
+    tap = board.taps["list-decoder"].status
+    flipped = tuple(1 - s for s in tap.tail_symbol)
+    after = with_tap(board, "list-decoder", tail_symbol=flipped)
+    revised = [k for k in tap.tail_k if board.truths[k].symbol >= 0]
+    before = score(board, board.taps["list-decoder"]).right
+    assert score(after, after.taps["list-decoder"]).right == before - len(revised)
+
+
+def test_too_few_steps_quote_no_probability() -> None:
+    board = board_after(10)
+    its = score(board, board.taps["nearest-centre"])
+    assert 0 < its.scored < SCORED_AT_LEAST
+    assert its.guessing is None
+    assert its.bits_per_key is None
+    assert secrecy(board).left_bits is None
+
+
+@given(st.integers(0, 400), st.integers(0, 400))
+def test_wilson_lower_end_is_below_the_share_and_tightens(a: int, b: int) -> None:
+    right, scored = min(a, b), max(a, b)
+    low = wilson_lower(right, scored)
+    assert 0 <= low <= (right / scored if scored else 0)
+    if right:
+        assert wilson_lower(right * 10, scored * 10) > low
+
+
+def test_a_blind_tap_does_not_refute_the_claim() -> None:
+    board = board_after(500)
+    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    its = secrecy(blind)
+    assert not its.exceeds
+    assert its.left_bits is not None
+    assert its.left_bits > 0.9 * its.claimed_bits
+
+
+def test_a_tap_that_guesses_every_symbol_leaves_nothing() -> None:
+    its = secrecy(board_after(500))
+    assert its.claimed_bits == plant_of(board_after(500)).agreements
+    assert (its.left_bits, its.exceeds) == (0, True)
+
+
+def test_a_tap_that_holds_the_message_leaves_nothing_however_she_guesses_symbols() -> None:
+    board = board_after(500)
+    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    told = with_tap(
+        replace(blind, taps={**blind.taps, "list-decoder": board.taps["list-decoder"]}),
+        "list-decoder",
+        message=MESSAGE_TEXT,
+        tail_symbol=(),
+    )
+    assert ranked(told)[0][0].status.name == "list-decoder"
+    assert secrecy(told).left_bits == 0
+    # Once broken it stays broken, also when she turns to the next message.
+    moved_on = with_tap(told, "list-decoder", message="...", seq=10**9)
+    assert moved_on.taps["list-decoder"].exact
+
+
+def test_guessing_probability_is_never_below_blind_guessing() -> None:
+    board = board_after(500)
+    truth = {k: t.symbol for k, t in board.truths.items()}
+    tap = board.taps["list-decoder"]
+    wrong = {k: replace(g, symbol=1 - max(0, truth[k])) for k, g in tap.guesses.items()}
+    its = score(board, replace(tap, guesses=wrong))
+    assert its.right == 0
+    assert its.guessing == 0.5
+    assert its.bits_per_key == 1
+
+
+def test_text_is_judged_against_the_true_message_it_fits_best() -> None:
+    board = with_plant(board_after(2000), last_message="Second message")
+    assert truth_for(board, "Secord mess") == "Second message"
+    after = with_tap(board, "list-decoder", message="Secord mess")
+    assert characters_right(after, after.taps["list-decoder"]) == (10, 14)
+    assert truth_for(board, "") == MESSAGE_TEXT
+
+
+def test_a_character_counts_once_with_its_combining_marks() -> None:
+    text = "e\u0301te\u0301 第"
+    board = with_plant(board_after(20), last_message=text)
+    near = with_tap(board, "list-decoder", message="ete\u0301 第")
+    assert characters_right(near, near.taps["list-decoder"]) == (4, 5)
+
+
+def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
+    assert board_after(2000).taps["list-decoder"].watched
+    assert board_after(2000).taps["list-decoder"].status.solved_k >= 0
+    late = with_tap(board_after(2000), "late", solved_k=9)
+    assert not late.taps["late"].watched
+    blind = reduce(Board(), Arrival(1, board_after(20).taps["list-decoder"].status))
+    assert not blind.taps["list-decoder"].watched, "nobody knows the truth yet"
+
+
+def test_model_error_is_relative_and_zero_for_the_true_model() -> None:
+    board = board_after(100)
+    plant = plant_of(board)
+    exact = with_tap(board, "list-decoder", A=plant.A, B=plant.B)
+    assert model_error(exact, exact.taps["list-decoder"]) == 0
+    nothing = with_tap(board, "list-decoder", A=((0.0, 0.0), (0.0, 0.0)), B=((0.0,), (0.0,)))
+    off = model_error(nothing, nothing.taps["list-decoder"])
+    assert off is not None
+    assert math.isclose(off, 1)
+    assert model_error(board, board.taps["set-membership"]) is None
+    misshapen = with_tap(board, "list-decoder", A=((1.0,),), B=((1.0,),))
+    assert model_error(misshapen, misshapen.taps["list-decoder"]) is None
+
+
+def test_the_tap_that_reads_the_text_ranks_before_one_that_only_guesses_keys() -> None:
+    board = board_after(500)
+    garbled = with_tap(board, "nearest-centre", message="#" * 20)
+    half = with_tap(garbled, "list-decoder", tail_symbol=(0,) * 64)
+    assert [tap.status.name for tap, _ in ranked(half)] == [
+        "list-decoder",
+        "nearest-centre",
+        "set-membership",
+    ]
+
+
+# --- the source --------------------------------------------------------------------------------
+
+
+def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
+    ops, intel = MemoryHub(), MemoryHub()
+    services, taps = MemoryBus(ops), MemoryBus(intel)
+    source = BusSource(MemoryBus(ops), MemoryBus(intel), "loop")
+    for batch in batches(100):
+        for arrival in batch:
+            message = arrival.message
+            bus = taps if isinstance(message, TapStatus) else services
+            bus.publisher(key_of(type(message), "loop")).put(message.wire())
+            bus.publisher(key_of(type(message), "other")).put(message.wire())
+    services.publisher(key_of(ControllerStatus, "loop")).put(b"\xff{garbage")
+    taps.publisher(key_of(TapStatus, "loop")).put(b'{"v": 1}')
+    arrivals = source.drain()
+    assert [a.message for a in arrivals] == [
+        arrival.message for batch in batches(100) for arrival in batch
+    ]
+    assert source.garbage == 2
+    assert "2 payloads" in source.problems()[0]
+    assert source.drain() == []
+
+
+def test_what_is_not_read_in_time_is_dropped_and_counted() -> None:
+    hub = MemoryHub()
+    source = BusSource(MemoryBus(hub), MemoryBus(MemoryHub()), "loop")
+    put = MemoryBus(hub).publisher(key_of(PlantStatus, "loop")).put
+    for _ in range(5000):
+        put(b"x")
+    source.drain()
+    assert any("904 messages came faster" in line for line in source.problems())
+    assert source.garbage == 4096
+
+
+def test_watching_publishes_nothing_so_no_truth_reaches_a_tap() -> None:
+    heard: list[str] = []
+
+    def spy(key: str, payload: bytes) -> list[bytes]:
+        heard.append(key)
+        return [payload]
+
+    ops, intel = MemoryHub(), MemoryHub(fault=spy)
+    source = BusSource(MemoryBus(ops), MemoryBus(intel), "loop")
+    for batch in batches(50):
+        for arrival in batch:
+            if not isinstance(arrival.message, TapStatus):
+                key = key_of(type(arrival.message), "loop")
+                MemoryBus(ops).publisher(key).put(arrival.message.wire())
+        reduce_all(Board(), source.drain())
+    assert heard == []

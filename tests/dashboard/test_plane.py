@@ -1,0 +1,144 @@
+"""The agreement picture: outlines are the sets' shadows, and marks stand where points lie."""
+
+import math
+from functools import cache
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.messages import PlantStatus
+from tools.rehearsal import Rehearsal
+from wyner.dashboard.plane import Axes, axes_of, draw, outline, verdict
+
+
+def box(*half_widths: float) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]:
+    n = len(half_widths)
+    rows = tuple(
+        tuple(sign if j == i else 0.0 for j in range(n)) for i in range(n) for sign in (1.0, -1.0)
+    )
+    return rows, tuple(w for w in half_widths for _ in range(2))
+
+
+@cache
+def statuses() -> tuple[PlantStatus, ...]:
+    found = []
+    for batch in Rehearsal().arrivals(600):
+        assert isinstance(batch[0].message, PlantStatus)
+        found.append(batch[0].message)
+    return tuple(found)
+
+
+widths = st.floats(0.01, 100)
+
+
+@given(st.lists(widths, min_size=2, max_size=4), st.data())
+def test_a_box_throws_a_box_as_shadow(half_widths: list[float], data: st.DataObject) -> None:
+    a, b = data.draw(st.permutations(range(len(half_widths))))[:2]
+    H, h = box(*half_widths)
+    corners = outline(H, h, Axes(a, b))
+    assert {(round(x, 9), round(y, 9)) for x, y in corners} == {
+        (round(s * half_widths[a], 9), round(t * half_widths[b], 9))
+        for s in (1, -1)
+        for t in (1, -1)
+    }
+
+
+@given(st.integers(3, 12))
+def test_a_polygon_is_its_own_outline(sides: int) -> None:
+    angles = [2 * math.pi * i / sides for i in range(sides)]
+    H = tuple((math.cos(a), math.sin(a)) for a in angles)
+    corners = outline(H, (1.0,) * sides, Axes(0, 1))
+    assert len(corners) == sides
+    reach = 1 / math.cos(math.pi / sides)
+    assert all(math.isclose(math.hypot(*p), reach) for p in corners)
+
+
+def test_a_shadow_is_wider_than_the_section_where_the_set_leans() -> None:
+    # | x1 - x3 | <= 1 and | x3 | <= 5: on the axis x1 alone the section is 1, the shadow is 6.
+    H = ((1.0, 0.0, -1.0), (-1.0, 0.0, 1.0), *box(1, 1, 5)[0][2:])
+    corners = outline(H, (1.0, 1.0, 1.0, 1.0, 5.0, 5.0), Axes(0, 1))
+    assert max(x for x, _ in corners) == pytest.approx(6)
+
+
+def test_one_state_is_drawn_as_a_strip() -> None:
+    assert axes_of(((1.0,),), *box(0.5)) == Axes(0, -1)
+    assert sorted(outline(*box(0.5), Axes(0, -1))) == [(-0.5, -1), (-0.5, 1), (0.5, -1), (0.5, 1)]
+
+
+def test_axes_follow_the_input_in_widths_of_the_defenders_set() -> None:
+    B = ((1.0,), (0.0,), (-3.0,))
+    assert axes_of(B, *box(1, 1, 1)) == Axes(2, 0)
+    assert axes_of(B, *box(0.1, 1, 1)) == Axes(0, 2)
+    assert Axes(2, 0).words == "x3 across, x1 up"
+
+
+@pytest.mark.parametrize("unicode", [True, False])
+def test_the_picture_has_its_size_both_centres_and_the_next_state(unicode: bool) -> None:
+    for status in statuses():
+        rows = draw(status, 60, 20, unicode=unicode)
+        assert [len(row) for row in rows] == [60] * 20
+        cells = [cell for row in rows for cell in row]
+        shown = {cell.character for cell in cells if cell.kind == "centre"}
+        hidden = {"0", "1"} - shown
+        # x(k+1) is drawn last, so it may hide the one centre that it fell on.
+        assert len(hidden) <= 1
+        assert sum(cell.kind == "next" for cell in cells) == 1
+        assert {"defender", "eavesdropper"} <= {cell.kind for cell in cells}
+        assert unicode or all(cell.character.isascii() for cell in cells)
+
+
+def test_marks_lie_as_the_points_do() -> None:
+    status = next(s for s in statuses() if s.pictured_k > 100)
+    rows = draw(status, 76, 24, unicode=True)
+    where = {
+        cell.character: (x, y)
+        for y, row in enumerate(rows)
+        for x, cell in enumerate(row)
+        if cell.kind in ("centre", "next")
+    }
+    # The second candidate is larger and B is positive: its centre lies further right and higher.
+    assert where["1"][0] > where["0"][0]
+    assert where["1"][1] <= where["0"][1]
+
+
+def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
+    status = statuses()[-1].model_copy(update={"pictured_x_next": (50.0, -50.0)})
+    rows = draw(status, 40, 12, unicode=True)
+    assert rows[0][-1].kind != "next"
+    assert sum(cell.kind == "next" for row in rows for cell in row) == 1
+
+
+def test_a_state_too_far_out_for_a_float_to_span_leaves_the_picture_blank() -> None:
+    for x in ((1.7e308, -1.7e308), (-1.7e308, 0.0)):
+        status = statuses()[-1].model_copy(update={"pictured_x_next": x, "pictured_x": x})
+        assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
+
+
+def test_before_the_first_step_the_picture_is_blank() -> None:
+    status = statuses()[0].model_copy(update={"pictured_k": -1})
+    assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
+
+
+@pytest.mark.parametrize(
+    ("gauges", "symbol", "words"),
+    [
+        ((0.5, 3.0), 0, "AGREED key 0"),
+        ((3.0, 0.5), 1, "AGREED key 1"),
+        ((0.5, 0.9), -1, "inside several D_c"),
+        ((1.5, 2.0), -1, "outside every D_c"),
+        ((0.5, 9.0), -1, "outside one D_e"),
+    ],
+)
+def test_the_verdict_says_why(gauges: tuple[float, ...], symbol: int, words: str) -> None:
+    status = statuses()[-1].model_copy(
+        update={"pictured_gauges": gauges, "pictured_symbol": symbol}
+    )
+    assert words in verdict(status)
+
+
+def test_a_step_that_carries_a_message_symbol_is_not_called_untested_agreement() -> None:
+    last = statuses()[-1]
+    k = next(k for k, role in zip(last.tail_k, last.tail_role, strict=True) if role == "message")
+    status = last.model_copy(update={"pictured_k": k, "pictured_symbol": -1})
+    assert "not tested" in verdict(status)

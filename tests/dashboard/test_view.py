@@ -1,0 +1,604 @@
+"""The screen: golden pictures at three sizes, and what must hold at every size.
+
+``WYNER_REWRITE=1`` rewrites the golden screens; review them as text.
+"""
+
+import io
+import os
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.cells import cell_len
+from rich.console import Console
+from rich.text import Text
+
+from protocol.messages import PlantStatus
+from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from wyner.dashboard.keymap import KEYS, Action, action_of
+from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
+from wyner.dashboard.screenshot import save, to_svg, to_text
+from wyner.dashboard.text import (
+    MARKS,
+    component,
+    count,
+    glyph,
+    in_ascii,
+    letters,
+    number,
+    percent,
+    row,
+    sparkline,
+)
+from wyner.dashboard.view import (
+    DETAIL_AT_LEAST,
+    DROPPED_FIRST,
+    HELP,
+    SILENT_AFTER_NS,
+    SMALLEST,
+    Wishes,
+    screen,
+)
+
+SCREENS = Path(__file__).parent / "screens"
+PLAIN = Wishes()
+
+USUAL = Rehearsal()
+FOUR_STATES = Rehearsal(
+    A=(
+        (0.99, 0.0, 0.02, 0.0),
+        (0.0, 0.99, 0.0, 0.02),
+        (0.0, 0.0, 0.97, 0.0),
+        (0.0, 0.0, 0.0, 0.97),
+    ),
+    B=((0.08, 0.0), (0.0, 0.06), (0.0, 0.05), (0.03, 0.0)),
+    half_widths=(0.03, 0.03, 0.03, 0.03),
+    gain=((-1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 0.0)),
+)
+
+
+@cache
+def board_after(steps: int, rehearsal: Rehearsal = USUAL) -> Board:
+    board = Board()
+    for batch in rehearsal.arrivals(steps):
+        board = reduce_all(board, batch)
+    return board
+
+
+def plant_of(board: Board) -> PlantStatus:
+    assert board.plant is not None
+    return board.plant
+
+
+def with_plant(board: Board, **changes: object) -> Board:
+    return replace(board, plant=plant_of(board).model_copy(update=changes))
+
+
+def with_controller(board: Board, **changes: object) -> Board:
+    assert board.controller is not None
+    return replace(board, controller=board.controller.model_copy(update=changes))
+
+
+def with_tap(board: Board, which: str, **changes: object) -> Board:
+    tap = board.taps[which]
+    later = replace(tap, status=tap.status.model_copy(update=changes))
+    return replace(board, taps={**board.taps, which: later})
+
+
+def shown(board: Board, width: int, height: int, wishes: Wishes = PLAIN) -> str:
+    return to_text(screen(board, width, height, wishes, board.plant_seen_ns))
+
+
+# --- golden screens ----------------------------------------------------------------------------
+
+GOLDEN = {
+    "80x24-under-way": (board_after(700), 80, 24, PLAIN),
+    "80x24-delivered": (board_after(3000), 80, 24, PLAIN),
+    "80x24-waiting": (Board(), 80, 24, PLAIN),
+    "80x24-four-states": (board_after(700, FOUR_STATES), 80, 24, PLAIN),
+    "80x24-ascii": (board_after(700), 80, 24, Wishes(unicode=False)),
+    "80x24-help": (board_after(700), 80, 24, Wishes(help=True)),
+    "80x24-frozen": (board_after(700), 80, 24, Wishes(frozen=True, held_steps=40)),
+    "80x24-filter": (board_after(700), 80, 24, Wishes(typing=True, filter="near")),
+    "120x40-under-way": (board_after(700), 120, 40, PLAIN),
+    "120x40-delivered": (board_after(3000), 120, 40, PLAIN),
+    "60x16-under-way": (board_after(700), 60, 16, PLAIN),
+    "40x8-under-way": (board_after(700), 40, 8, PLAIN),
+}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_screens(name: str) -> None:
+    text = shown(*GOLDEN[name])
+    path = SCREENS / f"{name}.txt"
+    if os.environ.get("WYNER_REWRITE"):
+        path.write_text(text, encoding="utf-8")
+    assert text == path.read_text(encoding="utf-8"), "review, then rewrite with WYNER_REWRITE=1"
+
+
+# --- every size --------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 200),
+    st.integers(1, 70),
+    st.sampled_from([Board(), board_after(700), board_after(700, FOUR_STATES)]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_every_line_has_the_screens_width(
+    width: int, height: int, board: Board, help: bool, unicode: bool
+) -> None:
+    lines = screen(board, width, height, Wishes(help=help, unicode=unicode), 0)
+    assert len(lines) == height
+    assert all(cell_len(line.plain) == width for line in lines)
+    assert unicode or all(line.plain.isascii() for line in lines)
+
+
+WILD = st.text(
+    st.sampled_from("ab é第✓·\u0301\u200d\ufe0f👍🏽\u202e\x1b\u0903\u1160🇩❤"), max_size=120
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(40, 130), st.integers(8, 45), WILD, WILD, WILD, st.booleans())
+def test_every_line_has_the_screens_width_whatever_the_texts(
+    width: int, height: int, sent: str, guess: str, other: str, unicode: bool
+) -> None:
+    board = with_tap(board_after(700), "list-decoder", name=other, message=guess)
+    board = with_plant(board, scenario=guess[:20], detail=other, partial=sent[:9])
+    board = with_controller(board, sending=sent, phase="refused", detail=guess)
+    for line in screen(board, width, height, Wishes(unicode=unicode, filter=other[:1]), 0):
+        assert cell_len(line.plain) == width
+        assert all(c.isprintable() for c in line.plain)
+        assert unicode or line.plain.isascii()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(40, 130),
+    st.integers(8, 45),
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2),
+    st.integers(0, 2**63),
+)
+def test_every_state_and_every_count_is_drawn(
+    width: int, height: int, x: list[float], many: int
+) -> None:
+    far = {"x": tuple(x), "pictured_x": tuple(x), "pictured_x_next": tuple(x[::-1])}
+    counts = dict.fromkeys(("k", "missed", "late", "symbol_errors", "agreements"), many)
+    board = with_plant(board_after(700), **far, **counts, pictured_gauges=(1e200, 0.5))
+    board = replace(board, pictured=board.plant, states={**board.states, 10**9: tuple(x)})
+    for line in screen(board, width, height, PLAIN, 0):
+        assert cell_len(line.plain) == width
+
+
+PANELS = {
+    "picture": "Agreement at k",
+    "key symbols and automata": "receiver",
+    "taps": "broke it",
+    "loop": "set i(k)",
+    "message": "recovered ",
+}
+
+
+def test_the_screen_is_whole_at_80x24_with_nothing_cut() -> None:
+    text = shown(board_after(700), 80, 24)
+    assert all(mark in text for mark in PANELS.values())
+    assert "…" not in text
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 16), (72, 20), (100, 30), (120, 40), (200, 60)])
+def test_no_word_is_cut_at_usual_sizes(width: int, height: int) -> None:
+    for steps in (30, 700, 3000):
+        assert "…" not in shown(board_after(steps), width, height)
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_panels_are_dropped_in_the_stated_order(width: int) -> None:
+    assert set(PANELS) == set(DROPPED_FIRST)
+    for height in range(SMALLEST[1], 40):
+        text = shown(board_after(700), width, height)
+        there = [PANELS[panel] in text for panel in DROPPED_FIRST]
+        assert there == sorted(there), f"{width}x{height}: {text}"
+        assert "EXCEEDS TRUE" in text
+
+
+def test_more_rows_never_show_fewer_panels() -> None:
+    seen: set[str] = set()
+    for height in range(SMALLEST[1], 60):
+        text = shown(board_after(700), 80, height)
+        now = {panel for panel, mark in PANELS.items() if mark in text}
+        assert seen <= now
+        seen = now
+
+
+def test_too_small_a_screen_says_so() -> None:
+    assert "too small: 40x8 needed" in shown(board_after(700), 39, 8)
+
+
+# --- what it says ------------------------------------------------------------------------------
+
+
+def test_a_mark_stands_under_every_wrong_character_and_under_no_right_one() -> None:
+    board = board_after(3000)
+    lines = shown(board, 120, 40).splitlines()
+    at = next(
+        i for i, line in enumerate(lines) if line.startswith(" nearest-centre") and "·" in line
+    )
+    guess, marks = lines[at][16:], lines[at + 1][16:]
+    guess = guess.ljust(len(MESSAGE_TEXT))
+    marks = marks.ljust(len(MESSAGE_TEXT))
+    assert all(
+        (mark == "^") == (a != b) for a, b, mark in zip(guess, MESSAGE_TEXT, marks, strict=True)
+    )
+    assert f"{marks.count('^')} wrong" in lines[at + 1]
+
+
+def test_wrong_key_symbols_are_marked_too() -> None:
+    board = board_after(700)
+    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    lines = shown(blind, 80, 24).splitlines()
+    at = next(
+        i for i, line in enumerate(lines) if line[1:].startswith("363 keys") or " keys " in line
+    )
+    for x in range(16, 39):
+        truth, guess, mark = lines[at][x], lines[at + 1][x], lines[at + 2].ljust(80)[x]
+        assert (mark == "^") == (truth != guess)
+
+
+def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
+    board = board_after(700)
+    line = next(
+        line
+        for line in screen(board, 80, 24, PLAIN, board.plant_seen_ns)
+        if "CLAIMED EXCEEDS TRUE" in line.plain
+    )
+    assert any("red" in str(span.style) for span in line.spans)
+    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    assert "EXCEEDS" not in shown(blind, 80, 24)
+    assert "true: at most" in shown(blind, 80, 24)
+    assert "no tap was scored" in shown(replace(board, taps={}), 80, 24)
+
+
+def test_a_silent_service_is_named() -> None:
+    board = board_after(700)
+    late = board.plant_seen_ns + SILENT_AFTER_NS + 1
+    header = screen(board, 120, 24, PLAIN, late)[0].plain
+    assert "plant silent" in header
+    assert "controller silent" in header
+
+
+REASON = "x lies outside of every control set, by 12.5 in its first component; the input is 0 now"
+
+
+@pytest.mark.parametrize("of", ["plant", "controller"])
+def test_a_long_reason_is_cut_before_anything_that_tells_more(of: str) -> None:
+    board = with_plant(board_after(700), seeded=False, detail=REASON if of == "plant" else "")
+    reason = REASON if of == "controller" else ""
+    board = with_controller(board, phase="outside", detail=reason)
+    for width in (80, 100, 120, 200):
+        header = shown(board, width, 24).splitlines()[0]
+        for told in ("rehearsal", "x10", "running", "controller outside", REASON[:8]):
+            assert told in header, header
+    assert "session 3f2a9c51" in shown(board, 120, 24).splitlines()[0]
+    assert REASON in shown(board, 200, 24).splitlines()[0]
+    narrow = shown(board, 60, 24).splitlines()[0]
+    assert "running  controller outside" in narrow.replace(
+        REASON[: DETAIL_AT_LEAST - 1] + "…  ", ""
+    )
+
+
+def test_trouble_stands_in_the_first_line() -> None:
+    board = board_after(700)
+    assert board.plant is not None
+    assert board.controller is not None
+    trouble = replace(
+        board,
+        plant=board.plant.model_copy(
+            update={"phase": "refused", "detail": "another model", "frames_refused": 2}
+        ),
+        controller=board.controller.model_copy(update={"phase": "outside", "detail": "x is far"}),
+    )
+    header = shown(trouble, 120, 24).splitlines()[0]
+    for told in ("refused", "another model", "2 frames refused", "controller outside", "x is far"):
+        assert told in header
+    assert "controller outside" in shown(trouble, 60, 16).splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (0.186, "x1   +0.186 "),
+        (-123.4567, "x1 -123.457 "),
+        (12345.678, "x1 +12345.7 "),
+        (-123456789.0, "x1   -1.2e8 "),
+        (4e200, "x1 +4.0e200 "),
+    ],
+)
+@pytest.mark.parametrize("states", [2, 4])
+def test_a_large_state_loses_its_decimals_and_never_its_size(
+    value: float, told: str, states: int
+) -> None:
+    board = board_after(700, USUAL if states == 2 else FOUR_STATES)
+    x = (value, *plant_of(board).x[1:])
+    assert told in shown(with_plant(board, x=x), 80, 24)
+
+
+@pytest.mark.parametrize("states", range(3, 13))
+def test_states_that_find_no_room_are_counted(states: int) -> None:
+    x = tuple(100.5 + i for i in range(states))
+    text = shown(with_plant(board_after(700), x=x), 80, 24)
+    told = [i for i in range(states) if f" x{i + 1} +{x[i]:.3f}" in text]
+    assert told == list(range(states if states <= 9 else 8))
+    assert (f" {states - 8} more" in text) == (states > 9)
+
+
+@pytest.mark.parametrize("missed", [0, 999, 1234, 99_999, 10**8])
+def test_missed_and_late_steps_are_told_whatever_their_number(missed: int) -> None:
+    board = with_plant(board_after(700), missed=missed, late=missed)
+    for size in ((80, 24), (40, 24), (120, 40)):
+        text = shown(board, *size)
+        assert f"i(k) 0 of 250  missed {missed}" in text or missed > 999
+        told = re.escape(count(missed))
+        assert re.search(rf"i\(k\) 0\b.*  missed {told}  late {told}\b", text)
+    far = with_controller(board, set_index=250)
+    assert f"i(k) 250  missed {count(missed)}" in shown(far, 80, 24) or missed < 99_999
+
+
+def test_symbols_unlike_the_coin_are_told_at_any_rate() -> None:
+    board = with_plant(board_after(700), rate_hz=12345.6, sessions=123, symbol_errors=54321)
+    assert " 1e4/s  session 123  unlike b_r 54321 " in shown(board, 80, 24)
+    assert "12345.6 steps/s  session 123  unlike b_r 54321 " in shown(board, 120, 40)
+
+
+def test_a_large_gauge_is_short() -> None:
+    board = board_after(700)
+    assert board.pictured is not None
+    pictured = board.pictured.model_copy(update={"pictured_gauges": (0.75, 4e200)})
+    assert "g0 0.75  g1 4e200  (D_c 1" in shown(replace(board, pictured=pictured), 80, 24)
+
+
+@pytest.mark.parametrize(
+    ("width", "tail"),
+    [
+        (120, "350 messages, 5 garbage"),
+        (80, "  5 garbage"),
+        (72, "  5 garbage"),
+        (60, "350 messages, 5 garbage"),
+        (40, "  5 garbage"),
+    ],
+)
+def test_garbage_is_told_at_every_width(width: int, tail: str) -> None:
+    text = shown(replace(board_after(700), unreadable=5), width, 24)
+    assert text.splitlines()[-1].endswith(tail)
+    many = replace(board_after(700), unreadable=12_345, received=9_876_543)
+    assert "12345 garbage" in shown(many, width, 24).splitlines()[-1]
+
+
+def test_a_filter_that_lets_nobody_through_does_not_say_that_nobody_was_heard() -> None:
+    text = shown(board_after(700), 80, 24, Wishes(filter="xyz"))
+    assert "no tap heard" not in text
+    assert text.count("none by that name") == 3
+    assert shown(Board(), 80, 24, Wishes(filter="xyz")).count("no tap heard") == 2
+
+
+@pytest.mark.parametrize(
+    ("watched", "exact", "told"),
+    [(True, True, "k 650 exact"), (True, False, "k 650 WRONG"), (False, False, "k 650")],
+)
+def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool, told: str) -> None:
+    board = with_tap(board_after(700), "list-decoder", solved_k=650)
+    tap = replace(board.taps["list-decoder"], watched=watched, exact=exact)
+    text = shown(replace(board, taps={"list-decoder": tap}), 80, 24)
+    assert next(line for line in text.splitlines() if " % 1.00 " in line).endswith(f" {told}")
+
+
+def test_figures_of_the_table_keep_to_their_columns() -> None:
+    board = with_controller(board_after(700), sending="x" * 65_000)
+    board = with_tap(board, "list-decoder", message="x" * 2000, solved_k=1_234_567)
+    line = next(line for line in shown(board, 80, 24).splitlines() if " WRONG" in line)
+    assert line.endswith("       3 %  k 1234k WRONG")
+    assert len(line) == len(
+        next(row for row in shown(board, 80, 24).splitlines() if " P_g " in row)
+    )
+
+
+def test_the_filter_leaves_the_verdict_to_all_taps() -> None:
+    text = shown(board_after(3000), 80, 24, Wishes(filter="MEMBER"))
+    assert "list-decoder leaves 0 bit" in text
+    assert " nearest-centre" not in text
+    assert "/MEMBER: 1 of 3 taps" in text
+    assert "none by that name" in shown(board_after(3000), 80, 24, Wishes(filter="zzz"))
+
+
+def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
+    board = board_after(700)
+    tap = board.taps["list-decoder"].status
+    evil = "\x1b[2J[red]\r\n\x07漢\u0301\u202e" + "x" * 3
+    hostile = tap.model_copy(
+        update={"name": "[b]\x1b[31m", "message": evil, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
+    )
+    board = reduce(board, Arrival(board.plant_seen_ns, hostile))
+    for line in screen(board, 100, 40, PLAIN, board.plant_seen_ns):
+        assert cell_len(line.plain) == 100
+        assert all(c.isprintable() for c in line.plain)
+
+
+def test_the_strongest_taps_name_moves_no_cursor_in_the_verdict() -> None:
+    board = with_tap(board_after(700), "list-decoder", name="\x1b[31m")
+    text = shown(replace(board, taps={"x": board.taps["list-decoder"]}), 80, 24)
+    assert "TRUE: ·[31m leaves" in text
+    assert "\x1b" not in text
+
+
+WIDE = "第二の手紙 second ✓"
+
+
+def under(board: Board, label: str, width: int = 80) -> tuple[str, str]:
+    """A row of the message panel and the one below it, without their labels."""
+    lines = shown(board, width, 24).splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(" sent"))
+    at = next(i for i in range(start, len(lines)) if lines[i].startswith(f" {label}"))
+    return lines[at][16:], lines[at + 1][16:]
+
+
+def test_characters_of_two_cells_are_shown_truth_beside_guess() -> None:
+    board = with_controller(board_after(700), sending=WIDE)
+    board = with_plant(board, partial="第二の手·")
+    board = with_tap(board, "list-decoder", message="第x紙手紙 secomd ✓")
+    board = replace(board, taps={"list-decoder": board.taps["list-decoder"]})
+    assert under(board, "sent")[0] == WIDE
+    assert under(board, "recovered")[0] == "第二の手·"
+    guess, marks = under(board, "list-decoder")
+    assert guess == "第x 紙手紙 secomd ✓"
+    assert marks == "  ^ ^          ^"
+    assert "3 wrong" in shown(board, 80, 24)
+    assert "of 14 characters" in shown(board, 80, 24)
+
+
+def test_a_wide_guess_of_a_narrow_character_moves_nothing() -> None:
+    board = with_controller(board_after(700), sending="abcd")
+    board = with_tap(board, "list-decoder", message="a手c手手")
+    board = replace(board, taps={"list-decoder": board.taps["list-decoder"]})
+    assert under(board, "sent")[0] == "abcd"
+    assert under(board, "list-decoder") == ("a·c·手", " ^ ^^")
+
+
+def test_combining_marks_stay_with_their_character() -> None:
+    board = with_controller(board_after(700), sending="e\u0301te\u0301 \u0301x")
+    board = with_tap(board, "list-decoder", message="ete\u0301 \u0301y")
+    board = replace(board, taps={"list-decoder": board.taps["list-decoder"]})
+    guess, marks = under(board, "list-decoder")
+    assert guess == "ete\u0301 \u0301y"
+    assert marks == "^   ^"
+
+
+def test_a_long_message_of_wide_characters_is_shown_where_it_grows() -> None:
+    sent = "".join(chr(0x4E00 + i) for i in range(100))
+    board = with_controller(board_after(700), sending=sent)
+    board = with_plant(board, partial=sent[:80])
+    text, recovered = under(board, "sent")
+    assert cell_len(text) == 64
+    assert sent.index(text[0]) == 56
+    assert recovered == sent[56:80]
+
+
+def test_characters_as_a_reader_counts_them() -> None:
+    assert letters("ab") == ("a", "b")
+    assert letters("e\u0301第\u0301x") == ("e\u0301", "第\u0301", "x")
+    assert letters("\u0301a") == ("\u0301", "a")
+    piled = letters("a" + "\u0301" * 40)
+    assert max(map(len, piled)) == 1 + MARKS
+    assert "".join(piled) == "a" + "\u0301" * 40
+    assert [glyph(c) for c in ("第", "✓", "\u0301", "\x1b", "\u200d", "e\u0301")] == [
+        *"第✓···",
+        "e\u0301",
+    ]
+    # Terminals do not agree on how wide these two make the character before them.
+    assert "".join(map(glyph, letters("👍🏽 ❤\ufe0f"))) == "👍 ❤"
+
+
+def test_a_label_is_cut_in_cells() -> None:
+    for name in ("第" * 9, "a" + "第" * 9, "tap", "a-name-that-is-long"):
+        assert cell_len(row(name, Text()).plain) == 16
+
+
+def test_ascii_stands_cell_for_cell() -> None:
+    line = Text.assemble("a", ("第", "red"), "e\u0301…·", ("x", "bold"))
+    plain = in_ascii(line)
+    assert plain.plain == "a? e~.x"
+    assert [(span.start, span.end, str(span.style)) for span in plain.spans] == [
+        (1, 3, "red"),
+        (6, 7, "bold"),
+    ]
+
+
+def test_a_long_message_is_shown_where_it_grows() -> None:
+    rehearsal = Rehearsal(message="abcdefghij" * 12)
+    text = shown(board_after(1500, rehearsal), 80, 24)
+    board = board_after(1500, rehearsal)
+    row = next(line for line in text.splitlines() if line.startswith(" recovered"))
+    assert row[16:] == board.recovered[-len(row[16:]) :]
+    assert 30 < len(row[16:]) <= 64
+
+
+# --- colour is never the only signal -----------------------------------------------------------
+
+
+def drawn(**options: object) -> str:
+    file = io.StringIO()
+    console = Console(file=file, force_terminal=True, width=80, highlight=False, **options)  # type: ignore[arg-type]
+    for line in screen(board_after(3000), 80, 24, PLAIN, 0):
+        console.print(line, no_wrap=True)
+    return file.getvalue()
+
+
+COLOUR = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3[0-7]|4[0-7]|9[0-7]|10[0-7]|[34]8;)")
+
+
+def test_no_color_is_honoured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    assert COLOUR.search(drawn(_environ={"TERM": "xterm-256color"}))
+    quiet = drawn(_environ={"TERM": "xterm-256color", "NO_COLOR": "1"})
+    assert not COLOUR.search(quiet)
+    bare = re.sub(r"\x1b\[[0-9;]*m", "", quiet)
+    assert bare == re.sub(r"\x1b\[[0-9;]*m", "", drawn(_environ={"TERM": "xterm-256color"}))
+
+
+# --- help, figures, screenshots ----------------------------------------------------------------
+
+
+def test_help_is_made_from_the_key_table_and_covers_every_key_and_action() -> None:
+    text = shown(board_after(700), 80, 24, Wishes(help=True))
+    assert {key.action for key in KEYS} == set(Action)
+    for key in KEYS:
+        assert f" {key.label} " in text
+        assert key.meaning in text
+        assert action_of(key.character) is key.action
+    assert all(f"\n {line}\n" in text for line in HELP)
+    assert all(panel in " ".join(HELP) for panel in DROPPED_FIRST)
+    assert all(key.short in shown(board_after(700), 80, 24) for key in KEYS)
+
+
+@pytest.mark.parametrize("value", [0, 1e-9, 0.00123, 0.5, 12.345, 999.9, 1e5, -2.5e-7, 1e12])
+def test_figures_are_short(value: float) -> None:
+    assert len(number(value).lstrip("-")) <= 6
+    assert float(number(value)) == pytest.approx(value, rel=0.25)
+
+
+@given(st.floats(-1e308, 1e308))
+def test_components_of_the_state_fit_and_keep_their_size(value: float) -> None:
+    for sign in "-+":
+        text = component(value, sign)
+        assert len(text) <= 8
+        assert float(text) == pytest.approx(value, rel=0.06, abs=0.0005)
+
+
+def test_a_history_may_span_more_than_a_float_holds() -> None:
+    assert sparkline([-1.7e308, 1.7e308, 0], "abc") == "acb"
+    assert sparkline([0, 5e-324], "ab") == "ab"
+
+
+def test_counts_and_shares() -> None:
+    assert [count(v) for v in (0, 99_999, 123_456, 2**80)] == ["0", "99999", "123k", "2^80"]
+    assert percent(999, 1000) == "99 %"
+    assert percent(0, 0) == "-"
+    assert sparkline([1, 2, 3], "abc") == "abc"
+    assert sparkline([2, 2], "abc") == "bb"
+
+
+def test_a_screenshot_is_the_same_bytes_twice_and_fetches_nothing(tmp_path: Path) -> None:
+    lines = screen(board_after(700), 80, 24, PLAIN, 0)
+    svg = to_svg(lines, 80)
+    assert svg == to_svg(screen(board_after(700), 80, 24, PLAIN, 0), 80)
+    assert "url(" not in svg.replace("url(#", "")
+    assert "EXCEEDS" in svg
+    first, second = save(lines, 80, tmp_path), save(lines, 80, tmp_path)
+    assert first[0].name == "screen-1.svg"
+    assert second[1].name == "screen-2.txt"
+    assert first[0].read_bytes() == second[0].read_bytes()

@@ -1,0 +1,246 @@
+"""The router: what its access rules say, and what a real one does with them on loopback."""
+
+import base64
+import contextlib
+import queue
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import FIELD, INTEL, OPS, Measurement, Offer, TapStatus
+from protocol.runtime.trace import PLANT_TRACE, read_trace
+from protocol.runtime.zenoh_bus import Deliver, TlsFiles, ZenohBus, free_endpoints, open_router
+from protocol.topics import key_of
+from wyner.cli.main import main
+from wyner.deployment.access import PUBLISHER, READERS, TYPES, access_control
+from wyner.deployment.certificates import ensure_certificates
+
+BUSES = ("field", "ops", "intel")
+
+
+# --- the rules ------------------------------------------------------------------------------------
+
+
+def test_every_message_type_has_one_bus_and_one_publisher_who_may_also_read_there() -> None:
+    assert set(PUBLISHER) == {*FIELD, *OPS, *INTEL}
+    assert TYPES == {"field": FIELD, "ops": OPS, "intel": INTEL}
+    for bus, types in TYPES.items():
+        for message_type in types:
+            assert PUBLISHER[message_type] in READERS[bus]
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_everything_is_denied_that_no_rule_allows(bus: str) -> None:
+    table = access_control(bus)
+    assert table["enabled"] is True
+    assert table["default_permission"] == "deny"
+    assert {rule["permission"] for rule in table["rules"]} == {"allow"}
+    granted = {rule for policy in table["policies"] for rule in policy["rules"]}
+    assert granted == {rule["id"] for rule in table["rules"]}
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_only_the_publisher_of_a_type_may_put_it(bus: str) -> None:
+    table = access_control(bus)
+    rules = {rule["id"]: rule for rule in table["rules"]}
+    may_put: dict[str, set[str]] = {}
+    for policy in table["policies"]:
+        for rule in (rules[name] for name in policy["rules"]):
+            if "ingress" in rule["flows"] and "put" in rule["messages"]:
+                for key in rule["key_exprs"]:
+                    may_put.setdefault(key, set()).update(policy["subjects"])
+    assert may_put == {
+        key_of(t, "loop").replace("/loop/", "/*/"): {PUBLISHER[t]} for t in TYPES[bus]
+    }
+
+
+def test_the_tap_has_no_place_on_ops() -> None:
+    assert "tap" not in READERS["ops"]
+    assert PUBLISHER[TapStatus] == "tap"
+    assert [t for t in (*FIELD, *OPS) if PUBLISHER[t] == "tap"] == []
+
+
+# --- a real router --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("certs")
+    hosts = ["localhost", "127.0.0.1"]
+    ensure_certificates(
+        folder, dict.fromkeys(("router", "controller", "plant", "tap", "stranger"), hosts), 2
+    )
+    return folder
+
+
+@contextlib.contextmanager
+def clients(certs: Path, endpoint: str, *names: str) -> Iterator[dict[str, ZenohBus]]:
+    with contextlib.ExitStack() as stack:
+        yield {
+            name: stack.enter_context(
+                ZenohBus(connect=[endpoint], client=True, tls=TlsFiles.in_folder(certs / name))
+            )
+            for name in names
+        }
+
+
+@pytest.mark.integration
+def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs: Path) -> None:
+    endpoint = free_endpoints(1)[0].replace("tcp/", "tls/")
+    names = ("controller", "plant", "tap", "stranger")
+    keys = [key_of(t, "loop") for t in (Measurement, Offer)]
+    heard: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
+
+    def listener(who: str) -> Deliver:
+        return lambda key, payload, _t_ns: heard.put((who, key, payload.decode()))
+
+    tls = TlsFiles.in_folder(certs / "router")
+    with (
+        open_router([endpoint], tls, access_control("field")),
+        clients(certs, endpoint, *names) as buses,
+    ):
+        for name, bus in buses.items():
+            for key in keys:
+                bus.subscribe(key, listener(name))
+        publishers = {(name, key): buses[name].publisher(key) for name in names for key in keys}
+        until = time.monotonic() + 10
+        while not publishers["plant", keys[0]].matched() and time.monotonic() < until:
+            time.sleep(0.02)
+        for _ in range(5):
+            for (name, _key), publisher in publishers.items():
+                publisher.put(f"from {name}".encode())
+            time.sleep(0.1)
+        got = set()
+        while not heard.empty():
+            got.add(heard.get())
+    measurement, offer = keys
+    assert got == {
+        ("controller", measurement, "from plant"),
+        ("plant", offer, "from controller"),
+        ("tap", measurement, "from plant"),
+        ("tap", offer, "from controller"),
+    }
+
+
+@pytest.mark.integration
+def test_buses_of_one_router_process_do_not_mix() -> None:
+    field, ops = free_endpoints(2)
+    command = wyner("router", "--listen", f"field={field}", "--listen", f"ops={ops}")
+    router = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert router.stderr is not None
+        said = [router.stderr.readline() for _ in range(2)]
+        assert f"field at {field}, open to whoever connects" in said[0]
+        heard: queue.SimpleQueue[str] = queue.SimpleQueue()
+        with (
+            ZenohBus(connect=[field], client=True) as on_field,
+            ZenohBus(connect=[field], client=True) as also_on_field,
+            ZenohBus(connect=[ops], client=True) as on_ops,
+        ):
+            also_on_field.subscribe("a/key", lambda *_: heard.put("field"))
+            on_ops.subscribe("a/key", lambda *_: heard.put("ops"))
+            publisher = on_field.publisher("a/key")
+            until = time.monotonic() + 10
+            while not publisher.matched() and time.monotonic() < until:
+                time.sleep(0.02)
+            for _ in range(5):
+                publisher.put(b"x")
+                time.sleep(0.05)
+            assert heard.get(timeout=5) == "field"
+            assert {heard.get() for _ in range(heard.qsize())} <= {"field"}
+        router.send_signal(signal.SIGTERM)
+        assert router.wait(5) == 0
+    finally:
+        if router.poll() is None:
+            router.kill()
+        router.communicate()
+
+
+def wyner(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "wyner.cli.main", *arguments]
+
+
+@pytest.mark.integration
+def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
+    """All three buses under mutual TLS, as docs/deployment.md sets up several machines."""
+    certs = tmp_path / "certs"
+    subprocess.run(wyner("certs", str(certs)), check=True, capture_output=True, timeout=60)
+    at = dict(zip(BUSES, (e.replace("tcp/", "tls/") for e in free_endpoints(3)), strict=True))
+
+    def through_router(name: str, *buses: str) -> list[str]:
+        options = []
+        for bus in buses:
+            options += ["--client", bus, "--connect", f"{bus}={at[bus]}"]
+            options += ["--tls", f"{bus}={certs / name}"]
+        return options
+
+    router = []
+    for bus in BUSES:
+        router += ["--listen", f"{bus}={at[bus]}", "--tls", f"{bus}={certs / 'router'}"]
+        router += ["--guard", bus]
+    plant = ["--pace", "fast", *through_router("plant", "field", "ops")]
+    commands = {
+        "router": router,
+        "plant": ["--run-dir", str(tmp_path), *plant],
+        "controller": ["--run-dir", str(tmp_path), *through_router("controller", "field", "ops")],
+    }
+
+    def send(text: str, name: str, timeout_s: str) -> int:
+        command = wyner("send", text, "--timeout", timeout_s, *through_router(name, "ops"))
+        return subprocess.run(command, capture_output=True, timeout=60, check=False).returncode
+
+    running = [subprocess.Popen(wyner(name, *rest)) for name, rest in commands.items()]
+    try:
+        assert send("by the operator", "operator", "20") == 0
+        assert send("by somebody who may only look", "dashboard", "2") == 1
+        until = time.monotonic() + 30
+        recovered: list[bytes] = []
+        while not recovered and time.monotonic() < until:
+            time.sleep(0.2)
+            trace = read_trace(tmp_path / PLANT_TRACE)
+            recovered = [base64.b64decode(e["payload"]) for e in trace.of("recovered")]
+        assert recovered == [b"by the operator"]
+        for process in reversed(running):
+            process.terminate()
+            assert process.wait(10) == 0
+    finally:
+        for process in running:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (
+            ["--listen", "x=tcp/127.0.0.1:1"],
+            "--listen: got 'x=tcp/127.0.0.1:1', expected BUS=VALUE",
+        ),
+        (["--listen", "field=tcp/127.0.0.1:1", "--guard", "ops"], "--guard ops: expected --listen"),
+        (
+            ["--listen", "field=tcp/127.0.0.1:1", "--guard", "field"],
+            "--guard field: expected --tls field=FOLDER as well",
+        ),
+        (
+            ["--listen", "field=tls/127.0.0.1:1", "--tls", "field=a", "--tls", "field=b"],
+            "--tls field: got 2 folders, expected one",
+        ),
+        (["--listen", "field=127.0.0.1:1"], "got '127.0.0.1:1', expected tcp/HOST:PORT"),
+        (["--listen", "field=tls/127.0.0.1:1", "--tls", "field=nowhere"], "no such file"),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    assert main(["router", *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert expected in line

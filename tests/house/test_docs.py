@@ -1,0 +1,134 @@
+"""The documents: diagrams fresh, every function and every test that they name is there."""
+
+import ast
+import importlib
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import FIELD, INTEL, OPS
+from protocol.schemes.diagrams import DOCUMENT, PARTS, main, refreshed, state_diagram
+from protocol.schemes.switched import RECEIVER, SENDER
+from wyner.verify import CLAUSES
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
+
+ROWS = re.findall(
+    r"^\| (?P<item>[^|]+) \| `(?P<function>[a-z_]+\.[\w.]+)` \| `(?P<test>tests/\S+)` \|$",
+    DOCUMENT.read_text(encoding="utf-8"),
+    re.MULTILINE,
+)
+
+
+@cache
+def names_in(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+def found(dotted: str) -> object:
+    """Import what a dotted name stands for."""
+    parts = dotted.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            thing: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[cut:]:
+            thing = getattr(thing, name)
+        return thing
+    raise AssertionError(f"no such module: {dotted}")
+
+
+def test_the_generated_parts_are_fresh() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert refreshed(text) == text, "run: python -m protocol.schemes.diagrams --write"
+
+
+def test_the_diagrams_show_every_arrow() -> None:
+    for table in (SENDER, RECEIVER):
+        drawn = state_diagram(table)
+        for row in table:
+            arrow = rf"s{row.state} --> s{row.next_state} : ({row.event}|always)<br/>"
+            assert re.search(arrow, drawn), row
+
+
+def test_the_tables_name_every_message() -> None:
+    text = "".join(part() for part in PARTS.values())
+    for kind in (*FIELD, *OPS, *INTEL):
+        assert f"`{kind.__name__}`" in text
+
+
+def test_a_missing_marker_is_noticed() -> None:
+    with pytest.raises(ValueError, match="markers"):
+        refreshed("<!-- generated: sender -->\n<!-- end -->")
+
+
+def test_the_parts_can_be_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    assert "stateDiagram-v2" in capsys.readouterr().out
+    assert main(["--draw"]) == 2
+    assert capsys.readouterr().err.startswith("usage: ")
+
+
+def test_the_table_covers_the_papers_equations() -> None:
+    items = " ".join(item for item, _, _ in ROWS)
+    for number in (5, 6, 10, 11, 12, 13, 14, 15, 20, 21, 22, 23, 24, 25, 26, 27):
+        assert f"({number})" in items
+    for figure in ("Fig. 5", "Fig. 6a", "Fig. 6b"):
+        assert figure in items
+
+
+@pytest.mark.parametrize(("item", "function", "test"), ROWS, ids=[row[0] for row in ROWS])
+def test_a_row_names_things_that_are_there(item: str, function: str, test: str) -> None:
+    assert callable(found(function)), item
+    path, _, name = test.partition("::")
+    assert name in names_in(ROOT / path), item
+
+
+def test_the_rooms_are_as_they_are_drawn() -> None:
+    """Every folder of the house stands in the picture, at its place, and none that is not there."""
+    text = DOCUMENT.read_text(encoding="utf-8").partition("## Rooms")[2].partition("## ")[0]
+    drawn: list[Path] = []
+    for indent, name in re.findall(r"^( *)([a-z_]+)/ ", text, re.MULTILINE):
+        above = drawn[-1] if drawn else Path()
+        while len(above.parts) > len(indent) // 2:
+            above = above.parent
+        drawn.append(above / name)
+    there = {
+        path.relative_to(ROOT).parent
+        for room in sorted({path.parts[0] for path in drawn})
+        for path in (ROOT / room).rglob("*.[pt][yo]*")
+        if "__pycache__" not in path.parts
+    }
+    assert {path for path in there if path.parts[0] != "tests"} == set(drawn) - {Path("tests")}
+
+
+def test_the_protocol_document_names_every_clause_of_a_check() -> None:
+    table = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    first_cells = re.findall(r"^\| ([a-z, -]+) \|", table, re.MULTILINE)
+    named = {name.strip() for cell in first_cells for name in cell.split(",")}
+    assert {clause.name for clause in CLAUSES} <= named
+
+
+def test_the_certificates_of_the_deployment_document_hold_what_it_connects_to() -> None:
+    text = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
+    text = text.partition("## Several machines")[2].replace("\\\n", " ")
+    names = dict(re.findall(r"--name (\w+)=(\S+)", text))
+    for service, arguments in re.findall(r"^wyner (\w+) (.*)$", text, re.MULTILINE):
+        for listened in re.findall(r"--listen \w+=tls/([^:]+):", arguments):
+            assert listened in names[service].split(","), (service, listened)
+    held = ",".join(names.values()).split(",")
+    assert set(re.findall(r"--connect \w+=tls/([^:]+):", text)) <= set(held)
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_documents_point_at_what_exists(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
+        assert (path.parent / target).exists(), target
+    for target in re.findall(r"`((?:protocol|wyner|tests|docs|\w+_service)/[\w/.-]+\.\w+)`", text):
+        assert (ROOT / target).exists(), target

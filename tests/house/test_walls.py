@@ -1,0 +1,184 @@
+"""The walls between the rooms: who may import whom, and what is loaded when."""
+
+import ast
+import json
+import subprocess
+import sys
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SERVICES = ("controller_service", "plant_service", "tap_service")
+ROOMS = (*SERVICES, "protocol", "wyner", "benchmarks", "tools")
+
+MODULES = [
+    path
+    for room in ROOMS
+    for path in sorted((ROOT / room).rglob("*.py"))
+    if "__pycache__" not in path.parts
+]
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(path: Path) -> set[str]:
+    """Every module that a file names in an import, wherever it stands."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            assert node.module is not None
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def rooms_of(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports_of(path)} & set(ROOMS)
+
+
+def loaded_by(*modules: str) -> set[str]:
+    """What a fresh interpreter has loaded after importing ``modules``."""
+    code = (
+        "import importlib, json, sys\n"
+        "for name in json.loads(sys.argv[1]): importlib.import_module(name)\n"
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(modules)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout))
+
+
+def inside(room: str) -> list[Path]:
+    return [p for p in MODULES if p.relative_to(ROOT).parts[0] == room and p.stem != "__main__"]
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert len(MODULES) > 60
+    assert "protocol" in rooms_of(ROOT / "plant_service" / "plant.py")
+    assert "zenoh" in imports_of(ROOT / "protocol" / "runtime" / "zenoh_bus.py")
+
+
+# --- rooms ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_service_imports_the_protocol_and_itself_only(service: str) -> None:
+    for path in inside(service):
+        assert rooms_of(path) <= {"protocol", service}, name_of(path)
+
+
+def test_the_protocol_imports_no_other_room() -> None:
+    for path in inside("protocol"):
+        assert rooms_of(path) <= {"protocol"}, name_of(path)
+
+
+def test_the_dashboard_looks_on_through_messages_only() -> None:
+    for path in (ROOT / "wyner" / "dashboard").glob("*.py"):
+        assert rooms_of(path) <= {"protocol", "wyner"}, name_of(path)
+        within = {name for name in imports_of(path) if name.startswith("wyner.")}
+        assert all(name.startswith("wyner.dashboard") for name in within), name_of(path)
+
+
+def test_the_main_modules_only_call_the_command() -> None:
+    for service in SERVICES:
+        assert rooms_of(ROOT / service / "__main__.py") == {"wyner"}
+
+
+# --- libraries ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("library", "allowed"),
+    [
+        ("zenoh", {"protocol.runtime.zenoh_bus"}),
+        ("rich", {"wyner", "tools"}),
+        ("matplotlib", {"wyner.studies.figures*", "wyner.cli.figures"}),
+        ("osqp", {"controller_service", "benchmarks"}),
+        ("daqp", {"controller_service", "benchmarks"}),
+    ],
+)
+def test_a_library_has_its_place(library: str, allowed: set[str]) -> None:
+    for path in MODULES:
+        if any(name.split(".")[0] == library for name in imports_of(path)):
+            name = name_of(path)
+            assert any(fnmatch(name, a) or name.startswith(f"{a}.") for a in allowed), name
+
+
+def test_importing_the_protocol_loads_no_transport_and_no_screen() -> None:
+    loaded = loaded_by(*(name_of(path) for path in inside("protocol")))
+    assert loaded.isdisjoint({"zenoh", "rich", "matplotlib", "scipy", "osqp", "daqp"})
+
+
+def test_the_message_types_load_no_numbers() -> None:
+    core = [
+        f"protocol.{m}"
+        for m in ("messages", "link.session", "runtime.journal", "runtime.trace", "streams")
+    ]
+    assert loaded_by(*core).isdisjoint({"zenoh", "numpy", "rich"})
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_importing_a_service_loads_no_transport(service: str) -> None:
+    names = [name_of(path) for path in inside(service)]
+    assert loaded_by(*names).isdisjoint({"zenoh", "rich", "matplotlib"})
+
+
+def test_starting_the_command_loads_nothing_heavy() -> None:
+    heavy = {"zenoh", "numpy", "scipy", "rich", "matplotlib", "osqp", "daqp"}
+    assert loaded_by("wyner.cli.main").isdisjoint(heavy | {"pydantic"})
+    commands = [name_of(path) for path in (ROOT / "wyner" / "cli").glob("[a-z]*.py")]
+    assert len(commands) > 8
+    assert loaded_by(*commands).isdisjoint(heavy)
+
+
+# --- the tap --------------------------------------------------------------------------------------
+
+SECRETS = {
+    "protocol.scenario",  # D_c and alpha
+    "protocol.link.session",  # keys and automata's states
+    "protocol.link.sender",
+    "protocol.link.receiver",
+    "protocol.runtime.journal",  # both, and the message
+    "protocol.streams",  # the coins
+    "protocol.schemes.switched",
+}
+
+
+def test_the_tap_loads_nothing_that_knows_a_secret() -> None:
+    names = [name_of(path) for path in inside("tap_service")]
+    assert "tap_service.service" in names
+    assert loaded_by(*names).isdisjoint(SECRETS)
+
+
+def test_no_file_of_the_tap_names_a_secret() -> None:
+    for path in inside("tap_service"):
+        named = imports_of(path)
+        assert named.isdisjoint(SECRETS), name_of(path)
+
+
+def test_what_listens_loads_nothing_that_reads_the_truth() -> None:
+    """Scoring and replaying with scores stand outside the running tap."""
+    eavesdroppers = [name_of(p) for p in inside("tap_service") if p.parent.name == "eavesdroppers"]
+    loaded = loaded_by("tap_service.service", *eavesdroppers)
+    assert not [name for name in loaded if name.startswith("wyner")]
+    for name in sorted(n for n in loaded if n.startswith("tap_service.")):
+        path = ROOT / Path(*name.split("."))
+        file = path.with_suffix(".py") if path.with_suffix(".py").exists() else path / "__init__.py"
+        text = file.read_text(encoding="utf-8")
+        assert "PLANT_TRACE" not in text, name
+        assert "CONTROLLER_TRACE" not in text, name

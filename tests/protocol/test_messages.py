@@ -1,0 +1,159 @@
+"""The wire: flat schemas, nothing secret on the field bus, garbage refused."""
+
+import json
+import random
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from protocol.messages import (
+    FIELD,
+    INTEL,
+    OPS,
+    ControllerHello,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    SendCommand,
+    SendReply,
+)
+from protocol.topics import BASE, check_loop, key_of
+
+ALL = (*FIELD, *OPS, *INTEL)
+SESSION = "0123456789abcdef"
+
+MEASUREMENT: dict[str, Any] = {
+    "session": SESSION,
+    "k": 7,
+    "x": [0.1, -2.5e-17],
+    "applied_k": 6,
+    "x_after": [0.1, -2.5e-17],
+}
+OFFER: dict[str, Any] = {
+    "session": SESSION,
+    "k": 7,
+    "candidates": [[0.30000000000000004], [-5.9]],
+    "cipher": 1,
+}
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
+def test_schemas_are_flat(kind: type[Message]) -> None:
+    assert "$ref" not in json.dumps(kind.model_json_schema())
+    assert kind.model_config["extra"] == "forbid"
+    assert kind.model_config["frozen"]
+
+
+def test_every_message_has_a_key_of_its_own() -> None:
+    keys = {key_of(kind, "loop") for kind in ALL}
+    assert len(keys) == len(ALL)
+    assert all(key.startswith(f"{BASE}/v1/loop/") for key in keys)
+    field = {key_of(kind, "loop") for kind in FIELD}
+    assert not any(key.startswith(f"{BASE}/v1/loop/ops/") for key in field)
+
+
+@pytest.mark.parametrize("loop", ["", "a/b", "*", "**", "@a", "a b", "-a", "x" * 65, "ä"])
+def test_a_loop_id_is_one_plain_chunk(loop: str) -> None:
+    with pytest.raises(ValueError, match="expected 1 to 64"):
+        check_loop(loop)
+
+
+def test_the_field_bus_has_two_messages_with_these_fields_only() -> None:
+    """A key, a plaintext or a state would need a field: adding one must not go unnoticed."""
+    assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
+        "Measurement": {"v", "session", "k", "x", "applied_k", "x_after"},
+        "Offer": {"v", "session", "k", "candidates", "cipher"},
+    }
+
+
+def test_the_fingerprint_travels_on_ops_only() -> None:
+    with_it: set[type[Message]] = {kind for kind in ALL if "fingerprint" in kind.model_fields}
+    ops: set[type[Message]] = {PlantHello, ControllerHello}
+    assert with_it == ops <= set(OPS)
+
+
+def test_an_offer_is_as_long_whatever_the_cipher_symbol() -> None:
+    lengths = {len(Offer(**{**OFFER, "cipher": c}).model_dump_json()) for c in (0, 1)}
+    assert len(lengths) == 1
+
+
+@pytest.mark.parametrize(("kind", "data"), [(Measurement, MEASUREMENT), (Offer, OFFER)])
+def test_field_messages_come_back_to_the_last_bit(
+    kind: type[Message], data: dict[str, Any]
+) -> None:
+    message = kind(**data)
+    again = kind.model_validate_json(message.model_dump_json())
+    assert again == message
+    assert again.model_dump_json() == message.model_dump_json()
+
+
+def test_floats_travel_as_the_shortest_decimals_that_come_back() -> None:
+    rng = random.Random(3)
+    for _ in range(2000):
+        x = (rng.uniform(-1, 1) * 10 ** rng.randint(-20, 20), rng.random())
+        message = Measurement(**{**MEASUREMENT, "x": x})
+        assert Measurement.model_validate_json(message.model_dump_json()).x == x
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("v", 2),
+        ("v", 0),
+        ("session", "0123"),
+        ("session", SESSION.upper()),
+        ("session", SESSION + "\n"),
+        ("k", -1),
+        ("k", 1.5),
+        ("k", None),
+        ("x", ["NaN", 0.0]),
+        ("x", "0.1"),
+        ("applied_k", -2),
+    ],
+)
+def test_a_wrong_field_is_refused(field: str, value: object) -> None:
+    with pytest.raises(ValidationError):
+        Measurement.model_validate_json(json.dumps({**MEASUREMENT, field: value}))
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_numbers_that_are_none_are_refused(number: str) -> None:
+    text = json.dumps(OFFER).replace("-5.9", number)
+    assert number in text
+    with pytest.raises(ValidationError):
+        Offer.model_validate_json(text)
+
+
+@pytest.mark.parametrize("extra", ["key", "symbol", "s", "message", "plaintext"])
+def test_unknown_fields_are_refused(extra: str) -> None:
+    for kind, data in ((Measurement, MEASUREMENT), (Offer, OFFER)):
+        with pytest.raises(ValidationError, match="Extra inputs"):
+            kind.model_validate_json(json.dumps({**data, extra: 0}))
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"{}", b"[]", b"null", b"\xff\xfe", b'{"v":1', b"0" * 10**5]
+)
+def test_garbage_is_refused(payload: bytes) -> None:
+    for kind in ALL:
+        with pytest.raises(ValidationError):
+            kind.model_validate_json(payload)
+
+
+def test_messages_cannot_change() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Offer(**OFFER).k = 8  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("payload", [b"", b"text", bytes(range(256))])
+def test_any_bytes_can_be_sent(payload: bytes) -> None:
+    command = SendCommand(id="a-1._", payload=payload)
+    assert SendCommand.model_validate_json(command.model_dump_json()) == command
+
+
+@pytest.mark.parametrize("identifier", ["", "a b", "x" * 65, "ü", "a/b"])
+def test_an_identifier_is_short_and_plain(identifier: str) -> None:
+    with pytest.raises(ValidationError):
+        SendReply(id=identifier, accepted=True, queued=0)

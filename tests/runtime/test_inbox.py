@@ -1,0 +1,96 @@
+"""The queue between the transport's thread and a service's own."""
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from protocol.runtime.inbox import Inbox
+
+
+def test_items_come_in_order_and_are_counted() -> None:
+    inbox: Inbox[int] = Inbox()
+    for item in range(5):
+        inbox.put(item)
+    assert len(inbox) == 5
+    assert [inbox.get(0.0) for _ in range(5)] == list(range(5))
+    assert not inbox
+    with pytest.raises(queue.Empty):
+        inbox.get(0.0)
+
+
+def test_it_waits_as_long_as_it_was_told() -> None:
+    inbox: Inbox[int] = Inbox()
+    inbox.put(1)
+    assert inbox.get(1.0) == 1  # what was new then is old now, and must not end the next wait
+    began = time.monotonic()
+    with pytest.raises(queue.Empty):
+        inbox.get(0.05)
+    assert 0.05 <= time.monotonic() - began < 5
+
+
+def test_a_wait_ends_with_the_item() -> None:
+    inbox: Inbox[str] = Inbox()
+    threading.Timer(0.1, inbox.put, ("late",)).start()
+    assert inbox.get(30.0) == "late"
+
+
+def test_nothing_is_lost_between_several_that_put_and_one_that_takes() -> None:
+    inbox: Inbox[tuple[int, int]] = Inbox()
+
+    def put(n: int) -> None:
+        for i in range(5000):
+            inbox.put((n, i))
+
+    puts = [threading.Thread(target=put, args=(n,)) for n in range(4)]
+    for thread in puts:
+        thread.start()
+    taken = [inbox.get(10.0) for _ in range(4 * 5000)]
+    for n in range(4):
+        assert [i for m, i in taken if m == n] == list(range(5000))
+    assert not inbox
+
+
+TINY_WAITS = """
+import os, queue, sys, threading, time
+from protocol.runtime.inbox import Inbox
+os.nice(15)
+inbox, rounds = Inbox(), [0]
+def take():
+    while True:
+        inbox.put(1)
+        try:
+            inbox.get(1e-6)
+            inbox.get(2e-6)
+        except queue.Empty:
+            pass
+        rounds[0] += 1
+threading.Thread(target=take, daemon=True).start()
+until = time.monotonic() + 4
+while time.monotonic() < until:
+    before = rounds[0]
+    time.sleep(2)
+    if rounds[0] == before:
+        sys.exit(f"stuck after {before} rounds")
+"""
+
+
+@pytest.mark.slow
+def test_a_wait_of_microseconds_ends_on_a_busy_machine() -> None:
+    """Where a ``queue.SimpleQueue`` in its place waits for ever within seconds."""
+    spin = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(spin) for _ in range(2 * (os.cpu_count() or 1))]
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", TINY_WAITS],
+            capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,316 @@
+"""Journals: what was saved survives kill -9, one process at a time, and only its own scenario."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from protocol.link.receiver import ReceiverRecord
+from protocol.link.sender import SenderRecord
+from protocol.messages import Measurement, Message, Offer
+from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
+
+SCENARIO = "f" * 64
+SESSION = "0123456789abcdef"
+RECEIVER = ReceiverRecord(
+    session=SESSION, k=4, x=(0.1, -0.2), u=(3.0,), applied_k=3, x_after=(1e-17, 2.0)
+)
+SENDER = SenderRecord(
+    session=SESSION,
+    ended=("fedcba9876543210",),
+    s=2,
+    key=1,
+    k=9,
+    applied_k=8,
+    transitions=7,
+    p=3,
+    cipher=1,
+    message_symbol=0,
+    framed=True,
+    offset=5,
+    x=(0.1 + 0.2, 5e-324),
+    offer=Offer(session=SESSION, k=9, candidates=((1 / 3,), (-2.0,)), cipher=1),
+)
+
+
+# --- records --------------------------------------------------------------------------------------
+
+
+def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.load() is None
+        journal.save(SENDER)
+        assert journal.load() == SENDER
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.load() == SENDER
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
+        assert journal2.load() is None
+        journal2.save(RECEIVER)
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
+        assert journal2.load() == RECEIVER
+
+
+def test_the_last_save_counts(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        for k in range(100):
+            journal.save(RECEIVER._replace(k=k))
+        record = journal.load()
+        assert record is not None
+        assert record.k == 99
+
+
+def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        for chunk in ("100", "11", ""):
+            journal.save(RECEIVER, chunk=chunk)
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        assert journal.chunks() == "10011"
+        journal.save(RECEIVER, drop_chunks=True, received=b"whole")
+        assert journal.chunks() == ""
+        journal.save(RECEIVER, chunk="1", drop_chunks=True)
+        assert journal.chunks() == "1"
+        assert journal.inbox() == [b"whole"]
+
+
+def test_the_inbox_gives_the_newest_oldest_first(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        for i in range(10):
+            journal.save(RECEIVER, received=b"%d" % i, drop_chunks=True)
+        assert journal.inbox(3) == [b"7", b"8", b"9"]
+
+
+def test_a_message_is_queued_once_and_in_order(tmp_path: Path) -> None:
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.enqueue("a", b"first")
+        assert journal.enqueue("b", bytes(range(256)))
+        assert not journal.enqueue("a", b"another text, the same identifier")
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.queued == 2
+        assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
+        assert journal.identifier(1) == "b"
+        assert journal.enqueue("c", b"third")
+        assert journal.payload(2) == b"third"
+        assert journal.queued_as("a") == b"first"
+        assert journal.queued_as("d") is None
+
+
+# --- steps ----------------------------------------------------------------------------------------
+
+MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
+OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
+
+
+def wire(message: Message) -> bytes:
+    return message.wire()
+
+
+def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.step() is None
+        journal.save(SENDER)
+        journal.append(wire(MEASUREMENT), wire(OFFER))
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.load() == SENDER
+        assert journal.step() == (MEASUREMENT, OFFER)
+        journal.append(wire(MEASUREMENT), wire(OFFER))  # what was loaded can be built on
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
+        journal2.save(RECEIVER, chunk="10")
+        journal2.append(wire(OFFER), wire(MEASUREMENT), 1)
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
+        assert journal2.load() == RECEIVER
+        assert journal2.step() == (OFFER, MEASUREMENT, 1)
+        assert journal2.chunks() == "10"
+
+
+def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
+    tmp_path: Path,
+) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        journal.save(RECEIVER)
+        journal.append(wire(OFFER), wire(MEASUREMENT), 1)
+        with pytest.raises(AssertionError, match="not been counted"):
+            journal.append(wire(OFFER), wire(MEASUREMENT), 1)
+        journal.stage(RECEIVER._replace(k=5))
+        assert journal.load() == RECEIVER
+        assert journal.step() is not None
+        journal.stage(RECEIVER._replace(k=5))
+        journal.append(wire(OFFER), wire(MEASUREMENT), 0)
+        assert journal.load() == RECEIVER._replace(k=5)
+        assert journal.step() == (OFFER, MEASUREMENT, 0)
+        journal.save(RECEIVER._replace(k=6))
+        assert journal.step() is None
+
+
+@pytest.mark.parametrize("heard", [b"{}", b"not json", wire(MEASUREMENT)])
+def test_a_step_that_is_none_is_refused(tmp_path: Path, heard: bytes) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        journal.save(RECEIVER)
+        journal.append(heard, wire(MEASUREMENT), 0)
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
+        journal.step()
+    assert "record" in one_line(error, tmp_path / "p")
+
+
+# --- what it refuses ------------------------------------------------------------------------------
+
+
+def one_line(error: pytest.ExceptionInfo[JournalError], path: Path) -> str:
+    text = str(error.value)
+    assert text.startswith(str(path))
+    assert "\n" not in text
+    return text
+
+
+def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    code = (
+        "import sys; from pathlib import Path; from protocol.runtime.journal import *\n"
+        "try: ControllerJournal(Path(sys.argv[1]), sys.argv[2])\n"
+        "except JournalError as error: print(error)\n"
+    )
+    with ControllerJournal(path, SCENARIO):
+        second = subprocess.run(
+            [sys.executable, "-c", code, str(path), SCENARIO],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=30,
+        )
+    assert second.stdout.strip() == f"{path}: another process is using it"
+    with ControllerJournal(path, SCENARIO):
+        pass
+
+
+def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        journal.save(RECEIVER)
+    with pytest.raises(JournalError) as error:
+        PlantJournal(tmp_path / "p", "0" * 64)
+    assert "scenario: got" in one_line(error, tmp_path / "p")
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        assert journal.load() == RECEIVER
+
+
+def test_the_other_sides_journal_is_refused(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO):
+        pass
+    with pytest.raises(JournalError) as error:
+        ControllerJournal(tmp_path / "p", SCENARIO)
+    assert "kind: got 'plant', expected 'controller'" in one_line(error, tmp_path / "p")
+
+
+def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    path.write_bytes(b"These are not the bytes of a database." * 100)
+    with pytest.raises(JournalError) as error:
+        ControllerJournal(path, SCENARIO)
+    assert "not a journal" in one_line(error, path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(JournalError) as error:
+        ControllerJournal(tmp_path / "file" / "c", SCENARIO)
+    assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
+
+
+@pytest.mark.parametrize("body", [b"{}", b"not json", b'{"session": 3}'])
+def test_a_record_that_is_none_is_refused(tmp_path: Path, body: bytes) -> None:
+    path = tmp_path / "p"
+    with PlantJournal(path, SCENARIO) as journal:
+        journal.save(RECEIVER)
+    database = sqlite3.connect(path)
+    database.execute("UPDATE record SET body = ?", (body,))
+    database.commit()
+    database.close()
+    with PlantJournal(path, SCENARIO) as journal, pytest.raises(JournalError) as error:
+        journal.load()
+    assert "record" in one_line(error, path)
+
+
+# --- kill -9 --------------------------------------------------------------------------------------
+
+WRITER = """
+import sys
+from pathlib import Path
+from protocol.runtime.journal import PlantJournal
+from protocol.messages import Measurement, Offer
+from protocol.link.receiver import ReceiverRecord
+
+def count(record):
+    record = record._replace(k=record.k + 1, p=record.p + 1)
+    if record.p % 50 == 0:
+        journal.save(record, drop_chunks=True, received=b"%d" % record.p)
+    elif record.p % 7 == 0:
+        journal.save(record, chunk="1")
+    else:
+        journal.stage(record)
+    return record
+
+journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
+record = journal.load()
+if record is None:
+    record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
+    journal.save(record)
+if journal.step() is not None:
+    record = count(record)
+while True:
+    offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
+    measurement = Measurement(
+        session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
+    )
+    said = measurement.wire()
+    journal.append(offer.wire(), said, record.k % 2)
+    sys.stdout.write(f"{measurement.k}\\n")
+    sys.stdout.flush()
+    record = count(record)
+"""
+
+
+def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "p"
+    for lines in (1, 37, 150, 400):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path), SCENARIO],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert writer.stdout is not None
+        acknowledged = 0
+        for _ in range(lines):
+            acknowledged = int(writer.stdout.readline())
+        writer.send_signal(signal.SIGKILL)
+        rest = [line for line in writer.stdout.read().split("\n")[:-1] if line]
+        writer.wait(10)
+        writer.stdout.close()
+        if rest:
+            acknowledged = int(rest[-1])
+        with PlantJournal(path, SCENARIO) as journal:
+            record, step = journal.load(), journal.step()
+            assert record is not None
+            assert record.k + (step is not None) in (acknowledged, acknowledged + 1)
+            if step is not None:
+                assert step.offer.k == record.k
+                assert step.measurement.k == record.k + 1
+                assert step.coin == record.k % 2
+            # all or nothing: the symbols and messages are those of this very record
+            whole, since = divmod(record.k, 50)
+            assert record.p == record.k
+            assert len(journal.inbox(10**6)) == whole
+            first = 50 * whole + 1
+            chunks = sum(p % 7 == 0 for p in range(first, first + since))
+            assert len(journal.chunks()) == chunks
+
+
+def test_a_journal_that_cannot_be_written_any_more_names_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    with PlantJournal(path, SCENARIO) as journal:
+        journal.save(RECEIVER)
+        journal._db.execute("PRAGMA query_only = 1")
+        with pytest.raises(JournalError) as error:
+            journal.append(b"{}", b"{}", 0)
+        one_line(error, path)
+        for chunk in ("", "01"):
+            with pytest.raises(JournalError) as error:
+                journal.save(RECEIVER, chunk=chunk)
+            one_line(error, path)

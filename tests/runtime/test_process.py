@@ -1,0 +1,196 @@
+"""What the programs share: pace, words for fingerprints, atomic files, throttling, stopping."""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.process import (
+    Complaints,
+    Pace,
+    Throttle,
+    UsageError,
+    logger,
+    new_id,
+    spoken,
+    stop_on_signals,
+    write_atomically,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("realtime", 0.1), ("x1", 0.1), ("x10", 0.01), ("x0.5", 0.2), ("fast", None)],
+)
+def test_pace(text: str, seconds: float | None) -> None:
+    assert Pace(text).step_s(0.1) == (None if seconds is None else pytest.approx(seconds))
+    assert Pace(text).text == text
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "10", "x0", "x-1", "xinf", "xnan", "xx2", "Fast", "slow"]
+)
+def test_a_pace_that_is_none_is_one_line(text: str) -> None:
+    with pytest.raises(ValueError, match="expected realtime, fast, or xN") as caught:
+        Pace(text)
+    assert repr(text) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),  # the examples of the proposal, arXiv:0901.4016
+    [
+        ("7f000001", "lusab-babad"),  # 127.0.0.1
+        ("3f54dcc1", "gutih-tugad"),  # 63.84.220.193
+        ("3f760723", "gutuk-bisog"),  # 63.118.7.35
+        ("8c62c18d", "mudof-sakat"),  # 140.98.193.141
+        ("40ff06c8", "haguz-biram"),  # 64.255.6.200
+        ("801e342d", "mabiv-gibot"),  # 128.30.52.45
+        ("93437702", "natag-lisaf"),  # 147.67.119.2
+    ],
+)
+def test_fingerprints_as_words(address: str, words: str) -> None:
+    assert spoken(address, words=2) == words
+
+
+def test_different_groups_are_different_words() -> None:
+    assert len({spoken(f"{value:04x}", words=1) for value in range(2**16)}) == 2**16
+
+
+def test_ids_are_random_and_well_formed() -> None:
+    ids = {new_id() for _ in range(100)}
+    assert len(ids) == 100
+    assert all(len(i) == 16 and int(i, 16) >= 0 for i in ids)
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "status.json"
+    write_atomically(path, b"old")
+    write_atomically(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_readers_never_see_a_part(tmp_path: Path) -> None:
+    path = tmp_path / "status"
+    contents = [bytes([i]) * 100_000 for i in range(2)]
+    write_atomically(path, contents[0])
+    done = threading.Event()
+
+    def write() -> None:
+        for i in range(200):
+            write_atomically(path, contents[i % 2])
+        done.set()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    seen = set()
+    while not done.is_set():
+        seen.add(path.read_bytes())
+    writer.join()
+    assert seen <= set(contents)
+
+
+# --- once a second --------------------------------------------------------------------------------
+
+
+def test_a_throttle_opens_once_a_period() -> None:
+    throttle = Throttle(1.0)
+    assert [t for t in (0.0, 0.5, 0.999, 1.0, 1.5, 3.0, 3.9, 4.0) if throttle.ready(t)] == [
+        0.0,
+        1.0,
+        3.0,
+        4.0,
+    ]
+
+
+def test_complaints_are_counted_and_logged_once_a_second(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    log = logging.getLogger("test-complaints")
+    complaints = Complaints(log)
+    for i in range(1000):
+        complaints.add(f"offer {i}: garbage")
+    now = 101.0
+    complaints.add("offer 1000: garbage")
+    assert complaints.total == 1001
+    assert [r.message for r in caplog.records] == [
+        "offer 0: garbage",
+        "offer 1000: garbage (and 999 more since the last such line)",
+    ]
+
+
+def test_a_log_is_made_once() -> None:
+    assert logger("test-log") is logger("test-log")
+    assert len(logger("test-log").handlers) == 1
+
+
+# --- stopping -------------------------------------------------------------------------------------
+
+
+def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), stop_on_signals() as stopping:
+        assert not stopping.is_set()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stopping.wait(5)
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+STOPS = """
+import sys
+from protocol.runtime.process import stop_on_signals
+with stop_on_signals() as stopping:
+    print("ready", flush=True)
+    print("stopped" if stopping.wait({wait}) else "still running", flush=True)
+"""
+
+
+def stopping_child(wait: float, **environment: str) -> "subprocess.Popen[str]":
+    child = subprocess.Popen(
+        [sys.executable, "-c", STOPS.format(wait=wait)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+def test_a_service_stops_when_its_standard_input_ends() -> None:
+    with stopping_child(20, WYNER_STOP_WITH_STDIN="1") as child:
+        assert child.communicate(timeout=15)[0] == "stopped\n"
+
+
+def test_without_the_variable_standard_input_does_not_matter() -> None:
+    with stopping_child(0.3, WYNER_STOP_WITH_STDIN="") as child:
+        assert child.communicate(timeout=15)[0] == "still running\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
+    with stopping_child(20) as child:
+        child.send_signal(number)
+        assert child.communicate(timeout=15)[0] == "stopped\n"
+        assert child.returncode == 0
+
+
+def test_a_usage_error_has_a_line_a_field() -> None:
+    assert UsageError("one").lines == ("one",)
+    assert UsageError(["a: x", "b: y"]).lines == ("a: x", "b: y")
+    assert str(UsageError(["a: x", "b: y"])) == "a: x\nb: y"

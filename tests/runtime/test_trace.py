@@ -1,0 +1,127 @@
+"""Traces: a line an event, what was flushed is there, a torn line costs itself only."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.trace import TRACE_VERSION, TraceError, TraceWriter, read_trace
+
+
+def write(path: Path, *events: dict[str, object], header: dict[str, object] | None = None) -> None:
+    writer = TraceWriter(path, "plant", header or {"scenario": "paper"})
+    for event in events:
+        writer.write(event)
+    writer.close()
+
+
+def test_events_come_back_in_order_after_the_header(tmp_path: Path) -> None:
+    path = tmp_path / "plant" / "trace.jsonl"
+    events = [{"event": "transition", "j": j, "x": [0.1 * j, -3e-17]} for j in range(5)]
+    write(path, *events)
+    trace = read_trace(path)
+    assert trace.header["vantage"] == "plant"
+    assert trace.header["scenario"] == "paper"
+    assert list(trace.events) == events
+    assert trace.torn == 0
+    assert list(trace.of("missed")) == []
+
+
+def test_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    numbers = [math.pi, 1e-308, 5e-324, 0.1 + 0.2, -1.7976931348623157e308]
+    write(tmp_path / "t", {"event": "e", "x": numbers})
+    assert read_trace(tmp_path / "t").events[0]["x"] == numbers
+
+
+def test_an_event_is_on_disk_when_write_returns(tmp_path: Path) -> None:
+    writer = TraceWriter(tmp_path / "t", "plant", {})
+    writer.write({"event": "missed", "k": 3})
+    assert list(read_trace(tmp_path / "t").of("missed")) == [{"event": "missed", "k": 3}]
+    writer.close()
+
+
+@pytest.mark.parametrize("cut", [1, 5, 20])
+def test_a_torn_last_line_loses_that_line_only(tmp_path: Path, cut: int) -> None:
+    path = tmp_path / "t"
+    write(path, {"event": "a", "k": 1}, {"event": "b", "long": "x" * 30})
+    path.write_bytes(path.read_bytes()[: -1 - cut])
+    trace = read_trace(path)
+    assert [e["event"] for e in trace.events] == ["a"]
+    assert trace.torn == 1
+
+
+def test_a_writer_that_comes_back_starts_on_a_fresh_line(tmp_path: Path) -> None:
+    path = tmp_path / "t"
+    write(path, {"event": "a"}, {"event": "torn", "k": 123456})
+    path.write_bytes(path.read_bytes()[:-8])
+    write(path, {"event": "b"})
+    trace = read_trace(path)
+    assert [e["event"] for e in trace.events] == ["a", "b"]
+    assert trace.torn == 1
+    assert path.read_bytes().count(b'"header"') == 1
+
+
+def test_a_line_that_is_no_event_is_counted_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "t"
+    write(path, {"event": "a"})
+    with path.open("ab") as file:
+        file.write(b'[1, 2]\n{"no": "event"}\n\n{"event": "b"}\n')
+    trace = read_trace(path)
+    assert [e["event"] for e in trace.events] == ["a", "b"]
+    assert trace.torn == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "line 1: expected a header"),
+        (b"not json\n", "line 1: expected a header"),
+        (b'{"event":"transition"}\n', "line 1: expected a header"),
+        (b'{"event":"header","format":"wyner-trace","version":99}\n', "version: got 99"),
+    ],
+)
+def test_what_is_no_trace_is_one_line(tmp_path: Path, content: bytes, expected: str) -> None:
+    path = tmp_path / "t"
+    path.write_bytes(content)
+    with pytest.raises(TraceError) as caught:
+        read_trace(path)
+    assert str(path) in str(caught.value)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_trace_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match="cannot be read: No such file"):
+        read_trace(tmp_path / "none")
+    assert TRACE_VERSION == 1
+
+
+def test_a_full_disk_names_the_file() -> None:
+    with pytest.raises(OSError, match="No space left") as caught:
+        TraceWriter(Path("/dev/full"), "plant", {})
+    assert caught.value.filename == "/dev/full"
+
+
+def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
+    """A limit on the file's size cuts a write short, and only the next one fails."""
+    path = tmp_path / "t"
+    script = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from protocol.runtime.trace import TraceWriter\n"
+        "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
+        "size = Path(sys.argv[1]).stat().st_size\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"
+        "try: writer.write({'event': 'e', 'long': 'x' * 60})\n"
+        "except OSError as error: print(error.filename)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(path)
+    write(path, {"event": "b"})
+    trace = read_trace(path)
+    assert [e["event"] for e in trace.events] == ["b"]
+    assert trace.torn == 1

@@ -1,0 +1,477 @@
+"""The transport: the in-memory bus, and real Zenoh on free loopback ports."""
+
+import json
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.zenoh_bus import (
+    OPEN_MS,
+    Bus,
+    Endpoints,
+    TlsFiles,
+    TransportError,
+    ZenohBus,
+    check_endpoint,
+    free_endpoints,
+    open_bus,
+    open_router,
+)
+
+PATIENCE_S = 20.0
+KEY = "wyner/v1/loop/offer"
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, f"not within {PATIENCE_S} s: {what}"
+        time.sleep(0.005)
+
+
+class Inbox:
+    """Keeps what a subscription delivers."""
+
+    def __init__(self, bus: Bus, key_expr: str = "wyner/v1/loop/**") -> None:
+        self.queue: queue.SimpleQueue[tuple[str, bytes, int]] = queue.SimpleQueue()
+        bus.subscribe(key_expr, lambda *message: self.queue.put(message))
+
+    def take(self) -> tuple[str, bytes, int]:
+        return self.queue.get(timeout=PATIENCE_S)
+
+    def payloads(self) -> list[bytes]:
+        return [self.queue.get_nowait()[1] for _ in range(self.queue.qsize())]
+
+
+def send_until_heard(bus: Bus, inbox: Inbox, key: str = KEY) -> None:
+    """Put until the newest message comes out: the way is open, and nothing is left on it."""
+    publisher = bus.publisher(key)
+    end = time.monotonic() + PATIENCE_S
+    attempt = 0
+    while time.monotonic() < end:
+        attempt += 1
+        publisher.put(b"hello %d" % attempt)
+        with suppress(queue.Empty):
+            while inbox.queue.get(timeout=0.05)[1] != b"hello %d" % attempt:
+                pass
+            return
+    raise AssertionError(f"not within {PATIENCE_S} s: a message on {key}")
+
+
+# --- endpoints -----------------------------------------------------------------------------------
+
+
+def test_free_endpoints_are_distinct_and_well_formed() -> None:
+    endpoints = free_endpoints(50)
+    assert len(set(endpoints)) == 50
+    assert all(check_endpoint(one) == one for one in endpoints)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["", "foo", "tcp", "tcp/host", "udp/127.0.0.1:7", "tcp/127.0.0.1:65536", "tcp/a b:1", "tcp/:1"],
+)
+def test_a_malformed_endpoint_is_one_line_that_names_it(endpoint: str) -> None:
+    for arguments in ({"listen": [endpoint]}, {"connect": [endpoint]}):
+        with pytest.raises(TransportError) as caught:
+            ZenohBus(**arguments)  # type: ignore[arg-type]
+        assert repr(endpoint) in str(caught.value)
+        assert "tcp/HOST:PORT" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_names_and_ipv6_addresses_are_endpoints() -> None:
+    for endpoint in ("tcp/controller:7447", "tcp/[::1]:7447", "tcp/0.0.0.0:7447#iface=eth0"):
+        assert check_endpoint(endpoint) == endpoint
+    with pytest.raises(TransportError, match="expected tls/HOST:PORT"):
+        check_endpoint("tcp/controller:7447", tls=True)
+
+
+def test_missing_certificates_are_named(tmp_path: Path) -> None:
+    (tmp_path / "ca.pem").write_text("")
+    with pytest.raises(TransportError, match=r"cert\.pem: no such file"):
+        TlsFiles.in_folder(tmp_path)
+    (tmp_path / "cert.pem").write_text("")
+    (tmp_path / "key.pem").write_text("")
+    assert TlsFiles.in_folder(tmp_path).key == tmp_path / "key.pem"
+
+
+def test_importing_the_transport_does_not_load_zenoh() -> None:
+    code = "import sys, protocol.runtime.zenoh_bus; sys.exit('zenoh' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- memory --------------------------------------------------------------------------------------
+
+
+def test_memory_delivers_to_all_others_in_order_with_rising_stamps() -> None:
+    hub = MemoryHub()
+    with MemoryBus(hub) as alice, MemoryBus(hub) as bob, MemoryBus(hub) as eve:
+        own, *others = inboxes = [Inbox(bus) for bus in (alice, bob, eve)]
+        publisher = alice.publisher(KEY)
+        assert publisher.matched()
+        for i in range(100):
+            publisher.put(bytes([i]))
+        assert own.queue.empty()
+        for inbox in others:
+            messages = [inbox.take() for _ in range(100)]
+            assert [(key, payload) for key, payload, _ in messages] == [
+                (KEY, bytes([i])) for i in range(100)
+            ]
+            stamps = [t_ns for _, _, t_ns in messages]
+            assert stamps == sorted(set(stamps))
+        assert len(inboxes) == 3
+
+
+@pytest.mark.parametrize(
+    ("key_expr", "fits", "others"),
+    [
+        ("a/b", ["a/b"], ["a", "a/b/c", "xa/b", "a/bx"]),
+        ("a/**", ["a", "a/b", "a/b/c"], ["b", "ab", "b/a"]),
+        ("**", ["a", "a/b/c"], []),
+        ("a/**/z", ["a/z", "a/b/z", "a/b/c/z"], ["a", "z", "a/b", "b/z"]),
+        ("a.b/c", ["a.b/c"], ["axb/c"]),
+    ],
+)
+def test_memory_key_expressions(key_expr: str, fits: list[str], others: list[str]) -> None:
+    hub = MemoryHub()
+    with MemoryBus(hub) as source, MemoryBus(hub) as sink:
+        inbox = Inbox(sink, key_expr)
+        for key in fits + others:
+            assert source.publisher(key).matched() == (key in fits), key
+            source.publisher(key).put(b"")
+        assert [inbox.take()[0] for _ in fits] == fits
+        assert inbox.queue.empty()
+
+
+@pytest.mark.parametrize("key_expr", ["a/*/b", "a/b*", "", "/a", "a//b"])
+def test_memory_refuses_other_wildcards_and_empty_chunks(key_expr: str) -> None:
+    with MemoryBus(MemoryHub()) as bus, pytest.raises(TransportError, match="expected a key"):
+        bus.subscribe(key_expr, lambda *_: None)
+
+
+def test_a_closed_memory_bus_neither_hears_nor_speaks() -> None:
+    hub = MemoryHub()
+    with MemoryBus(hub) as alice, MemoryBus(hub) as bob:
+        inbox = Inbox(bob)
+        speaker = alice.publisher(KEY)
+        listener = bob.publisher(KEY)
+        alice.close()
+        speaker.put(b"after the end")
+        assert inbox.queue.empty()
+        Inbox(alice)
+        bob.close()
+        assert not speaker.matched()
+        listener.put(b"nobody")
+
+
+def test_a_fault_drops_duplicates_and_corrupts() -> None:
+    def fault(key: str, payload: bytes) -> list[bytes]:
+        return {b"drop": [], b"twice": [payload] * 2, b"bad": [b"\xff" + payload]}[payload]
+
+    hub = MemoryHub(fault)
+    with MemoryBus(hub) as alice, MemoryBus(hub) as bob:
+        inbox = Inbox(bob)
+        for payload in (b"drop", b"twice", b"bad"):
+            alice.publisher(KEY).put(payload)
+        assert inbox.payloads() == [b"twice", b"twice", b"\xffbad"]
+
+
+# --- Zenoh ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.integration
+def test_zenoh_carries_messages_both_ways_in_order_and_never_back_to_the_sender() -> None:
+    endpoints = free_endpoints(1)
+    with (
+        open_bus(Endpoints(listen=tuple(endpoints))) as plant,
+        open_bus(Endpoints(connect=tuple(endpoints))) as controller,
+    ):
+        at_plant, at_controller = Inbox(plant), Inbox(controller)
+        send_until_heard(plant, at_controller, "wyner/v1/loop/measurement")
+        send_until_heard(controller, at_plant)
+        publisher = plant.publisher("wyner/v1/loop/measurement")
+        before = time.time_ns()
+        messages = []
+        for i in range(0, 200, 4):  # lock-step with four at once: no queue on the way fills up
+            for j in range(4):
+                publisher.put(b"%d" % (i + j))
+            messages += [at_controller.take() for _ in range(4)]
+        assert [payload for _, payload, _ in messages] == [b"%d" % i for i in range(200)]
+        assert {key for key, _, _ in messages} == {"wyner/v1/loop/measurement"}
+        stamps = [t_ns for _, _, t_ns in messages]
+        assert stamps == sorted(stamps)
+        # The stamp is the publisher's, taken at the put: here both sides share one clock.
+        assert before - 1e6 < stamps[0] <= stamps[-1] < time.time_ns() + 1e6
+        assert at_plant.queue.empty()
+
+
+@pytest.mark.integration
+def test_services_may_start_in_any_order() -> None:
+    endpoints = free_endpoints(1)
+    with ZenohBus(connect=endpoints) as first:
+        publisher = first.publisher(KEY)
+        assert not publisher.matched()
+        publisher.put(b"nobody hears this, and nothing is said")
+        time.sleep(0.3)
+        with ZenohBus(listen=endpoints) as second:
+            inbox = Inbox(second)
+            until(publisher.matched, "the connection")
+            publisher.put(b"now")
+            assert inbox.take()[1] == b"now"
+
+
+@pytest.mark.integration
+def test_a_listening_third_party_hears_both_and_may_leave() -> None:
+    at_plant_side, at_controller_side, at_tap_side = free_endpoints(3)
+    with (
+        ZenohBus(listen=[at_plant_side]) as plant,
+        ZenohBus(listen=[at_controller_side], connect=[at_plant_side]) as controller,
+    ):
+        at_controller = Inbox(controller)
+        send_until_heard(plant, at_controller, "wyner/v1/loop/measurement")
+        with ZenohBus(listen=[at_tap_side], connect=[at_plant_side, at_controller_side]) as tap:
+            heard = Inbox(tap)
+            send_until_heard(plant, heard, "wyner/v1/loop/measurement")
+            send_until_heard(controller, heard)
+            plant.publisher("wyner/v1/loop/measurement").put(b"x")
+            assert heard.take()[:2] == ("wyner/v1/loop/measurement", b"x")
+            controller.publisher(KEY).put(b"u")
+            assert heard.take()[:2] == (KEY, b"u")
+        plant.publisher("wyner/v1/loop/measurement").put(b"after the tap")
+        while at_controller.take()[1] != b"after the tap":
+            pass
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("restarted", ["listening", "connecting"])
+def test_a_side_that_comes_back_is_found_again(restarted: str) -> None:
+    endpoints = free_endpoints(1)
+    sides: dict[str, dict[str, list[str]]] = {
+        "listening": {"listen": endpoints},
+        "connecting": {"connect": endpoints},
+    }
+    staying = sides["connecting" if restarted == "listening" else "listening"]
+    with ZenohBus(**staying) as stays:  # type: ignore[arg-type]
+        inbox = Inbox(stays)
+        publisher = stays.publisher("wyner/v1/loop/measurement")
+        for _ in range(3):
+            with ZenohBus(**sides[restarted]) as comes_back:  # type: ignore[arg-type]
+                at_other = Inbox(comes_back)
+                send_until_heard(comes_back, inbox)
+                until(publisher.matched, "the subscription of the other side")
+                publisher.put(b"welcome")
+                assert at_other.take()[1] == b"welcome"
+            until(lambda: not publisher.matched(), "notice of the other side's end")
+
+
+@pytest.mark.integration
+def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None:
+    import zenoh
+
+    endpoints = free_endpoints(1)
+    config = zenoh.Config()
+    config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with ZenohBus(listen=endpoints) as plant, zenoh.open(config) as stranger:
+        at_plant = Inbox(plant)
+        publisher = stranger.declare_publisher(KEY)
+        until(lambda: bool(publisher.matching_status.matching), "the subscription")  # type: ignore[attr-defined]
+        own, others = f"application/json;{KEY}", "application/json;wyner/v1/loop/measurement"
+        publisher.put(b"misread on its way", encoding=others)
+        # What names no key may come from anywhere, and is judged by its content.
+        accepted = {own: b"ours", "application/json": b"no name", "zenoh/bytes": b"no encoding"}
+        for encoding, payload in accepted.items():
+            publisher.put(payload, encoding=encoding)
+        assert [at_plant.take()[:2] for _ in accepted] == [(KEY, p) for p in accepted.values()]
+        assert at_plant.queue.empty()
+
+
+@pytest.mark.integration
+def test_an_address_in_use_is_one_line_that_names_it() -> None:
+    endpoints = free_endpoints(1)
+    with ZenohBus(listen=endpoints), pytest.raises(TransportError) as caught:
+        ZenohBus(listen=endpoints)
+    assert str(caught.value) == f"{endpoints[0]}: cannot be opened: address already in use"
+
+
+@pytest.mark.integration
+def test_bad_keys_and_closed_buses_are_one_line() -> None:
+    with ZenohBus(listen=free_endpoints(1)) as bus:
+        for attempt in (
+            lambda: bus.publisher("a//b"),
+            lambda: bus.subscribe("a//b", lambda *_: None),
+        ):
+            with pytest.raises(TransportError, match="key 'a//b'") as caught:
+                attempt()
+            assert "\n" not in str(caught.value)
+        publisher = bus.publisher(KEY)
+        bus.close()
+        bus.close()
+        with pytest.raises(TransportError, match=KEY):
+            publisher.put(b"too late")
+
+
+@pytest.mark.integration
+def test_a_client_waits_for_its_router_and_goes_through_it() -> None:
+    endpoints = free_endpoints(1)
+    opened: queue.SimpleQueue[ZenohBus] = queue.SimpleQueue()
+    waiting = threading.Thread(
+        target=lambda: opened.put(ZenohBus(connect=endpoints, client=True)), daemon=True
+    )
+    waiting.start()
+    time.sleep(0.3)
+    assert opened.empty()
+    with (
+        open_router(endpoints),
+        opened.get(timeout=PATIENCE_S) as first,
+        ZenohBus(connect=endpoints, client=True) as second,
+    ):
+        send_until_heard(first, Inbox(second))
+    with pytest.raises(TransportError, match="client: expected"):
+        ZenohBus(listen=endpoints, client=True)
+
+
+@pytest.mark.integration
+def test_a_router_with_access_control_drops_what_is_not_allowed() -> None:
+    endpoints = free_endpoints(1)
+    everything = ["put", "declare_subscriber"]
+    rules = [
+        {
+            "id": "in",
+            "permission": "allow",
+            "flows": ["ingress"],
+            "messages": everything,
+            "key_exprs": ["wyner/v1/loop/measurement", "wyner/v1/loop/**"],
+        },
+        {
+            "id": "no offers",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["put"],
+            "key_exprs": [KEY],
+        },
+        {
+            "id": "out",
+            "permission": "allow",
+            "flows": ["egress"],
+            "messages": everything,
+            "key_exprs": ["wyner/**"],
+        },
+    ]
+    access_control = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": "everyone"}],
+        "policies": [{"subjects": ["everyone"], "rules": ["in", "no offers", "out"]}],
+    }
+    with (
+        open_router(endpoints, access_control=access_control),
+        ZenohBus(connect=endpoints, client=True) as sender,
+        ZenohBus(connect=endpoints, client=True) as receiver,
+    ):
+        inbox = Inbox(receiver)
+        send_until_heard(sender, inbox, "wyner/v1/loop/measurement")
+        sender.publisher(KEY).put(b"forged")
+        # The router keeps one sender's messages in order: the next one shows the first was dropped.
+        sender.publisher("wyner/v1/loop/measurement").put(b"last")
+        while (message := inbox.take())[1] != b"last":
+            assert message[0] != KEY
+        assert inbox.queue.empty()
+
+
+# --- other processes -----------------------------------------------------------------------------
+
+LISTENER = """
+import sys
+from protocol.runtime.zenoh_bus import ZenohBus
+
+with ZenohBus(connect=[sys.argv[1]]) as bus:
+    bus.subscribe("wyner/**", lambda *_: None)
+    sys.stdin.readline()
+"""
+
+
+@contextmanager
+def listener(endpoint: str) -> Iterator["subprocess.Popen[bytes]"]:
+    with subprocess.Popen(
+        [sys.executable, "-c", LISTENER, endpoint], stdin=subprocess.PIPE
+    ) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+@pytest.mark.integration
+def test_a_process_with_a_subscription_ends_when_its_bus_is_closed() -> None:
+    endpoints = free_endpoints(1)
+    with ZenohBus(listen=endpoints) as bus, listener(endpoints[0]) as child:
+        until(bus.publisher(KEY).matched, "the listener")
+        assert child.stdin is not None
+        child.stdin.write(b"\n")
+        child.stdin.flush()
+        assert child.wait(timeout=PATIENCE_S) == 0
+
+
+@pytest.mark.integration
+def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> None:
+    """With congestion control BLOCK one of these puts would take two seconds or more."""
+    endpoints = free_endpoints(1)
+    with (
+        ZenohBus(listen=endpoints) as bus,
+        ZenohBus(connect=endpoints) as awake,
+        listener(endpoints[0]) as child,
+    ):
+        publisher = bus.publisher(KEY)
+        inbox = Inbox(awake)
+        send_until_heard(bus, inbox)
+        marker = bus.publisher("wyner/v1/only/the/listener")
+        until(marker.matched, "the listener")
+        os.kill(child.pid, signal.SIGSTOP)
+        payload = bytes(4096)
+        slowest = 0.0
+        sent = 0
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end or sent < 4000:  # 16 MB: more than the sockets hold
+            before = time.monotonic()
+            publisher.put(payload)
+            slowest = max(slowest, time.monotonic() - before)
+            sent += 1
+            time.sleep(0.0001)
+        assert slowest < 1.0
+
+        def heard() -> bool:
+            publisher.put(b"last")  # again and again: a busy machine's way may be full
+            return b"last" in inbox.payloads()
+
+        until(heard, "the last message at the listener awake")
+
+
+@pytest.mark.integration
+def test_closing_waits_for_an_attempt_to_connect_and_that_is_short() -> None:
+    """A stopped container's address answers nothing; both buses must close in a stop's 5 s."""
+    with socket.socket() as silent, socket.socket() as first, socket.socket() as second:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen(0)
+        for waiting in (first, second):  # they fill the backlog; the next is not answered
+            waiting.setblocking(False)
+            with suppress(BlockingIOError):
+                waiting.connect(silent.getsockname())
+        bus = ZenohBus(connect=[f"tcp/127.0.0.1:{silent.getsockname()[1]}"])
+        time.sleep(0.1)  # it is trying now
+        before = time.monotonic()
+        bus.close()
+        assert time.monotonic() - before < OPEN_MS / 1000 + 0.5

@@ -1,0 +1,148 @@
+"""Framing: what goes in comes out, damage is refused, a restart loses nothing."""
+
+import random
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.schemes.framing import (
+    IDLE,
+    MAX_PAYLOAD,
+    Deframer,
+    Frame,
+    digits_per_byte,
+    encode_frame,
+    frame_length,
+    readable,
+)
+
+sizes = st.integers(2, 16)
+payloads = st.binary(max_size=40)
+
+
+def push_all(deframer: Deframer, symbols: bytes) -> list[Frame]:
+    return [frame for s in symbols if (frame := deframer.push(s)) is not None]
+
+
+@given(sizes, st.lists(payloads, max_size=4), st.lists(st.integers(0, 20), min_size=5, max_size=5))
+def test_messages_come_out_as_they_went_in(size: int, sent: list[bytes], gaps: list[int]) -> None:
+    stream = b"".join(
+        bytes([IDLE]) * gap + encode_frame(payload, size)
+        for gap, payload in zip(gaps, sent, strict=False)
+    )
+    deframer = Deframer(size)
+    assert push_all(deframer, stream) == [Frame(payload, True) for payload in sent]
+    assert not deframer.symbols
+
+
+@given(sizes, payloads)
+def test_a_frame_is_as_long_as_it_says(size: int, payload: bytes) -> None:
+    symbols = encode_frame(payload, size)
+    assert len(symbols) == frame_length(len(payload), size)
+    assert max(symbols) < size
+    deframer = Deframer(size)
+    lengths = set()
+    for s in symbols[:-1]:
+        assert deframer.push(s) is None
+        lengths.add(deframer.expected_length)
+    assert lengths == {0, len(symbols)}
+
+
+@pytest.mark.parametrize(("size", "digits"), [(2, 8), (3, 6), (4, 4), (6, 4), (7, 3), (16, 2)])
+def test_digits_per_byte(size: int, digits: int) -> None:
+    assert digits_per_byte(size) == digits
+
+
+def test_bits_of_a_byte_are_most_significant_first() -> None:
+    symbols = encode_frame(b"\x81", 2)
+    assert symbols[:17] == bytes([1, *[0] * 15, 1])  # start, then a length of 1
+    assert symbols[17:25] == bytes([1, 0, 0, 0, 0, 0, 0, 1])
+
+
+@settings(max_examples=200)
+@given(sizes, payloads, st.randoms(use_true_random=False))
+def test_one_damaged_symbol_is_never_a_message(
+    size: int, payload: bytes, random: random.Random
+) -> None:
+    symbols = bytearray(encode_frame(payload, size))
+    place = random.randrange(1, len(symbols))
+    symbols[place] = (symbols[place] + random.randrange(1, size)) % size
+    frames = push_all(Deframer(size), bytes(symbols))
+    assert all(not frame.intact for frame in frames[:1])
+    assert Frame(payload, True) not in frames[:1]
+
+
+def test_every_single_damaged_bit_is_refused() -> None:
+    symbols = encode_frame(b"paper", 2)
+    body = range(1 + 16, len(symbols))  # beyond the length, which says where the frame ends
+    for place in body:
+        damaged = bytearray(symbols)
+        damaged[place] ^= 1
+        assert [f.intact for f in push_all(Deframer(2), bytes(damaged))] == [False]
+
+
+@given(st.integers(3, 16), payloads, st.data())
+def test_anything_but_the_start_symbol_is_idle_between_frames(
+    size: int, payload: bytes, data: st.DataObject
+) -> None:
+    between = st.lists(st.integers(0, size - 1).filter(lambda s: s != 1), max_size=50)
+    noise = bytes(data.draw(between))
+    deframer = Deframer(size)
+    assert push_all(deframer, noise) == []
+    assert push_all(deframer, encode_frame(payload, size) + noise) == [Frame(payload, True)]
+    assert not deframer.symbols
+
+
+def test_digits_beyond_a_byte_are_refused_at_once() -> None:
+    deframer = Deframer(3)
+    assert push_all(deframer, bytes([1, 2, 2, 2, 2, 2])) == []
+    assert deframer.push(2) == Frame(b"", False)
+    assert not deframer.symbols
+    assert push_all(deframer, encode_frame(b"next", 3)) == [Frame(b"next", True)]
+
+
+@given(sizes, payloads, payloads, st.data())
+def test_a_restart_goes_on_from_the_symbols_kept(
+    size: int, first: bytes, second: bytes, data: st.DataObject
+) -> None:
+    stream = encode_frame(first, size) + encode_frame(second, size)
+    cut = data.draw(st.integers(0, len(stream)))
+    before = Deframer(size)
+    frames = push_all(before, stream[:cut])
+    after = Deframer(size)
+    assert push_all(after, bytes(before.symbols)) == []
+    assert (after.partial, after.expected_length) == (before.partial, before.expected_length)
+    frames += push_all(after, stream[cut:])
+    assert frames == [Frame(first, True), Frame(second, True)]
+
+
+@given(payloads)
+def test_the_partial_payload_grows_to_the_whole(payload: bytes) -> None:
+    deframer = Deframer(2)
+    seen = [b""]
+    for s in encode_frame(payload, 2)[:-1]:
+        deframer.push(s)
+        seen.append(deframer.partial)
+    assert seen[-1] == payload
+    assert all(b.startswith(a) for a, b in pairwise(seen))
+
+
+def test_the_longest_payload_fits_and_one_more_byte_does_not() -> None:
+    payload = random.Random(7).randbytes(MAX_PAYLOAD)
+    assert push_all(Deframer(16), encode_frame(payload, 16)) == [Frame(payload, True)]
+    with pytest.raises(ValueError, match="got 65536 bytes, expected at most 65535"):
+        encode_frame(bytes(MAX_PAYLOAD + 1), 2)
+
+
+def test_reset_forgets_the_frame_under_way() -> None:
+    deframer = Deframer(2)
+    push_all(deframer, encode_frame(b"never", 2)[:30])
+    deframer.reset()
+    assert push_all(deframer, encode_frame(b"again", 2)) == [Frame(b"again", True)]
+
+
+def test_readable_is_one_printable_line() -> None:
+    assert readable(b"Z\xc3\xbcrich") == "Zürich"
+    assert readable(b"a\nb\x00c\xff\x1b[2J") == "a·b·c··[2J"

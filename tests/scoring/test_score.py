@@ -1,0 +1,313 @@
+"""The scoring and the report: right numbers, honest intervals, words that match them."""
+
+import base64
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.runtime.trace import PLANT_TRACE, TraceWriter
+from tap_service.analysis import BELIEFS, GUESSES
+from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
+from wyner.scoring import report as reporting
+from wyner.scoring.report import Share, report
+from wyner.scoring.score import (
+    Proportion,
+    RunScore,
+    Said,
+    ScoreError,
+    Truth,
+    read_truth,
+    score,
+    score_run,
+    summary_of,
+)
+
+S = "0" * 16
+
+
+def truth(n: int = 10, *, whole: bool = True) -> Truth:
+    keys = {(S, 2 * k): k % 2 for k in range(n)}
+    symbols = {(S, 2 * k + 1): 1 - k % 2 for k in range(n)}
+    return Truth(2, keys, symbols, ((2 * n, b"word"),) if whole else (), 2 * n)
+
+
+def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> Said:
+    t = truth(n)
+    live = {at: v if i < right else 1 - v for i, (at, v) in enumerate(t.keys.items())}
+    symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
+    found = (b"word",) if whole else ()
+    solved_k = 20 if whole else -1
+    return Said(name, live, {}, S, symbols, b"word", found, len(found), 7, solved_k, 0.5)
+
+
+def test_wilson_against_published_values() -> None:
+    # Newcombe 1998, table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29
+    for right, of, low, high in ((81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605)):
+        assert Proportion(right, of).interval == pytest.approx((low, high), abs=5e-5)
+    assert Proportion(0, 20).interval == pytest.approx((0.0, 0.1611), abs=5e-5)
+    assert Proportion(1, 29).interval == pytest.approx((0.0061, 0.1718), abs=5e-5)
+
+
+@given(st.integers(0, 50), st.integers(1, 50))
+def test_an_interval_holds_its_share_and_stays_in_range(right: int, of: int) -> None:
+    p = Proportion(min(right, of), of)
+    low, high = p.interval
+    assert p.share is not None
+    assert 0 <= low <= p.share <= high <= 1
+
+
+def test_of_no_trials_nothing_is_said() -> None:
+    assert Proportion(0, 0).share is None
+    assert Proportion(0, 0).interval == (0.0, 1.0)
+    assert Share.over([]).text() == "-"
+
+
+def test_a_score_counts_keys_bits_and_messages() -> None:
+    s = score(truth(), said(7, whole=True))
+    assert (s.keys.right, s.keys.of) == (7, 10)
+    assert (s.bits.right, s.bits.of) == (7, 10)
+    assert (s.messages.right, s.messages.of) == (1, 1)
+    assert s.guessing == 0.7
+
+
+def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
+    first = said(5)
+    s = score(truth(), replace(first, reviewed=truth().keys))
+    assert s.keys.share == 0.5
+    assert s.keys_reviewed.share == 1.0
+    assert s.guessing == 1.0
+
+
+def test_a_missed_bit_is_a_blind_guess() -> None:
+    silent = Said("tap", {}, {}, S, {}, b"", (), 0, 0, -1, 0.0)
+    s = score(truth(), silent)
+    assert s.bits == Proportion(5, 10)
+    assert s.keys == Proportion(5, 10)
+    assert s.guessing == 0.5
+    once = replace(said(10), symbols={19: truth().symbols[S, 19]})
+    assert score(truth(), once).bits == Proportion(1 + 9 / 2, 10)
+
+
+def test_only_what_she_no_longer_keeps_is_left_out_of_the_bits() -> None:
+    n = KEPT_SYMBOLS + 5
+    t = truth(n)
+    kept = {k: v for (_, k), v in list(t.symbols.items())[5:]}
+    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(KEPT_SYMBOLS, KEPT_SYMBOLS)
+    kept.pop(2 * n - 1)
+    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(n - 6 + 6 / 2, n)
+
+
+def test_one_who_was_not_heard_to_the_end_has_no_bits_but_her_keys() -> None:
+    s = score(truth(), replace(said(7), symbols=None))
+    assert s.bits.share is None
+    assert s.keys == Proportion(7, 10)
+    nothing = replace(said(7), live={}, symbols=None)
+    assert score(truth(), nothing).keys.share is None
+
+
+def test_steps_that_are_not_on_record_are_left_out_and_said() -> None:
+    """A log that was cut at its front, and a hole in the middle, which counts as a blind guess."""
+    whole = said(10)
+    cut = {at: v for at, v in whole.live.items() if at[1] >= 8 and at[1] != 12}
+    s = score(truth(), replace(whole, live=cut))
+    assert s.keys == Proportion(5 + 1 / 2, 6)
+    r = report([RunScore("r", truth(), (s,))])
+    assert r.taps[0].not_on_record == 4
+    assert reporting.as_json(r)["taps"]["tap"]["not_on_record"] == 4
+    # the bits that she leaves are those of all the keys
+    assert r.taps[0].left_bits == pytest.approx(10 * -math.log2(5.5 / 6))
+
+
+def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
+    recovered = tuple((k, b"%d" % k) for k in range(71))
+    t = Truth(2, {}, {}, recovered, 71)
+    whole = tuple(p for _, p in recovered[-KEPT_MESSAGES:])
+    s = Said("tap", {}, {}, S, {}, b"", whole, 71, 0, 5, 1.0)
+    assert score(t, s).messages == Proportion(KEPT_MESSAGES, KEPT_MESSAGES)
+    assert score(t, replace(s, whole_count=len(whole))).messages == Proportion(KEPT_MESSAGES, 71)
+
+
+def test_a_stretch_is_compared_with_its_own_truth() -> None:
+    stretch = truth().between(5, 12)
+    assert list(stretch.keys) == [(S, k) for k in (6, 8, 10, 12)]
+    assert list(stretch.symbols) == [(S, k) for k in (5, 7, 9, 11)]
+    assert stretch.whole == ()
+    assert truth().between(None, None) == truth()
+    assert truth().between(20, None).whole == truth().whole
+
+
+def test_a_wrong_message_counts_for_nothing_and_one_twice_for_one() -> None:
+    t = Truth(2, {}, {}, ((5, b"a"), (9, b"a"), (12, b"b")), 20)
+    s = Said("tap", {}, {}, S, {}, b"", (b"a", b"x", b"b"), 3, 0, 5, 1.0)
+    assert score(t, s).messages == Proportion(2, 3)
+
+
+def run_score(right: int, *, whole: bool = False, name: str = "tap", run: str = "r") -> RunScore:
+    return RunScore(run, truth(), (score(truth(), said(right, whole=whole, name=name)),))
+
+
+def test_the_report_pools_runs() -> None:
+    r = report([run_score(5), run_score(10, whole=True)])
+    (t,) = r.taps
+    assert r.claimed_bits == 20
+    assert t.symbol_errors.value == pytest.approx(0.25)
+    assert t.exact.value == 0.5
+    assert t.guessing == 0.75
+    assert t.left_bits == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
+    assert t.broken_k == (-1, 20)
+    assert t.median_broken == 20
+    assert r.hidden_bits == pytest.approx(2 * math.log2(21))
+
+
+def test_claimed_above_true_is_said_in_words() -> None:
+    broken = report([run_score(10, whole=True)])
+    assert broken.exceeds
+    assert "CLAIMED EXCEEDS TRUE: 10 secret bits are claimed, tap leaves 0.0" in broken.verdict()
+    blind = report([run_score(5)])
+    assert not blind.exceeds
+    assert "EXCEEDS" not in blind.verdict()
+    nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
+    assert "No key was agreed" in report([nothing]).verdict()
+
+
+def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
+    keys = {(S, 2 * k): k % 4 for k in range(1000)}
+    t = Truth(4, keys, {}, (), 2000)
+    for right, exceeds in ((450, True), (250, False)):
+        live = {at: v if i < right else (v + 1) % 4 for i, (at, v) in enumerate(keys.items())}
+        s = Said("tap", live, {}, S, {}, b"", (), 0, 0, -1, 0.0)
+        assert report([RunScore("r", t, (score(t, s),))]).exceeds == exceeds
+
+
+def test_the_strongest_is_the_one_who_leaves_least() -> None:
+    scores = (score(truth(), said(10, whole=w, name=n)) for n, w in (("a", False), ("b", True)))
+    r = report([RunScore("r", truth(), tuple(scores))])
+    assert r.strongest is not None
+    assert r.strongest.name == "b"
+
+
+def test_intervals_over_runs_are_wider_than_over_steps_when_runs_differ() -> None:
+    parts = [Proportion(100, 100)] * 5 + [Proportion(50, 100)] * 5
+    share = Share.over(parts)
+    low, high = Proportion(750, 1000).interval
+    assert share.high - share.low > 2 * (high - low)
+    assert share == Share.over(parts)  # the same twice
+
+
+def test_json_and_rows_hold_every_figure() -> None:
+    r = report([run_score(7), run_score(9, whole=True)])
+    value = json.loads(json.dumps(reporting.as_json(r)))
+    tap = value["taps"]["tap"]
+    assert tap["symbol_error_rate"]["of"] == 20
+    assert tap["list_size_log2"] == pytest.approx(math.log2(7))
+    assert value["claimed_bits"] == 20
+    assert "H(model | transcript)" in value["bound"]
+    (row,) = reporting.rows(r)
+    assert len(row) == len(reporting.HEADINGS)
+
+
+# --- from files ----------------------------------------------------------------------------------
+
+
+def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, object]:
+    return {
+        "event": "transition", "session": S, "k": k, "candidates": [[0.0], [1.0]],
+        "role": role, "symbol": symbol, "message_symbol": bit,
+    }  # fmt: skip
+
+
+def write_run(run_dir: Path) -> None:
+    trace = TraceWriter(run_dir / PLANT_TRACE, "plant", {})
+    trace.write(transition(0, "test", 1, -1))
+    trace.write(transition(0, "test", 0, -1))  # written again after a crash: the last counts
+    trace.write(transition(1, "message", -1, 1))
+    trace.write(transition(2, "test", 1, -1))  # the last one's result never travelled
+    trace.write({"event": "recovered", "payload": base64.b64encode(b"m").decode()})
+    trace.close()
+    (run_dir / "tap").mkdir()
+    guess = {"event": "guess", "name": "t", "session": S, "k": 0, "symbol": 0, "p": 1, "agreed": 1}
+    (run_dir / GUESSES).write_text(json.dumps(guess) + '\n{"torn')
+    record = {
+        "name": "t", "session": S, "failed": "", "message": "bQ==", "whole": ["bQ=="],
+        "whole_count": 1, "candidates_left": 1, "solved_k": 2, "confidence": 1.0,
+        "symbols": [[1, 1]],
+    }  # fmt: skip
+    (run_dir / BELIEFS).write_text(json.dumps({"t": record}))
+
+
+def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    t = read_truth(tmp_path)
+    assert t.keys == {(S, 0): 0}
+    assert t.symbols == {(S, 1): 1}
+    assert t.whole == ((2, b"m"),)
+    assert t.transitions == 3
+    summary = summary_of(score_run(tmp_path))["t"]
+    assert summary["symbol_accuracy"] == 1.0
+    assert summary["message_bit_accuracy"] == 1.0
+    assert summary["messages_exact"] == 1
+    assert summary["guessed_text"] == "m"
+
+
+def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    beliefs = json.loads((tmp_path / BELIEFS).read_text())
+    beliefs["t"]["symbols"] = None  # as they stand before the end
+    (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
+    run = score_run(tmp_path)
+    assert summary_of(run)["t"]["symbol_accuracy"] == 1.0
+    assert summary_of(run)["t"]["message_bit_accuracy"] is None
+    assert reporting.rows(report([run]))[0][2] == "-"
+
+
+def test_missing_files_are_one_line(tmp_path: Path) -> None:
+    for expected in ("plant/trace.jsonl: cannot be read", "beliefs.json: cannot be read"):
+        with pytest.raises(ScoreError, match=expected) as error:
+            score_run(tmp_path)
+        assert "\n" not in str(error.value)
+        TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
+
+
+# --- the page ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("study", ["ladder", "learning", "view"])
+def test_the_page_shows_the_tables_of_its_data(study: str) -> None:
+    from wyner.studies.secrecy.tables import PAGE, in_markdown, read_rows
+
+    assert read_rows(study)
+    assert in_markdown(study) in PAGE.read_text(encoding="utf-8")
+
+
+def test_a_row_of_the_data_comes_out_again() -> None:
+    from wyner.studies.secrecy.study import measure, tasks
+    from wyner.studies.secrecy.tables import read_rows
+
+    rows = {row["task"]: row for study in ("ladder", "alpha") for row in read_rows(study)}
+    again = [t for t in tasks(100) if t.id in rows][7:240:40]
+    assert len(again) > 4
+    for task in again:
+        row = {name: str(value) for name, value in measure(task).items()}
+        assert row | {"version": ""} == rows[task.id] | {"version": ""}
+
+
+def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
+    from wyner.studies.measurements import MEASUREMENTS
+    from wyner.studies.secrecy.tables import DATA
+
+    whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
+    path = tmp_path / "secrecy-alpha.csv"
+    torn = whole[-2][:30]  # as a kill leaves it
+    path.write_text("\n".join([*whole[:-2], torn]), encoding="utf-8")
+    for _ in range(2):
+        MEASUREMENTS["secrecy-alpha"](path)
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert lines[:-2] == whole[:-2]
+        for line, shipped in zip(lines[-2:], whole[-2:], strict=True):
+            task, _, *measured = line.split(",")
+            assert [task, *measured] == shipped.split(",")[:1] + shipped.split(",")[2:]

@@ -1,0 +1,400 @@
+"""The engine is the same system: every number of every step, against the scalar functions."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.design import cached_design
+from plant_service.disturbance import disturbance
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
+from protocol.scenario import Disturbance, Scenario, load_scenario
+from protocol.schemes.framing import Deframer, encode_frame
+from protocol.schemes.switched import INITIAL, MESSAGE, advance_receiver, advance_sender, encrypt
+from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
+from wyner.simulate.engine import (
+    Draws,
+    Runs,
+    SimulationError,
+    chunks,
+    cipher_symbols,
+    follow,
+    simulate_runs,
+    transfer,
+)
+from wyner.simulate.engine.draws import disturbances
+from wyner.simulate.engine.link import agreed_transitions
+from wyner.simulate.engine.seeding import generator_states
+from wyner.simulate.engine.taps import listen
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
+KINDS = ("uniform", "corners", "truncated-gaussian", "gaussian", "constant", "sinusoid")
+
+
+@cache
+def system(name: str, **_: Any) -> tuple[Scenario, ControlLaw]:
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    return scenario, make_law(scenario, cached_design(scenario))
+
+
+def varied(scenario: Scenario, **tables: dict[str, Any]) -> Scenario:
+    """The scenario with some fields of some tables replaced, validated again."""
+    data = scenario.model_dump(exclude_none=True)
+    for name, fields in tables.items():
+        data[name].update(fields)
+    return Scenario.model_validate(data)
+
+
+def by_hand(scenario: Scenario, law: ControlLaw, seed: int, run: int, steps: int) -> Runs:
+    """One run through the scalar functions, in the engine's own form."""
+    rule = AgreementRule(
+        scenario.A,
+        scenario.B,
+        Gauge.from_rows(*scenario.defender.disturbance.rows()),
+        float("inf"),
+    )
+    size = scenario.secrecy.candidates
+    noise = Stream(seed, DISTURBANCE, width=scenario.n, run=run)
+    coins = Stream(seed, COIN, run=run)
+    x = scenario.plant.initial_state
+    xs, us, gs, symbols, picked = [x], [], [], [], []
+    for k in range(steps):
+        u = law.candidates(x)
+        b = int(coins.at(k)[0] * size)
+        d = disturbance(scenario.plant.disturbance, k, noise.at(k))
+        centre = predict(scenario.plant.A, scenario.plant.B, x, u[b])
+        following = tuple(c + e for c, e in zip(centre, d, strict=True))
+        verdict = rule.verdict(x, u, following)
+        xs.append(following)
+        us.append(u)
+        gs.append(verdict.gauges)
+        symbols.append(verdict.symbol)
+        picked.append(b)
+        x = following
+    gauges = np.array(gs)
+    x_array = np.array(xs)
+    u_array = np.array(us)
+    inputs = u_array[np.arange(steps), picked]
+    return Runs(
+        scenario=scenario,
+        seed=seed,
+        runs=range(run, run + 1),
+        coin=np.array(picked, dtype=np.int8)[:, None],
+        symbol=np.array(symbols, dtype=np.int8)[:, None],
+        largest=gauges.max(axis=1)[:, None],
+        state_cost=np.array([(x_array[1:] ** 2).sum()]),
+        input_effort=np.array([(inputs**2).sum()]),
+        x=x_array[:, :, None],
+        candidates=u_array[:, :, :, None],
+        gauges=gauges[:, :, None],
+    )
+
+
+def assert_same(ours: Runs, place: int, theirs: Runs, tolerance: float = 0.0) -> None:
+    """Run ``place`` of ``ours`` is the only one of ``theirs``."""
+    for name in ("coin", "symbol"):
+        assert (getattr(ours, name)[:, place] == getattr(theirs, name)[:, 0]).all(), name
+    for name in ("x", "candidates", "gauges", "largest"):
+        a, b = getattr(ours, name)[..., place], getattr(theirs, name)[..., 0]
+        if tolerance:
+            np.testing.assert_allclose(a, b, rtol=0, atol=tolerance, err_msg=name)
+        else:
+            assert a.tobytes() == b.tobytes(), name
+    for name in ("state_cost", "input_effort"):
+        a, b = getattr(ours, name)[place], getattr(theirs, name)[0]
+        assert a == pytest.approx(b, rel=1e-12), name
+
+
+# --- draws ---------------------------------------------------------------------------------------
+
+
+def test_draws_in_blocks_are_the_streams_of_each_run() -> None:
+    draws = Draws(5, range(3, 6), 2)
+    blocks = [draws.block(steps) for steps in (7, 300, 1)]
+    noise, coins = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    assert noise.shape == (308, 2, 3)
+    for place, run in enumerate(range(3, 6)):
+        stream = Stream(5, DISTURBANCE, width=2, run=run)
+        coin = Stream(5, COIN, run=run)
+        for k in (0, 1, 6, 7, 255, 256, 307):
+            assert tuple(noise[k, :, place]) == stream.at(k)
+            assert coins[k, place] == coin.at(k)[0]
+        assert (noise[:, :, place] == generator(5, run, DISTURBANCE).random((308, 2))).all()
+
+
+@given(
+    st.one_of(st.integers(0, 5), st.integers(0, 2**200)),
+    st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=4),
+    st.integers(0, 2),
+)
+def test_states_of_generators_are_numpys(seed: int, runs: list[int], stream: int) -> None:
+    for run, state in zip(runs, generator_states(seed, runs, stream), strict=True):
+        assert state == generator(seed, run, stream).bit_generator.state
+
+
+def test_a_runs_number_is_of_32_bits() -> None:
+    with pytest.raises(ValueError, match="expected 0 to 4294967295"):
+        generator_states(0, [2**32], 0)
+
+
+def test_cipher_symbols_are_the_stream_of_each_run() -> None:
+    table = cipher_symbols(9, range(2, 4), 600, 3)
+    stream = Stream(9, CIPHER, run=3)
+    assert table[:, 1].tolist() == [int(stream.at(j)[0] * 3) for j in range(600)]
+    assert set(table.ravel()) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_disturbances_are_the_plants_own(kind: Any) -> None:
+    spec = Disturbance(kind=kind, half_widths=(0.1, 0.03), deviation=0.7, bias=-0.4, cycle_steps=7)
+    uniforms = np.random.default_rng(1).random((40, 2, 3))
+    uniforms[0] = 0.0
+    many = disturbances(spec, 11, uniforms)
+    for k in range(40):
+        for r in range(3):
+            assert tuple(many[k, :, r]) == disturbance(spec, 11 + k, uniforms[k, :, r].tolist())
+
+
+# --- the loop ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper", "sustained"])
+def test_every_number_of_a_planar_run_is_the_scalar_functions_to_the_last_bit(name: str) -> None:
+    scenario, law = system(name)
+    runs = simulate_runs(scenario, law, seed=3, runs=range(10, 40), steps=300, record=True)
+    for place in (0, 7, 29):
+        assert_same(runs, place, by_hand(scenario, law, 3, 10 + place, 300))
+
+
+@pytest.mark.parametrize("kind", KINDS[1:])
+def test_the_same_under_every_disturbance(kind: str) -> None:
+    scenario, law = system("sustained")
+    other = varied(scenario)
+    data = scenario.plant.disturbance.model_dump() | {"kind": kind}
+    other = varied(scenario, plant={"disturbance": data})
+    runs = simulate_runs(other, law, seed=4, runs=range(4), steps=120, record=True)
+    assert_same(runs, 3, by_hand(other, law, 4, 3, 120))
+
+
+def test_the_same_with_a_polytope_three_candidates_and_a_defender_who_errs() -> None:
+    scenario, _ = system("sustained")
+    data = scenario.model_dump(exclude_none=True)
+    data["defender"] = {
+        "A": [[1.0, 0.0974], [0.0, 0.9513]],
+        "disturbance": {
+            "H": [[1.0, 0.2], [-1.0, 0.1], [0.0, 1.0], [0.1, -1.0], [1.0, 1.0]],
+            "h": [0.14, 0.14, 0.13, 0.14, 0.23],
+        },
+    }
+    data["secrecy"]["candidates"] = 3
+    data["control"]["horizon"] = 30
+    data["control"]["costs"] = [
+        {"next_state": 1.0},
+        {"input": 1.0},
+        {"next_state": 1.0, "input": 0.2},
+    ]
+    data["plant"]["initial_state"] = [1.0, -0.5]
+    other = Scenario.model_validate(data)
+    law = make_law(other, cached_design(other))
+    runs = simulate_runs(other, law, seed=4, runs=range(5), steps=200, record=True)
+    assert {0, 1, 2, NO_SYMBOL} >= set(runs.symbol.ravel()) > {NO_SYMBOL}
+    for place in range(5):
+        assert_same(runs, place, by_hand(other, law, 4, place, 200))
+
+
+def test_two_inputs_give_the_same_verdicts_and_candidates_to_1e_9() -> None:
+    scenario, law = system("quadruple-tank")
+    runs = simulate_runs(scenario, law, seed=3, runs=range(4), steps=150, record=True)
+    assert_same(runs, 2, by_hand(scenario, law, 3, 2, 150), 1e-9)
+
+
+def test_a_run_is_the_same_alone_in_company_and_in_any_chunk() -> None:
+    scenario, law = system("sustained")
+    together = list(chunks(scenario, law, seed=2, runs=range(100, 130), steps=80, chunk=13))
+    assert [c.runs for c in together] == [range(100, 113), range(113, 126), range(126, 130)]
+    alone = simulate_runs(scenario, law, seed=2, runs=range(127, 128), steps=80)
+    assert (together[2].largest[:, 1] == alone.largest[:, 0]).all()
+    assert together[2].state_cost[1] == alone.state_cost[0]
+
+
+def test_a_longer_run_begins_as_a_shorter_one() -> None:
+    scenario, law = system("paper")
+    short = simulate_runs(scenario, law, seed=2, runs=range(3), steps=70)
+    long = simulate_runs(scenario, law, seed=2, runs=range(3), steps=300)
+    assert (long.largest[:70] == short.largest).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "runs", "steps"),
+    [
+        ("paper", 60, 200),
+        ("sustained", 60, 200),
+        ("double-integrator", 60, 200),
+        ("quadruple-tank", 6, 60),
+        ("batch-reactor", 6, 60),
+    ],
+)
+def test_no_constraint_is_violated_while_d_is_in_the_defenders_set(
+    name: str, runs: int, steps: int
+) -> None:
+    base, law = system(name)
+    D_c = base.defender.disturbance.half_widths
+    assert D_c is not None
+    spec = {"kind": "corners", "half_widths": D_c}
+    scenario = varied(base, plant={"disturbance": spec})
+    sample = simulate_runs(scenario, law, seed=8, runs=range(runs), steps=steps, record=True)
+    assert sample.candidates is not None
+    assert sample.x is not None
+    assert sample.gauges is not None
+    control = scenario.control
+    H, h = (np.array(a) for a in control.inputs.rows())
+    assert (np.einsum("ri,kmij->kmrj", H, sample.candidates) <= h[:, None]).all()
+    if control.states is not None:
+        H, h = (np.array(a) for a in control.states.rows())
+        assert (np.einsum("ri,kij->krj", H, sample.x) <= h[:, None]).all()
+    before = law.indices(sample.x[:-1].transpose(0, 2, 1).reshape(-1, scenario.n))
+    after = law.indices(sample.x[1:].transpose(0, 2, 1).reshape(-1, scenario.n))
+    assert (after <= np.maximum(before - 1, 0)).all()
+    # x(k+1) is possible for a defender who knows b_r (14); at the very edge rounding may differ.
+    chosen = np.take_along_axis(sample.gauges, sample.coin[:, None].astype(int), axis=1)
+    assert chosen.max() <= 1.0 + 1e-12
+
+
+def test_a_state_outside_every_set_ends_the_simulation_with_its_step() -> None:
+    base, law = system("sustained")
+    scenario = varied(base, plant={"initial_state": (1e6, 0.0)})
+    with pytest.raises(SimulationError, match=r"runs 0 to 1, step 0: .*outside T_250"):
+        simulate_runs(scenario, law, seed=1, runs=range(2), steps=5)
+    with pytest.raises(ValueError, match="at least one of each"):
+        simulate_runs(base, law, seed=1, runs=range(0), steps=5)
+
+
+# --- the link ------------------------------------------------------------------------------------
+
+
+def made_up(symbol: list[int], largest: list[float], coin: list[int]) -> Runs:
+    scenario, _ = system("sustained")
+    return Runs(
+        scenario=scenario,
+        seed=6,
+        runs=range(1),
+        coin=np.array(coin, dtype=np.int8)[:, None],
+        symbol=np.array(symbol, dtype=np.int8)[:, None],
+        largest=np.array(largest)[:, None],
+        state_cost=np.zeros(1),
+        input_effort=np.zeros(1),
+    )
+
+
+transitions = st.lists(
+    st.tuples(
+        st.sampled_from([NO_SYMBOL, 0, 1]), st.sampled_from([0.9, 1.5, 2.9, 8.0]), st.integers(0, 1)
+    ),
+    min_size=1,
+    max_size=60,
+)
+
+
+@given(transitions, st.lists(st.integers(0, 1), max_size=40), st.sampled_from(ALPHAS))
+@settings(max_examples=200, deadline=None)
+def test_counts_and_transfer_are_those_of_the_two_tables(
+    rows: list[tuple[int, float, int]], message: list[int], alpha: float
+) -> None:
+    symbol, largest, coin = (list(column) for column in zip(*rows, strict=True))
+    runs = made_up(symbol, largest, coin)
+    cipher_stream = Stream(6, CIPHER)
+    sender = receiver = INITIAL
+    recovered_all, agreements, mistaken, tested = [], 0, 0, 0
+    ciphers, states, keys, recovered_steps = [], [], [], []
+    p = 0
+    for j, (candidate, g, b) in enumerate(rows):
+        fresh = int(cipher_stream.at(j)[0] * 2)
+        if sender.s == MESSAGE:
+            cipher = encrypt(message[p] if p < len(message) else 0, sender.key, 2)
+            p += 1
+        else:
+            cipher = fresh
+            tested += 1
+        verdict = candidate if g <= alpha else NO_SYMBOL
+        sender = advance_sender(sender, verdict, 2)
+        receiver, got = advance_receiver(receiver, verdict, cipher, 2)
+        assert sender == receiver
+        if sender.s == MESSAGE:
+            agreements += 1
+            mistaken += sender.key != b
+        if got != NO_SYMBOL:
+            recovered_all.append(got)
+        ciphers.append(cipher)
+        states.append(receiver.s)
+        keys.append(receiver.key)
+        recovered_steps.append(got)
+    link = follow(runs, [alpha])
+    assert link.tested[0, 0] == tested
+    assert link.agreements[0, 0] == agreements
+    assert link.message_symbols[0, 0] == p
+    assert link.mistaken[0, 0] == mistaken
+    t = transfer(runs, alpha, symbols=message)
+    assert t.cipher[:, 0].tolist() == ciphers
+    assert t.s[:, 0].tolist() == states
+    assert t.key[:, 0].tolist() == keys
+    assert t.message_symbol[:, 0].tolist() == recovered_steps
+    assert recovered_all[: len(message)] == message[:p]
+
+
+def test_a_framed_message_arrives_whole_in_every_run() -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=1, runs=range(6), steps=1500)
+    t = transfer(runs, payloads=[b"Hold the line.", b"ok"])
+    for r in range(6):
+        deframer = Deframer(2)
+        frames = [deframer.push(int(v)) for v in t.message_symbol[:, r] if v != NO_SYMBOL]
+        assert [f.payload for f in frames if f is not None and f.intact] == [
+            b"Hold the line.",
+            b"ok",
+        ]
+        assert t.p[-1, r] >= len(encode_frame(b"Hold the line.", 2))
+
+
+def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=1, runs=range(50), steps=100)
+    together = follow(runs, ALPHAS)
+    for i, alpha in enumerate(ALPHAS):
+        alone = follow(runs, [alpha])
+        assert (together.agreements[i] == alone.agreements[0]).all()
+    agreed = agreed_transitions(runs, ALPHAS)
+    assert not (agreed[1:] & agreed[:-1]).any(), "no two transitions in a row"
+    in_diff = (runs.symbol != NO_SYMBOL) & (runs.largest <= 1.5)
+    assert (in_diff <= ((runs.symbol != NO_SYMBOL) & (runs.largest <= 3.0))).all()
+
+
+def test_controls_alpha_one_agrees_nothing_and_no_key_is_mistaken() -> None:
+    scenario, law = system("sustained")
+    link = follow(simulate_runs(scenario, law, seed=1, runs=range(50), steps=200), [1.0, 8.0])
+    assert link.agreements[0].sum() == 0
+    assert link.agreements[1].sum() > 1000
+    assert link.mistaken.sum() == 0
+    assert (link.message_symbols <= 100).all()
+
+
+def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=12, runs=range(2), steps=900, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy"])
+    names = ("set-membership", "nearest-centre", "list-decoder", "oracle")
+    for place in range(2):
+        weak, nearest, decoder, oracle = listen(runs, sent, names, place)
+        assert weak.agreements == (sent.key[:, place] != NO_SYMBOL).sum() > 100
+        assert nearest.right == decoder.right == oracle.right == weak.agreements
+        assert 0.3 < weak.right / weak.agreements < 0.7, "she cannot tell them apart"
+        assert (oracle.delivered, oracle.read) == (1, 1)
+        assert decoder.read == 1
+    blind = simulate_runs(scenario, law, seed=12, runs=range(1), steps=9)
+    with pytest.raises(ValueError, match="record=True"):
+        listen(blind, transfer(blind), names, 0)

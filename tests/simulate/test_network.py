@@ -1,0 +1,153 @@
+"""The safety and liveness of the link, on a seeded faulty network with processes that die.
+
+A failing seed is printed with its test and replays: everything random comes from it.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from controller_service.laws.paper import ControlLaw
+from plant_service.plant import Move, Step
+from protocol.runtime.journal import PlantJournal
+from protocol.scenario import Scenario
+from wyner.simulate.network import Faults, Simulation, simulate, violations
+
+PAYLOADS = (b"first", b"second message", b"3")
+
+NETWORKS = {
+    "clean": Faults(),
+    "loses": Faults(loss=0.4, until_s=60),
+    "repeats": Faults(repeat=0.5, until_s=60),
+    "reorders": Faults(delay_s=0.4, repeat=0.3, until_s=60),
+    "crashes": Faults(crash=0.02, until_s=60),
+    "forgets": Faults(crash=0.02, amnesia=0.5, until_s=60),
+    "everything": Faults(0.2, 0.2, 0.15, 0.02, 0.2, until_s=60),
+}
+
+
+@pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
+@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("seed", range(3))
+def test_safety_always_and_delivery_once_all_is_well(
+    network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: ControlLaw
+) -> None:
+    faults = NETWORKS[network]
+    sim = Simulation(
+        sustained, sustained_law, seed=seed, payloads=PAYLOADS, faults=faults, step_s=step_s
+    )
+    history = sim.run(seconds=900, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
+    assert list(violations(history, PAYLOADS)) == []
+    assert [history.delivered.index(i) for i in range(3)] == [0, 1, 2]
+    if not faults.amnesia:
+        assert history.inbox == list(PAYLOADS)
+    if faults.crash:
+        assert history.crashes > 0
+    if faults.loss and step_s is not None:
+        assert history.missed > 0
+
+
+def test_without_faults_nothing_is_missed_and_time_does_not_pass(
+    sustained: Scenario, sustained_law: ControlLaw
+) -> None:
+    history = simulate(sustained, sustained_law, seed=7, steps=2000, payload=b"abc")
+    assert len(history.plant) == len(history.controller) == 2000
+    assert history.missed == 0
+    assert history.inbox == [b"abc"]
+    assert all(t.symbol == history.coins[at] for at, t in history.plant.items() if t.symbol >= 0)
+
+
+def test_a_seed_replays(sustained: Scenario, sustained_law: ControlLaw) -> None:
+    def once() -> object:
+        sim = Simulation(
+            sustained, sustained_law, seed=3, payloads=PAYLOADS, faults=NETWORKS["everything"]
+        )
+        history = sim.run(seconds=20)
+        return history.plant, history.controller, history.crashes, history.inbox
+
+    assert once() == once()
+
+
+def test_the_check_finds_what_it_looks_for(sustained: Scenario, sustained_law: ControlLaw) -> None:
+    history = simulate(sustained, sustained_law, seed=1, steps=600, payload=b"x")
+    assert list(violations(history, (b"x",))) == []
+    at, t = next((at, t) for at, t in history.plant.items() if t.role == "message")
+    history.plant[at] = t._replace(message_symbol=1 - t.message_symbol)
+    assert "transition" in next(violations(history, (b"x",)))
+    history.plant[at] = t
+    j, s, offer = next(o for o in history.offered if o[1] == 2)
+    history.offered.append((j, s, offer.model_copy(update={"cipher": 1 - offer.cipher})))
+    assert "cipher" in next(violations(history, (b"x",)))
+    history.offered.pop()
+    assert "arrived" in next(violations(history, (b"y",)))
+    del history.controller[at]
+    assert "gap" in next(violations(history, (b"x",)))
+
+
+def test_at_alpha_one_nothing_is_ever_agreed(
+    sustained: Scenario, sustained_law: ControlLaw
+) -> None:
+    secrecy = sustained.secrecy.model_copy(update={"alpha": 1.0})
+    scenario = sustained.model_copy(update={"secrecy": secrecy})
+    history = simulate(scenario, sustained_law, seed=5, steps=2000, payload=b"abc")
+    assert all(t.symbol == -1 for t in history.plant.values())
+    assert history.inbox == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 160))
+def test_many_seeds(seed: int, sustained: Scenario, sustained_law: ControlLaw) -> None:
+    faults = Faults(
+        loss=(seed % 5) / 10,
+        repeat=(seed % 3) / 5,
+        delay_s=(seed % 4) / 10,
+        crash=(seed % 7) / 150,
+        amnesia=(seed % 2) / 4,
+        until_s=40,
+    )
+    sim = Simulation(
+        sustained,
+        sustained_law,
+        seed=seed,
+        payloads=PAYLOADS,
+        faults=faults,
+        step_s=0.1 if seed % 3 else None,
+    )
+    history = sim.run(seconds=900, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
+    assert list(violations(history, PAYLOADS)) == []
+    assert len(history.delivered) >= len(PAYLOADS)
+
+
+def test_what_the_plant_saves_has_the_same_shape_in_both_states(
+    sustained: Scenario, sustained_law: ControlLaw, tmp_path: Path
+) -> None:
+    """Were a save in one state more work, the time of the next measurement would tell."""
+    statements: dict[str, set[int]] = {"test": set(), "message": set()}
+    executed: list[str] = []
+    with PlantJournal(tmp_path / "j", sustained.fingerprint()) as journal:
+        journal._db.set_trace_callback(executed.append)
+        sim = Simulation(sustained, sustained_law, seed=2, payloads=(b"a" * 40,))
+        plant, counted = sim._plant.receiver, sim._plant.count
+        journal.save(plant.record)
+
+        def count(move: Move) -> Step:
+            executed.clear()
+            journal.append(b"{}", b"{}", move.coin)
+            before_sending = len(executed)
+            step = counted(move)
+            assert step.effects is not None
+            statements[step.effects.transition.role].add(before_sending)
+            if step.effects.chunk or step.effects.frame is not None:
+                journal.save(
+                    plant.record,
+                    chunk=step.effects.chunk,
+                    drop_chunks=step.effects.frame is not None,
+                )
+            else:
+                journal.stage(plant.record)
+            return step
+
+        sim._plant.count = count  # type: ignore[method-assign]
+        sim.run(steps=1000)
+        assert journal.chunks()
+    assert statements["test"] == statements["message"] == {1}

@@ -1,0 +1,332 @@
+"""Figures: the same bytes twice, from their data alone, with runs, seeds and intervals stated."""
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from controller_service.laws.paper import make_law
+from controller_service.sets.design import cached_design
+from protocol.agreement import NO_SYMBOL
+from wyner.cli.main import main
+from wyner.scoring.statistics import normal_mean, wilson
+from wyner.simulate.engine import simulate_runs
+from wyner.studies.figures import DATA, FIGURES, OUTPUT, FigureError, draw
+from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
+from wyner.studies.figures.style import plain_rows
+from wyner.studies.grid import ROOT, Row, load_sweep, points_of
+from wyner.studies.measurements import (
+    MEASUREMENTS,
+    centre_distances,
+    closed_form,
+    gauges_of,
+    measure_sets,
+    measure_taps,
+    system,
+    write,
+)
+from wyner.studies.results import SUMS, read_rows, read_table
+from wyner.studies.secrecy.tables import PAGE
+
+DOCUMENT = ROOT / "docs" / "experiments.md"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
+    first = draw(name, output=tmp_path / "a")
+    again = draw(name, output=tmp_path / "b")
+    for one, other in zip(first, again, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+        assert 5_000 < one.stat().st_size < 200_000
+    assert first[0].read_text(encoding="utf-8").startswith("<?xml")
+    assert first[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
+    command = [sys.executable, "-m", "wyner.cli.main", "figures", "distance", "--output", "there"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    svg, png = draw("distance", output=tmp_path / "here")
+    assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
+    assert png.read_bytes() == (tmp_path / "there" / png.name).read_bytes()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    note = FIGURES[name].draw(figure, DATA)
+    assert re.search(r"\bruns?\b", note)
+    assert re.search(r"seed 7\b|seeds 0 to \d+", note)
+    # A picture of single runs has no interval; every figure with an estimate has.
+    assert ("95 %" in note) == (name != "sets")
+
+
+def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
+    for name, kind in FIGURES.items():
+        document = PAGE if name.startswith("secrecy-") else DOCUMENT
+        text = document.read_text(encoding="utf-8")
+        assert f"figures/{name}.svg" in text
+        assert (OUTPUT / f"{name}.svg").exists()
+        assert (OUTPUT / f"{name}.png").exists()
+        for file in kind.data:
+            assert f"data/{file}.csv" in text
+            assert (DATA / f"{file}.csv").exists()
+            assert file in MEASUREMENTS
+
+
+def test_a_wrong_name_and_missing_data_are_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["figures", "nothing"]) == 2
+    assert "got 'nothing', expected rate-paper" in capsys.readouterr().err
+    assert main(["figures", "distance", "--data", str(tmp_path)]) == 1
+    assert main(["figures", "price", "--data", str(tmp_path)]) == 1
+    errors = capsys.readouterr().err.splitlines()
+    assert errors == [
+        f"wyner: {tmp_path / 'distance.csv'}: cannot be read: No such file or directory",
+        f"wyner: {tmp_path / 'price.csv'}: cannot be read: No such file or directory",
+    ]
+    shutil.copy(DATA / "price.csv", tmp_path)
+    (tmp_path / "out").write_text("in the way")
+    assert (
+        main(["figures", "price", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
+    )
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_data_that_are_not_whole_are_told_in_a_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = FIGURES[name].data
+    for file in files:
+        for other in files:
+            shutil.copy(DATA / f"{other}.csv", tmp_path)
+        path = tmp_path / f"{file}.csv"
+        whole = path.read_bytes()
+        header = whole.index(b"\n") + 1
+        for data in (b"", whole[:header], whole[: header + 3], b"a,b\n1,2\n", b"a\n\xff\n"):
+            path.write_bytes(data)
+            command = ["figures", name, "--data", str(tmp_path), "--output", str(tmp_path / "o")]
+            assert main(command) == 1, data
+            (line,) = capsys.readouterr().err.splitlines()
+            assert line.startswith("wyner: ")
+            assert str(path) in line
+            assert "unexpected" not in line
+
+
+@pytest.mark.parametrize(
+    ("cut", "line"),
+    [
+        (lambda data: b"", "is empty"),
+        (lambda data: data[: data.index(b"\n") + 1], "has no rows"),
+        (lambda data: data[:-4], "its last line is torn"),
+        (
+            lambda data: data[: data.rindex(b" ")] + b"\n",
+            "line 43: runs_by_symbols: expected 20 runs",
+        ),
+        (lambda data: data[: data.rindex(b",")] + b"\n", "line 43: expected as many cells as"),
+        (lambda data: data.replace(b",0.1,", b",one,"), "line 2: period_s: expected a number"),
+        (lambda data: data + data.splitlines(keepends=True)[-1], "run 0 stands there twice"),
+    ],
+)
+def test_what_is_wrong_with_a_sweeps_data_is_told(
+    cut: Callable[[bytes], bytes], line: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "fig7-paper-20.csv"
+    path.write_bytes(cut((DATA / path.name).read_bytes()))
+    with pytest.raises(FigureError) as error:
+        summaries(tmp_path, "fig7-paper-20")
+    assert str(error.value).startswith(f"{path}: ")
+    assert line in str(error.value)
+
+
+def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        measure_sets(tmp_path / name / "sets.csv")
+        MEASUREMENTS["fig7-paper-20"](tmp_path / name / "fig7.csv")
+    for file in ("sets.csv", "fig7.csv"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_measurement_that_fails_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "some.csv"
+    write(path, ("a",), [(1,)])
+    before = path.read_bytes()
+
+    def failing() -> Iterator[tuple[int]]:
+        yield (2,)
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write(path, ("a",), failing())
+    assert path.read_bytes() == before
+    write(path, ("a",), [(3,)])
+    assert path.read_text(encoding="utf-8").endswith(",3\n")
+    assert [one.name for one in tmp_path.iterdir()] == ["some.csv"]
+
+
+def without_version(path: Path) -> list[Row]:
+    """The rows but for the code's version, which every edit of the code changes."""
+    rows = read_table(path)
+    assert len({row.pop("version") for row in rows}) == 1
+    return rows
+
+
+@pytest.mark.parametrize(
+    "name", ["sets", "distance", "fig7-paper", "fig7-paper-20", "fig7-sustained"]
+)
+def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
+    MEASUREMENTS[name](tmp_path / "now.csv")
+    assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price", "plants"])
+def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
+    MEASUREMENTS[name](tmp_path / "now.csv")
+    now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
+    for ours, theirs in zip(now, shipped, strict=True):
+        sums = {key: pytest.approx(ours[key], rel=1e-9) for key in SUMS}  # a solver's rounding
+        assert theirs == ours | sums | {"version": theirs["version"]}
+
+
+def plain_text() -> str:
+    """The document with every line break and run of spaces as one space."""
+    return " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+
+
+def row_with(text: str, *cells: str) -> str:
+    """The one line of a table of the document that begins with these cells."""
+    start = "| " + " | ".join(cells)
+    (line,) = (line for line in text.splitlines() if line.startswith(start))
+    return line
+
+
+def test_the_documents_numbers_are_the_datas() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for s in summaries(DATA, "fig7-paper"):
+        if alpha_of(s) in (1.5, 3.0, 8.0):
+            cell = "{:.3f} [{:.3f}, {:.3f}]".format(*s.rate)
+            assert cell in row_with(text, start_of(s).removeprefix("x(0) = "))
+    for s in summaries(DATA, "sustained-long"):
+        if alpha_of(s) in (1.5, 3.0, 8.0):
+            assert "{:.2f} [{:.2f}, {:.2f}]".format(*s.rate) in text
+    for s in summaries(DATA, "price"):
+        kind = str(s.first["variant"])
+        same = "`paper` (the same as quiet, K x in T_0)"
+        named = {"sustained": "`sustained`", "paper": same, "quiet, K x in T_0": same}
+        line = row_with(text, named.get(kind, kind))
+        cost = normal_mean(s.sums["state_cost"], s.sums["state_cost_squares"], s.runs)
+        effort = normal_mean(s.sums["input_effort"], s.sums["input_effort_squares"], s.runs)
+        assert "{:.4f} [{:.4f}, {:.4f}]".format(*cost) in line
+        assert "{:.3f} [{:.3f}, {:.3f}]".format(*effort) in line
+    lines = {
+        "uniform": "uniform in",
+        "truncated Gaussian": "Gaussian truncated",
+        "sinusoid": "sinusoid",
+        "constant bias": "constant",
+        "corners of D": "corners of D |",
+        "corners of D_c": "corners of D_c",
+        "Gaussian, 3 % outside": "Gaussian, 3 %",
+        "Gaussian, 41 % outside": "Gaussian, 41 %",
+    }
+    taps = {r["variant"]: r for r in plain_rows(DATA / "taps.csv")}
+    found = {
+        str(s.first["variant"]): s for s in summaries(DATA, "disturbances") if alpha_of(s) == 8
+    }
+    for kind, start in lines.items():
+        line = row_with(text, start)
+        s = found[kind]
+        assert f"| {s.rate.value:.2f} |" in line
+        wrong = 100 * s.counts["mistaken"] / s.counts["agreements"]
+        assert ("never" if wrong == 0 else f"{wrong:.2g} % of keys") in line
+        assert (taps[kind]["nearest_right"] == taps[kind]["agreements"]) == ("always" in line)
+    for s in summaries(DATA, "plants"):
+        if alpha_of(s) in (1.5, 8.0):
+            name = str(s.first["scenario"]).replace("-", " ")
+            line = row_with(text, "paper's plant" if name == "sustained" else name)
+            assert f"{s.rate.value * s.first['period_s']:.3f}" in line
+
+
+# --- what the figures say ------------------------------------------------------------------------
+
+
+def test_the_closed_form_is_what_the_simulation_does() -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=99, runs=range(150), steps=100, record=True)
+    delta = centre_distances(runs)
+    distance = gauges_of(scenario, delta)
+    for alpha in (1.5, 3.0, 8.0):
+        expected = closed_form(delta, (0.1, 0.1), (0.12, 0.12), alpha)
+        assert ((expected >= -1e-12) & (expected <= 1 + 1e-12)).all()
+        in_diff = (runs.symbol != NO_SYMBOL) & (runs.largest <= alpha)
+        for low, high in ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, 20.0)):
+            here = (distance > low) & (distance <= high)
+            share = wilson(int(in_diff[here].sum()), int(here.sum()), confidence=0.9999)
+            assert share.low <= expected[here].mean() <= share.high
+
+
+def test_the_document_says_how_many_bins_are_off_the_closed_form() -> None:
+    drawn = [r for r in plain_rows(DATA / "distance.csv") if r["transitions"] >= FEWEST]
+    shares = [wilson(r["in_diff"], r["transitions"]) for r in drawn]
+    off = sum(not s.low <= r["expected"] <= s.high for s, r in zip(shares, drawn, strict=True))
+    assert f"all but {off} of the {len(drawn)} bins" in plain_text()
+
+
+def test_the_document_says_how_often_candidates_are_equal_and_the_gauge_is_above_1() -> None:
+    sweep = load_sweep(ROOT / "wyner" / "sweeps" / "disturbances.toml")
+    above, equal = {}, {}
+    for point in points_of(sweep, ROOT / "wyner" / "sweeps"):
+        if point.scenario.secrecy.alpha == 8:
+            law = make_law(point.scenario, cached_design(point.scenario))
+            runs = simulate_runs(
+                point.scenario,
+                law,
+                seed=sweep.seed,
+                runs=range(sweep.runs),
+                steps=sweep.steps,
+                record=True,
+            )
+            assert runs.gauges is not None
+            assert runs.candidates is not None
+            true = np.where(runs.coin == 0, runs.gauges[:, 0], runs.gauges[:, 1])
+            above[point.variant] = float((true > 1).mean())
+            equal[point.variant] = float((runs.candidates[:, 0] == runs.candidates[:, 1]).mean())
+    text = plain_text()
+    assert f"in {100 * above['corners of D_c']:.0f} % of the steps" in text
+    assert f"in {100 * equal['constant bias']:.0f} % of the steps" in text
+    assert f"Corners of D do the same for {100 * equal['corners of D']:.0f} %" in text
+
+
+def test_the_closed_form_at_its_limits() -> None:
+    D, D_c = (0.1, 0.1), (0.12, 0.12)
+
+    def at(distance: float, alpha: float) -> float:
+        return float(closed_form(np.array([[0.0, distance]]), D, D_c, alpha)[0])
+
+    assert at(0.0, 8.0) == 0.0, "the same centre twice: nothing to tell apart"
+    assert at(0.23, 8.0) == pytest.approx(1.0), "far apart for the defender, near for the other"
+    assert at(0.23, 1.0) == 0.0, "alpha = 1: no asymmetry"
+    assert at(1.2, 8.0) == 0.0, "too far apart for the eavesdropper too"
+    assert at(0.12, 8.0) == pytest.approx(0.5), "half of D is beyond the other's edge"
+
+
+@pytest.mark.slow
+def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
+    measure_taps(tmp_path / "taps.csv", runs=3, steps=1200)
+    lines = (tmp_path / "taps.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.rsplit(",", 4) for line in lines[1:]]
+    assert len(rows) == 8
+    for _, agreements, right, delivered, read in rows:
+        assert int(right) == int(agreements) > 0
+        assert int(read) <= int(delivered)
+    assert rows[0][3:] == ["3", "3"], "uniform: every message is read"

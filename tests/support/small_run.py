@@ -1,0 +1,260 @@
+"""Makes the folder of a run without processes: both pure ends, their traces and a capture.
+
+What a network and dying processes do to a run is called for step by step, so that a test knows what
+happened. The traces are written as the services write them.
+"""
+
+import base64
+import json
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.design import cached_design
+from plant_service.plant import Plant, first_record
+from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.sender import Sender, SenderRecord
+from protocol.link.session import rules_of
+from protocol.messages import ControllerHello, Measurement, Message, Offer
+from protocol.runtime.trace import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, TraceWriter
+from protocol.scenario import Scenario, parse_scenario
+from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+
+SCENARIOS: Final = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+
+Fault = Literal[
+    "none",
+    "repeated",
+    "offer lost",
+    "plant dies",
+    "plant forgets",
+    "controller dies",
+    "controller forgets",
+]
+
+
+@cache
+def law_of(name: str) -> tuple[Scenario, ControlLaw]:
+    data = tomllib.loads((SCENARIOS / f"{name}.toml").read_text())
+    scenario = parse_scenario(data, name)
+    return scenario, make_law(scenario, cached_design(scenario))
+
+
+class Queue:
+    """The controller's messages."""
+
+    def __init__(self, payloads: tuple[bytes, ...]) -> None:
+        self.payloads = payloads
+
+    def payload(self, number: int) -> bytes | None:
+        return self.payloads[number] if number < len(self.payloads) else None
+
+
+class SmallRun:
+    """A run of the shipped scenario ``name``, its text changed by ``changes``."""
+
+    def __init__(
+        self,
+        folder: Path,
+        payloads: tuple[bytes, ...] = (b"hi",),
+        *,
+        name: str = "sustained",
+        changes: tuple[tuple[str, str], ...] = (),
+        seed: int = 1,
+    ) -> None:
+        self.folder = folder
+        self._seed = seed
+        self._lives = 0
+        text = (SCENARIOS / f"{name}.toml").read_text()
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "scenario.toml").write_text(text)
+        self.scenario = parse_scenario(tomllib.loads(text), name)
+        self._law = law_of(name)[1]
+        self._plant_trace = TraceWriter(folder / PLANT_TRACE, "plant", {"scenario": name})
+        self._trace = TraceWriter(folder / CONTROLLER_TRACE, "controller", {"scenario": name})
+        view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
+        self._capture = TraceWriter(
+            folder / CAPTURE, "tap", {"capture_version": 1, "part": 0, "view": view}
+        )
+        self._queue = Queue(payloads)
+        self._t_ns = 0
+        self.received: list[bytes] = []
+        self._tell_queue()
+        self.sender = self._new_sender(None)
+        record = first_record(self.scenario, "0" * 15 + "1")
+        self._chunks = ""
+        self.plant = self._new_plant(record, "new journal")
+        self._meet()
+
+    @property
+    def receiver(self) -> Receiver:
+        return self.plant.receiver
+
+    def steps(self, count: int, faults: dict[int, Fault] | None = None) -> None:
+        """Make steps, with what goes wrong in some of them (by number within this call)."""
+        for i in range(count):
+            self.step((faults or {}).get(i, "none"))
+
+    def until_received(self, messages: int, limit: int = 5000) -> None:
+        """Make steps until the plant has that many messages."""
+        for _ in range(limit):
+            if len(self.received) >= messages:
+                return
+            self.step()
+        raise AssertionError(f"{len(self.received)} messages after {limit} steps")
+
+    def close(self) -> None:
+        """End the recordings."""
+        for writer in (self._plant_trace, self._trace, self._capture):
+            writer.close()
+
+    def step(self, fault: Fault = "none") -> None:
+        """One step of the plant."""
+        if fault == "controller forgets":
+            self._tell_queue()
+            self.sender = self._new_sender(None)
+        if fault == "controller dies":
+            before = self.sender.record
+            self._measure()
+            self.sender = self._new_sender(before)
+            self._capture_back()
+        if fault == "plant forgets":
+            session = f"{int(self.receiver.record.session, 16) + 1:016x}"
+            self._chunks = ""
+            self.plant = self._new_plant(first_record(self.scenario, session), "new journal")
+        if fault in ("plant forgets", "controller forgets", "controller dies"):
+            self._meet()
+        offer = self._measure()
+        if fault == "repeated":
+            assert self._measure() == offer
+        if fault == "offer lost":
+            self._miss()
+            return
+        if fault == "plant dies":
+            record = self.receiver.record
+            self._apply(offer)
+            self.plant = self._new_plant(record, "resumed from the journal")
+            self._meet()
+            offer = self._measure()
+        self._apply(offer, saved=True)
+
+    def _measure(self) -> Offer:
+        measurement = self.receiver.measurement()
+        self._see(measurement)
+        effects = self.sender.measured(measurement)
+        assert effects.offer is not None
+        if effects.append:
+            settled = self.sender.settle()
+            if settled.transition is not None:
+                self._trace.write(settled.transition.as_event())
+            if settled.delivered is not None:
+                self._tell("delivered", settled.delivered)
+        self._see(effects.offer)
+        return effects.offer
+
+    def _apply(self, offer: Offer, *, saved: bool = False) -> None:
+        assert self.receiver.check(offer) == "current"
+        step = self.plant.count(self.plant.move(offer))
+        assert step.effects is not None
+        event = {**step.effects.transition.as_event(), "coin": step.coin, "u": step.u}
+        self._plant_trace.write(event)
+        frame = step.effects.frame
+        if saved:
+            self._chunks = "" if frame is not None else self._chunks + step.effects.chunk
+        if saved and frame is not None:
+            assert frame.intact
+            self.received.append(frame.payload)
+            payload = base64.b64encode(frame.payload).decode()
+            self._plant_trace.write({"event": "recovered", "payload": payload})
+
+    def _miss(self) -> None:
+        session = self.receiver.record.session
+        step = self.plant.miss()
+        told = {"session": session, "k": step.k, "x": step.x, "u": step.u, "x_next": step.x_next}
+        self._plant_trace.write({"event": "missed", **told})
+
+    def _meet(self) -> None:
+        """Hellos until the session is taken up, ending it where the journals do not fit."""
+        self.receiver.look_around()
+        said: ControllerHello | None = self.sender.greeting()
+        for _ in range(4):
+            assert said is not None
+            new = f"{int(self.receiver.record.session, 16) + 1:016x}"
+            outcome = self.receiver.heard_controller(said, new)
+            if outcome == "accepted":
+                return
+            if outcome == "ended":
+                self._chunks = ""
+                self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
+            effects = self.sender.heard_plant(self.receiver.hello())
+            if effects.save:
+                session = self.sender.record.session
+                self._trace.write({"event": "session", "session": session, "reason": "met"})
+            said = effects.reply
+        raise AssertionError("the two ends did not meet")
+
+    def _new_sender(self, record: SenderRecord | None) -> Sender:
+        self._lives += 1
+        return Sender(
+            rules_of(self.scenario),
+            self._law.candidates,
+            self._queue,
+            SeededSymbols(self._seed, CIPHER, run=self._lives),
+            f"{self._lives:016x}",
+            record,
+        )
+
+    def _new_plant(self, record: ReceiverRecord, reason: str) -> Plant:
+        self._lives += 1
+        self._plant_trace.write({"event": "session", "session": record.session, "reason": reason})
+        return Plant(
+            self.scenario,
+            f"{self._lives:016x}",
+            SeededSymbols(self._seed, COIN, run=self._lives),
+            Stream(self._seed, DISTURBANCE, width=self.scenario.n, run=self._lives),
+            record,
+            self._chunks,
+        )
+
+    def _tell_queue(self) -> None:
+        for number in range(len(self._queue.payloads)):
+            self._tell("sent", number)
+
+    def _tell(self, event: str, number: int) -> None:
+        payload = base64.b64encode(self._queue.payloads[number]).decode()
+        self._trace.write({"event": event, "id": f"m{number}", "payload": payload})
+
+    def _see(self, message: Message) -> None:
+        self._t_ns += 1
+        body = json.loads(message.model_dump_json())
+        assert isinstance(message, Measurement | Offer)
+        self._capture.write(
+            {"event": "field", "t_ns": self._t_ns, "topic": message.topic, "message": body}
+        )
+
+    def _capture_back(self) -> None:
+        """A controller that died before it saved had not published its offer either."""
+        self._capture.close()
+        path = self.folder / CAPTURE
+        lines = path.read_bytes().splitlines(keepends=True)
+        path.write_bytes(b"".join(lines[:-1]))
+        self._capture = TraceWriter(path, "tap", {})
+
+
+Lines = list[dict[str, Any]]
+
+
+def read_lines(path: Path) -> Lines:
+    """A trace or capture as JSON, to be changed."""
+    return [json.loads(line) for line in path.read_bytes().splitlines()]
+
+
+def write_lines(path: Path, lines: Lines) -> None:
+    """Write it back, as compact as it was."""
+    text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
+    path.write_text(text)

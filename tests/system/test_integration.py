@@ -1,0 +1,282 @@
+"""Three real processes over real Zenoh on loopback: by hand, by ``wyner up``, and under kill -9."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.messages import Measurement, Offer, PlantHello, SendCommand
+from protocol.runtime.trace import PLANT_TRACE, read_trace
+from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
+from protocol.topics import key_of
+
+pytestmark = pytest.mark.integration
+
+LONG = "Some words that are not there in a second."
+WYNER = [sys.executable, "-m", "wyner.cli.main"]
+
+
+def wyner(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*WYNER, *arguments], capture_output=True, text=True, timeout=timeout, check=False
+    )
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.05)
+
+
+def status(run_dir: Path, service: str) -> dict[str, Any]:
+    try:
+        value: dict[str, Any] = json.loads((run_dir / service / "status.json").read_bytes())
+    except OSError:
+        return {}
+    return value
+
+
+def children_of(pid: int) -> dict[str, int]:
+    """The services that a process has started, by name."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            stat = (path / "stat").read_text().rpartition(")")[2].split()
+            command = (path / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if stat[1] == str(pid) and stat[0] != "Z":
+            for word in command:
+                if word.endswith(b"_service"):
+                    found[word.decode().removesuffix("_service")] = int(path.name)
+    return found
+
+
+def test_up_delivers_and_sums_up(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    done = wyner(
+        *("up", "--pace", "fast", "--until-delivered", "--json", "--seed", "3"),
+        *("--message", "Grüße aus dem Keller", "--run-dir", str(run_dir)),
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout.splitlines()[-1])
+    assert summary["delivered"]
+    assert summary["sent"] == summary["recovered"] == "Grüße aus dem Keller"
+    assert summary["symbol_errors"] == 0
+    assert summary["agreements"] > 100
+    assert 1.5 < summary["bits_per_second"] < 3.0
+    assert {"set-membership", "nearest-centre"} <= summary["taps"].keys()
+    assert json.loads((run_dir / "manifest.json").read_text())["seed"] == 3
+    assert "\x1b" not in done.stderr
+    again = wyner("up", "--run-dir", str(run_dir))
+    assert again.returncode == 2
+    assert again.stderr.count("\n") == 1
+
+
+def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
+    done = wyner(
+        *("up", "--pace", "fast", "--steps", "300", "--headless"),
+        *("--run-dir", str(tmp_path / "run"), "--scenario", "paper"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "steps      300" in done.stdout
+    assert "\x1b" not in done.stdout
+    undelivered = wyner(
+        *("up", "--pace", "fast", "--steps", "50", "--until-delivered", "--json"),
+        *("--run-dir", str(tmp_path / "other")),
+    )
+    assert undelivered.returncode == 1
+    assert json.loads(undelivered.stdout.splitlines()[-1])["delivered"] is False
+
+
+def kill_and_see_it_back(parent: int, victim: str, run_dir: Path) -> None:
+    wait_for(lambda: victim in children_of(parent))
+    pid = children_of(parent)[victim]
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: children_of(parent).get(victim, pid) != pid)
+    counted = status(run_dir, "plant").get("transitions", 0)
+    wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > counted + 20)
+
+
+@pytest.mark.slow
+def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
+    """Each service is killed twice in the middle of the message; it arrives all the same."""
+    run_dir = tmp_path / "run"
+    process = subprocess.Popen(
+        [
+            *WYNER,
+            *("up", "--pace", "x20", "--until-delivered", "--json", "--run-dir", str(run_dir)),
+            *("--message", "Killed, and told all the same."),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 40)
+        for victim in ("controller", "plant", "tap", "plant", "controller", "tap"):
+            kill_and_see_it_back(process.pid, victim, run_dir)
+        out, _ = process.communicate(timeout=150)
+    finally:
+        process.kill()
+        process.wait()
+    summary = json.loads(out.splitlines()[-1])
+    assert process.returncode == 0
+    assert summary["delivered"]
+    assert summary["recovered"] == "Killed, and told all the same."
+    assert summary["missed"] > 0
+    sessions = {e["session"] for e in read_trace(run_dir / PLANT_TRACE).of("transition")}
+    assert len(sessions) == 1, "a kill alone must not end the session"
+
+
+def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    process = subprocess.Popen(
+        [*WYNER, "up", "--pace", "x10", "--headless", "--run-dir", str(run_dir)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 5)
+        services = children_of(process.pid)
+        assert services.keys() == {"controller", "plant", "tap"}
+    finally:
+        process.kill()
+        process.wait()
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in services.values()), 15)
+
+
+class ByHand:
+    """Three services started as the README says, on free ports."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self.run_dir = run_dir
+        free = free_endpoints(5)
+        self.plant_field, self.controller_field, self.plant_ops, self.controller_ops = free[:4]
+        self.intel = free[4]
+        self.processes: dict[str, subprocess.Popen[str]] = {}
+
+    def start(self, service: str, *arguments: str) -> subprocess.Popen[str]:
+        endpoints = {
+            "plant": ["--listen", f"field={self.plant_field}", "--listen", f"ops={self.plant_ops}"],
+            "controller": [
+                *("--listen", f"field={self.controller_field}"),
+                *("--connect", f"field={self.plant_field}"),
+                *("--listen", f"ops={self.controller_ops}", "--connect", f"ops={self.plant_ops}"),
+            ],
+            "tap": [
+                *("--connect", f"field={self.plant_field}"),
+                *("--connect", f"field={self.controller_field}"),
+                *("--listen", f"intel={self.intel}"),
+            ],
+        }[service]
+        self.processes[service] = subprocess.Popen(
+            [
+                *(sys.executable, "-m", f"{service}_service", "--run-dir", str(self.run_dir)),
+                *("--scenario", "wyner/scenarios/sustained.toml"),
+                *endpoints,
+                *arguments,
+            ],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        return self.processes[service]
+
+    def stop(self) -> dict[str, int]:
+        for process in self.processes.values():
+            process.terminate()
+        return {name: process.wait(15) for name, process in self.processes.items()}
+
+
+@pytest.fixture
+def by_hand(tmp_path: Path) -> Iterator[ByHand]:
+    system = ByHand(tmp_path)
+    yield system
+    for process in system.processes.values():
+        process.kill()
+        process.communicate()
+
+
+def recovered(run_dir: Path) -> int:
+    return sum(1 for _ in read_trace(run_dir / PLANT_TRACE).of("recovered"))
+
+
+def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: Path) -> None:
+    """The controller comes first and waits; messages are sent to it while garbage flies."""
+    by_hand.start("controller")
+    by_hand.start("tap")
+    by_hand.start("plant", "--pace", "fast")
+    ops = ["--connect", f"ops={by_hand.controller_ops}"]
+    sent = wyner("send", "first", *ops)
+    assert sent.returncode == 0, sent.stderr
+    (tmp_path / "note").write_bytes(bytes(range(256)))
+    assert wyner("send", "--file", str(tmp_path / "note"), *ops).returncode == 0
+    with (
+        ZenohBus(connect=[by_hand.plant_field, by_hand.controller_field]) as field,
+        ZenohBus(connect=[by_hand.plant_ops, by_hand.controller_ops]) as bus,
+    ):
+        publishers = [field.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)]
+        publishers += [bus.publisher(key_of(kind, "loop")) for kind in (PlantHello, SendCommand)]
+        wait_for(lambda: all(p.matched() for p in publishers))
+
+        def counted() -> bool:
+            for publisher in publishers:
+                publisher.put(b"\x00garbage")
+            garbage = [
+                status(by_hand.run_dir, one).get("garbage", 0) for one in ("plant", "controller")
+            ]
+            return bool(min(garbage) > 50)
+
+        wait_for(counted)
+    wait_for(lambda: recovered(by_hand.run_dir) == 2)
+    assert by_hand.stop() == {"controller": 0, "tap": 0, "plant": 0}
+    checked = wyner("check", str(by_hand.run_dir))
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_killed_without_a_journal_a_new_session_begins(by_hand: ByHand) -> None:
+    by_hand.start("plant", "--pace", "x50")
+    controller = by_hand.start("controller", "--message", LONG)
+    wait_for(lambda: status(by_hand.run_dir, "plant").get("transitions", 0) > 30)
+    controller.kill()
+    controller.communicate()
+    for path in (by_hand.run_dir / "controller").glob("journal*"):
+        path.unlink()
+    by_hand.start("controller", "--message", LONG)
+    wait_for(lambda: recovered(by_hand.run_dir) >= 1)
+    assert by_hand.stop() == {"plant": 0, "controller": 0}
+    trace = read_trace(by_hand.run_dir / PLANT_TRACE)
+    assert len({e["session"] for e in trace.of("transition")}) == 2
+
+
+def test_bad_usage_is_one_line_and_code_2(tmp_path: Path) -> None:
+    scenario = tmp_path / "bad.toml"
+    scenario.write_text(Path("wyner/scenarios/paper.toml").read_text().replace("250", "-1"))
+    for arguments in (
+        ("plant", "--pace", "slow"),
+        ("plant", "--listen", "moon=tcp/127.0.0.1:1"),
+        ("plant", "--listen", "field=tcp/127.0.0.1:notaport"),
+        ("controller", "--scenario", str(scenario)),
+        ("controller", "--message-file", str(tmp_path / "absent")),
+        ("up", "--steps", "0"),
+        ("send",),
+        ("nonsense",),
+    ):
+        done = wyner(*arguments)
+        assert done.returncode == 2, arguments
+        assert done.stderr.startswith("wyner: "), done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr
+
+
+def test_send_without_a_controller_says_so() -> None:
+    done = wyner("send", "hello", "--timeout", "0.5", "--connect", f"ops={free_endpoints(1)[0]}")
+    assert done.returncode == 1
+    assert "no controller" in done.stderr

@@ -1,0 +1,674 @@
+"""The two services on a bus in memory: garbage, foreign models, deadlines, lost journals."""
+
+import base64
+import errno
+import json
+import logging
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+import pytest
+
+from controller_service.laws.paper import ControlLaw
+from controller_service.service import CONTROLLER_HEALTH, ControllerConfig, ControllerService
+from plant_service.plant import Plant, Step, first_record
+from plant_service.service import PLANT_HEALTH, PlantConfig, PlantService
+from plant_service.status import News
+from protocol.agreement import Verdict
+from protocol.messages import (
+    ControllerHello,
+    ControllerStatus,
+    Measurement,
+    Offer,
+    PlantHello,
+    PlantStatus,
+    SendCommand,
+    SendReply,
+)
+from protocol.runtime.journal import (
+    CONTROLLER_JOURNAL,
+    PLANT_JOURNAL,
+    ControllerJournal,
+    PlantJournal,
+)
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.process import DONE, USAGE, Failure, Pace, UsageError
+from protocol.runtime.trace import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO, read_trace
+from protocol.scenario import Scenario
+from protocol.streams import COIN, noise, symbols
+from protocol.topics import key_of
+from wyner.cli.main import main
+from wyner.shipped import SCENARIOS
+
+Service = TypeVar("Service", PlantService, ControllerService)
+
+
+class System:
+    """Both services in threads of this process, on hubs that a test can listen to and disturb."""
+
+    def __init__(self, scenario: Scenario, law: ControlLaw, run_dir: Path) -> None:
+        self.scenario, self.law, self.run_dir = scenario, law, run_dir
+        self.field, self.ops = MemoryHub(), MemoryHub()
+        self.codes: dict[str, int] = {}
+        self.errors: dict[str, Exception] = {}
+        self.plant_service: PlantService | None = None
+
+    @contextmanager
+    def controller(
+        self,
+        message: bytes | None = None,
+        scenario: Scenario | None = None,
+        name: str = "controller",
+    ) -> Iterator[ControllerService]:
+        """With another name, one with a run folder of its own."""
+        config = ControllerConfig(
+            scenario or self.scenario, self.law, self.folder(name), "loop", message, seed=1
+        )
+        with self._running(name, lambda stopping: ControllerService(
+            config, MemoryBus(self.field), MemoryBus(self.ops), stopping
+        )) as service:  # fmt: skip
+            yield service
+
+    @contextmanager
+    def plant(
+        self,
+        pace: str = "fast",
+        steps: int | None = None,
+        scenario: Scenario | None = None,
+        name: str = "plant",
+    ) -> Iterator[PlantService]:
+        config = PlantConfig(
+            scenario or self.scenario, self.folder(name), "loop", Pace(pace), steps, seed=1
+        )
+        with self._running(name, lambda stopping: PlantService(
+            config, MemoryBus(self.field), MemoryBus(self.ops), stopping
+        )) as service:  # fmt: skip
+            yield service
+
+    def folder(self, name: str) -> Path:
+        return self.run_dir if name in ("plant", "controller") else self.run_dir / name
+
+    @contextmanager
+    def _running(self, name: str, make: Callable[[threading.Event], Service]) -> Iterator[Service]:
+        stopping = threading.Event()
+        service = make(stopping)
+        if name == "plant":
+            assert isinstance(service, PlantService)
+            self.plant_service = service
+
+        def target() -> None:
+            try:
+                self.codes[name] = service.run()
+            except Exception as error:
+                self.errors[name] = error
+
+        thread = threading.Thread(target=target)
+        thread.start()
+        try:
+            yield service
+        finally:
+            stopping.set()
+            thread.join(10)
+            assert not thread.is_alive()
+
+    @property
+    def k(self) -> int:
+        assert self.plant_service is not None
+        return self.plant_service.plant.receiver.record.k
+
+    def wait(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
+        until = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < until, "waited in vain"
+            time.sleep(0.01)
+
+    def recovered(self) -> list[bytes]:
+        try:
+            events = read_trace(self.run_dir / PLANT_TRACE).of("recovered")
+        except OSError:
+            return []
+        return [base64.b64decode(e["payload"]) for e in events]
+
+
+@pytest.fixture
+def system(sustained: Scenario, sustained_law: ControlLaw, tmp_path: Path) -> System:
+    return System(sustained, sustained_law, tmp_path)
+
+
+def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
+    with system.controller(b"one"), system.plant(steps=800):
+        system.wait(lambda: "plant" in system.codes)
+    assert system.codes == {"plant": DONE, "controller": DONE}
+    assert system.recovered() == [b"one"]
+    plant = {e["j"]: e for e in read_trace(system.run_dir / PLANT_TRACE).of("transition")}
+    controller = read_trace(system.run_dir / CONTROLLER_TRACE).of("transition")
+    for event in controller:
+        mine = plant.pop(event["j"])
+        assert {k: mine[k] for k in event} == event
+    assert not plant
+
+
+@pytest.mark.parametrize("pace", ["fast", "x20"])
+def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
+    """With a deadline too, where most of it comes while the plant waits for the tick."""
+    field, ops = MemoryBus(system.field), MemoryBus(system.ops)
+    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":2}', b'{"v":1,"session":"x"}', b"null" * 50]
+    offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
+    measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
+    rounds = 20
+    with system.controller(b"one"), system.plant(pace):
+        for i in range(rounds):
+            for payload in junk:
+                for kind in (Measurement, Offer):
+                    field.publisher(key_of(kind, "loop")).put(payload)
+                for command in (PlantHello, ControllerHello, SendCommand):
+                    ops.publisher(key_of(command, "loop")).put(payload)
+            for message in (offer, measurement):
+                key = key_of(type(message), "loop")
+                field.publisher(key).put(message.wire())
+            system.wait(lambda i=i: system.k > 3 * i)  # type: ignore[misc]
+        system.wait(lambda: system.recovered() == [b"one"])
+    plant = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    controller = ControllerStatus.model_validate_json(
+        (system.run_dir / CONTROLLER_HEALTH).read_bytes()
+    )
+    assert plant.garbage == rounds * (2 * len(junk) + 1)
+    assert controller.garbage == rounds * (3 * len(junk) + 1)
+
+
+def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
+    """Whoever answers a measurement before it is sent cannot make the plant step twice a tick."""
+    forger = MemoryBus(system.field)
+    put = forger.publisher(key_of(Offer, "loop")).put
+    answered = set()
+
+    def hurry(_key: str, payload: bytes, _t_ns: int) -> None:
+        offer = Offer.model_validate_json(payload)
+        answered.add(offer.k)
+        put(offer.model_copy(update={"k": offer.k + 1}).wire())
+
+    with system.controller(b"one"), system.plant("x20", steps=60):
+        forger.subscribe(key_of(Offer, "loop"), hurry)  # last, so that the true offer goes first
+        system.wait(lambda: "plant" in system.codes)
+    events = read_trace(system.run_dir / PLANT_TRACE).of("transition")
+    assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
+    status = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    assert status.late <= status.missed
+
+
+def replies_on(ops: MemoryBus) -> list[SendReply]:
+    """The controller's replies, as they come."""
+    replies: list[SendReply] = []
+    ops.subscribe(
+        key_of(SendReply, "loop"),
+        lambda _k, payload, _t: replies.append(SendReply.model_validate_json(payload)),
+    )
+    return replies
+
+
+def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) -> None:
+    ops = MemoryBus(system.ops)
+    replies = replies_on(ops)
+    put = ops.publisher(key_of(SendCommand, "loop")).put
+    with system.controller(), system.plant():
+        for name, payload in (("a", b"first"), ("a", b"first"), ("b", b"second"), ("c", b"3")):
+            put(SendCommand(id=name, payload=payload).wire())
+        put(SendCommand(id="huge", payload=b"x" * 70000).wire())
+        system.wait(lambda: len(system.recovered()) == 3)
+    assert system.recovered() == [b"first", b"second", b"3"]
+    assert [r.accepted for r in replies] == [True] * 4 + [False]
+    assert "70000" in replies[-1].detail
+
+
+def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System) -> None:
+    """A step decided before it came, counted again after it, would be taken for its start."""
+    ops = MemoryBus(system.ops)
+    replies: list[bytes] = []
+    ops.subscribe(key_of(SendReply, "loop"), lambda _k, payload, _t: replies.append(payload))
+    path = system.run_dir / CONTROLLER_JOURNAL
+    with system.controller(), system.plant(steps=60):
+        system.wait(lambda: "plant" in system.codes)
+    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
+        before = journal.load()
+        assert before is not None
+        assert journal.step() is not None
+    with system.controller():
+        ops.publisher(key_of(SendCommand, "loop")).put(SendCommand(id="a", payload=b"late").wire())
+        system.wait(lambda: bool(replies))
+    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
+        after = journal.load()
+        assert after is not None
+        assert after.k == before.k + 1
+        assert journal.step() is None
+        assert journal.queued == 1
+
+
+def test_another_model_is_refused_by_both(system: System) -> None:
+    secrecy = system.scenario.secrecy.model_copy(update={"alpha": 7.0})
+    other = system.scenario.model_copy(update={"secrecy": secrecy})
+    with system.controller(scenario=other), system.plant():
+        system.wait(lambda: system.codes.keys() == {"plant", "controller"})
+    assert system.codes == {"plant": USAGE, "controller": USAGE}
+    assert list(read_trace(system.run_dir / PLANT_TRACE).of("transition")) == []
+
+
+def test_late_offers_are_missed_steps(system: System) -> None:
+    with system.plant("x20"):
+        with system.controller(b"one"):
+            system.wait(lambda: system.k > 20)
+        missed_from = system.k
+        system.wait(lambda: system.k > missed_from + 20)
+        with system.controller(b"one"):
+            system.wait(lambda: system.k > missed_from + 60)
+    trace = read_trace(system.run_dir / PLANT_TRACE)
+    assert sum(1 for _ in trace.of("missed")) >= 19
+    counted = {(e["session"], e["j"]) for e in trace.of("transition")}
+    theirs = {
+        (e["session"], e["j"])
+        for e in read_trace(system.run_dir / CONTROLLER_TRACE).of("transition")
+    }
+    assert theirs <= counted
+    assert len(counted - theirs) <= 1
+    assert len({session for session, _ in counted}) == 1
+
+
+def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
+    system: System,
+) -> None:
+    """The last whole step is in the journal, so that the same is said when it starts again."""
+    plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
+    scenario = system.scenario.model_copy(update={"plant": plant})
+    with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
+        journal.save(first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0)))
+    config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
+    for _ in range(2):
+        service = PlantService(
+            config, MemoryBus(system.field), MemoryBus(system.ops), threading.Event()
+        )
+        with pytest.raises(Failure, match=r"^the state is no longer finite at step 1004$"):
+            service.run()
+    status = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    assert status.k == 1003
+
+
+@pytest.mark.parametrize("lost", ["controller", "plant"])
+def test_a_lost_journal_ends_the_session_and_the_message_still_arrives(
+    system: System, lost: str
+) -> None:
+    with system.controller(b"a longer message"), system.plant(steps=200):
+        system.wait(lambda: "plant" in system.codes)
+    journal = system.run_dir / (CONTROLLER_JOURNAL if lost == "controller" else PLANT_JOURNAL)
+    for path in journal.parent.glob("journal.sqlite3*"):
+        path.unlink()
+    with system.controller(b"a longer message"), system.plant():
+        system.wait(lambda: b"a longer message" in system.recovered())
+    sessions = {e["session"] for e in read_trace(system.run_dir / PLANT_TRACE).of("transition")}
+    assert len(sessions) == 2
+
+
+def test_a_journal_serves_one_process_at_a_time(system: System) -> None:
+    with system.plant(), pytest.raises(UsageError, match="another process"), system.plant():
+        pass
+
+
+def test_the_inbox_outlives_the_process(system: System) -> None:
+    with system.controller(b"kept"), system.plant(steps=900):
+        system.wait(lambda: "plant" in system.codes)
+    with PlantJournal(system.run_dir / PLANT_JOURNAL, system.scenario.fingerprint()) as journal:
+        assert journal.inbox() == [b"kept"]
+
+
+def test_field_messages_look_the_same_in_both_states(system: System) -> None:
+    offers: dict[int, set[tuple[str, ...]]] = {1: set(), 2: set()}
+    seen: dict[int, bytes] = {}
+    listener = MemoryBus(system.field)
+    listener.subscribe(
+        key_of(Offer, "loop"),
+        lambda _k, payload, _t: seen.update({json.loads(payload)["k"]: payload}),
+    )
+    with system.controller(b"one"), system.plant(steps=400):
+        system.wait(lambda: "plant" in system.codes)
+    state = 1
+    for event in read_trace(system.run_dir / PLANT_TRACE).of("transition"):
+        offers[state].add(tuple(json.loads(seen[event["k"]])))
+        state = event["s"]
+    assert offers[1] == offers[2] == {("v", "session", "k", "candidates", "cipher")}
+
+
+# --- forged and foreign ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("u", [1.7e308, 6.1])
+def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: float) -> None:
+    forger = MemoryBus(system.field)
+    put = forger.publisher(key_of(Offer, "loop")).put
+    forged: list[int] = []
+
+    def forge(_key: str, payload: bytes, _t_ns: int) -> None:
+        m = Measurement.model_validate_json(payload)
+        if m.k >= 10 and len(forged) < 20:
+            forged.append(m.k)
+            put(Offer(session=m.session, k=m.k, candidates=((u,), (0.0,)), cipher=0).wire())
+
+    forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
+    with system.plant() as plant, system.controller(b"one"):
+        system.wait(lambda: system.recovered() == [b"one"])
+    assert plant.status(time.monotonic()).garbage == len(forged) == 20
+    assert system.errors == {}
+
+
+def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> None:
+    news = News(sustained, "fast", seeded=False)
+    record = first_record(sustained, "2" * 16)
+    plant = Plant(sustained, "1" * 16, symbols(1, COIN), noise(1, sustained.n), record, "")
+    receiver = plant.receiver
+    offer = Offer(session="2" * 16, k=0, candidates=((1.7e308,), (0.0,)), cipher=0)
+    x = receiver.record.x
+    effects = receiver.applied(offer, 1, (0.0, 0.0))
+    gauges = (float("inf"), 1.0)
+    transition = effects.transition._replace(verdict=Verdict(gauges, -1))
+    news.tail.append(Step(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
+    status = news.status(receiver, 0, 1.0)
+    assert (status.pictured_k, status.tail_k) == (-1, (0,))
+
+
+def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System) -> None:
+    put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
+    with system.plant("x20") as plant, system.controller(b"one") as controller:
+        system.wait(lambda: system.k > 10)
+        true = plant.plant.receiver.measurement()
+        system.wait(lambda: controller.sender.record.k > true.k)
+        put(far_ahead(controller, plant).wire())
+        system.wait(lambda: controller.sender.record.k == 10**30)
+        system.wait(lambda: system.recovered() == [b"one"])
+        assert 0 <= controller.sender.record.k < 10**6
+
+
+def far_ahead(controller: ControllerService, plant: PlantService) -> Measurement:
+    """A measurement that the controller believes, of a step that is far away."""
+    record = controller.sender.record
+    assert record.session is not None
+    return Measurement(
+        session=record.session,
+        k=10**30,
+        x=plant.plant.receiver.record.x,
+        applied_k=record.applied_k,
+        x_after=plant.plant.receiver.record.x,
+    )
+
+
+def other_model(scenario: Scenario) -> Scenario:
+    secrecy = scenario.secrecy.model_copy(update={"alpha": 7.0})
+    return scenario.model_copy(update={"secrecy": secrecy})
+
+
+@pytest.mark.parametrize("stray", ["plant", "controller"])
+def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str) -> None:
+    other = other_model(system.scenario)
+    with system.controller(b"one") as controller, system.plant("x20"):
+        system.wait(lambda: system.k > 10)
+        start = system.plant if stray == "plant" else system.controller
+        with start(scenario=other, name="stray"):
+            system.wait(lambda: system.codes == {"stray": USAGE})
+            k = system.k
+            system.wait(lambda: system.k > k + 20)
+            assert (controller.status().phase, controller.status().detail) == ("running", "")
+    assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
+    sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
+    assert sum(1 for _ in sessions) == 1
+
+
+def test_two_controllers_on_one_loop_take_turns(
+    system: System, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One of them has the session; the other one comes in when it falls silent."""
+    offers: dict[tuple[str, int], set[bytes]] = {}
+
+    def note(_key: str, payload: bytes, _t_ns: int) -> None:
+        offer = Offer.model_validate_json(payload)
+        offers.setdefault((offer.session, offer.k), set()).add(payload)
+
+    MemoryBus(system.field).subscribe(key_of(Offer, "loop"), note)
+    with (
+        listened(caplog),
+        system.controller(b"two", name="second") as second,
+        system.controller(b"one") as first,
+        system.plant("x20") as plant,
+    ):
+        names = {first.sender.instance: b"one", second.sender.instance: b"two"}
+        system.wait(lambda: len(system.recovered()) == 1)
+        mine = plant.plant.receiver.controller
+        assert mine is not None
+        assert system.recovered() == [names.pop(mine)]
+        running = first if mine == first.sender.instance else second
+        k = system.k
+        system.wait(lambda: system.k > k + 200)
+        assert plant.plant.receiver.controller == mine
+        running._stopping.set()
+        (other,) = names
+        system.wait(lambda: system.recovered()[1:] == [names[other]])
+    assert all(len(answers) == 1 for answers in offers.values())
+    told = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    for service in ("two controllers on loop loop", "and not with this one"):
+        assert any(service in t and mine in t and other in t for t in told), (service, told)
+
+
+@contextmanager
+def listened(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """The services' loggers do not propagate."""
+    loggers = [logging.getLogger(name) for name in ("plant", "controller")]
+    for log in loggers:
+        log.addHandler(caplog.handler)
+    try:
+        yield
+    finally:
+        for log in loggers:
+            log.removeHandler(caplog.handler)
+
+
+def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
+    system: System,
+) -> None:
+    with system.plant("x20") as plant, system.controller(name="second"):
+        system.wait(lambda: plant.plant.receiver.accepted)
+    with system.plant("x20") as plant:
+        with system.controller(name="second") as second:
+            system.wait(lambda: system.k > 10)
+            with system.controller() as first:
+                system.wait(lambda: first._detail != "")
+        with system.controller(name="second") as again:
+            system.wait(lambda: plant.plant.receiver.controller == again.sender.instance)
+            k = system.k
+            system.wait(lambda: plant.plant.receiver.record.applied_k > k)
+    assert second.sender.record.session == again.sender.record.session
+    assert first.sender.record.session is None
+
+
+def test_a_second_plant_does_not_disturb_the_first(
+    system: System, caplog: pytest.LogCaptureFixture
+) -> None:
+    with listened(caplog), system.controller(b"one"), system.plant("x20") as first:
+        system.wait(lambda: system.k > 10)
+        with system.plant("x20", name="second") as second:
+            k = system.k
+            system.wait(lambda: system.k > k + 60)
+            assert not second.plant.receiver.accepted
+        system.wait(lambda: system.recovered() == [b"one"])
+        assert first.plant.receiver.record.sessions == 1
+    told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
+    both = (first.plant.receiver.instance, second.plant.receiver.instance)
+    assert told
+    assert all(name in told[0] for name in both)
+
+
+def test_a_plant_without_its_journal_is_taken_up_by_a_controller_that_ran_on(
+    system: System,
+) -> None:
+    with system.controller(b"a message") as controller:
+        with system.plant("x20"):
+            system.wait(lambda: system.k > 10)
+        lose(system.run_dir / PLANT_JOURNAL)
+        with system.plant("x20"):
+            system.wait(lambda: system.recovered() == [b"a message"])
+    assert len(controller.sender.record.ended) == 1
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def lose(journal: Path) -> None:
+    for path in journal.parent.glob("journal.sqlite3*"):
+        path.unlink()
+
+
+@pytest.mark.parametrize("side", ["plant", "controller"])
+def test_a_status_that_cannot_be_written_ends_the_service_and_closes_its_files(
+    system: System, side: str
+) -> None:
+    health = system.run_dir / (PLANT_HEALTH if side == "plant" else CONTROLLER_HEALTH)
+    health.mkdir(parents=True)
+    start = system.plant if side == "plant" else system.controller
+    for _ in range(2):
+        system.errors.clear()
+        with start() as service:
+            system.wait(lambda: side in system.errors)
+        assert isinstance(system.errors[side], IsADirectoryError)
+        assert system.errors[side].__context__ is None
+        assert service._trace._file.closed
+
+
+class Full:
+    """A file on a disk that has room for ``room`` more lines, and for half of the next."""
+
+    def __init__(self, file: BinaryIO, room: int) -> None:
+        self._file = file
+        self._room = room
+
+    def write(self, line: bytes) -> int:
+        self._room -= 1
+        return self._file.write(line if self._room >= 0 else line[: len(line) // 2])
+
+    def close(self) -> None:
+        self._file.close()
+
+
+@pytest.mark.parametrize("side", ["plant", "controller"])
+@pytest.mark.parametrize("room", [50, 51, 52])
+def test_a_full_disk_ends_the_service_and_no_event_is_lost(
+    system: System, side: str, room: int
+) -> None:
+    shutil.copy(SCENARIOS / "sustained.toml", system.run_dir / SCENARIO)
+    trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
+    with system.controller(b"one") as controller, system.plant() as plant:
+        service: PlantService | ControllerService = plant if side == "plant" else controller
+        service._trace._file = Full(service._trace._file, room)  # type: ignore[assignment]
+        system.wait(lambda: side in system.errors)
+    error = system.errors[side]
+    assert isinstance(error, OSError)
+    assert (error.errno, error.filename) == (errno.ENOSPC, str(trace))
+    with system.controller(b"one"), system.plant():
+        system.wait(lambda: system.recovered() == [b"one"])
+    assert main(["check", str(system.run_dir)]) == 0
+
+
+# --- commands and statuses ------------------------------------------------------------------------
+
+
+def test_an_identifier_belongs_to_one_message(system: System) -> None:
+    ops = MemoryBus(system.ops)
+    answered = replies_on(ops)
+    put = ops.publisher(key_of(SendCommand, "loop")).put
+    asked = [("a", b"text"), ("a", b"text"), ("a", b"other"), ("initial", b"mine")]
+    with system.controller(b"one"), system.plant():
+        for name, payload in asked:
+            put(SendCommand(id=name, payload=payload).wire())
+        system.wait(lambda: len(answered) == len(asked))
+        system.wait(lambda: len(system.recovered()) == 2)
+    assert [r.accepted for r in answered] == [True, True, False, False]
+    assert "already queued" in answered[1].detail
+    assert "'a'" in answered[2].detail
+    assert "'initial'" in answered[3].detail
+    assert system.recovered() == [b"one", b"text"]
+
+
+def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
+    with system.plant("x20"):
+        with system.controller(b"one"):
+            system.wait(lambda: system.k > 20)
+        lose(system.run_dir / CONTROLLER_JOURNAL)
+        with system.controller(b"one") as controller:
+            system.wait(lambda: controller._detail != "")
+            system.wait(lambda: controller.status().phase == "running")
+            k = system.k
+            system.wait(lambda: system.k > k + 20)
+            assert (controller.status().phase, controller.status().detail) == ("running", "")
+
+
+def test_the_status_has_the_horizon_that_was_designed(system: System) -> None:
+    longer = system.scenario.control.model_copy(update={"horizon": 9999})
+    scenario = system.scenario.model_copy(update={"control": longer})
+    with system.controller(scenario=scenario) as controller:
+        assert controller.status().horizon == system.law.design.horizon
+
+
+# --- frames and restarts --------------------------------------------------------------------------
+
+
+def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System) -> None:
+    """The first one's chunks must be gone, and the second one's must be there."""
+    long = (b"A" * 12, b"B" * 12)
+    put = MemoryBus(system.ops).publisher(key_of(SendCommand, "loop")).put
+    with system.controller(long[0]):
+        put(SendCommand(id="second", payload=long[1]).wire())
+        with system.plant() as plant:
+            receiver = plant.plant.receiver
+            system.wait(
+                lambda: receiver.record.messages == 1 and len(receiver.deframer.symbols) > 80
+            )
+        with system.plant() as plant:
+            receiver = plant.plant.receiver
+            system.wait(lambda: receiver.record.messages + receiver.record.frames_refused == 2)
+    assert system.recovered() == list(long)
+
+
+def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System) -> None:
+    """What was received of the frame in the session before must be gone from the journal."""
+    message = b"A" * 30
+    with system.plant() as plant:
+        receiver = plant.plant.receiver
+        with system.controller(message):
+            system.wait(lambda: len(receiver.deframer.symbols) > 100)
+        lose(system.run_dir / CONTROLLER_JOURNAL)
+        with system.controller(message):
+            system.wait(
+                lambda: receiver.record.sessions == 2 and len(receiver.deframer.symbols) > 20
+            )
+            plant._stopping.set()
+            system.wait(lambda: "plant" in system.codes)
+            with system.plant() as again:
+                now = again.plant.receiver
+                system.wait(lambda: now.record.messages + now.record.frames_refused > 0)
+    assert system.recovered() == [message]
+
+
+@pytest.mark.parametrize("side", ["plant", "controller"])
+def test_a_journal_put_back_from_an_old_copy_ends_the_session(system: System, side: str) -> None:
+    message = b"A" * 30
+    journal = system.run_dir / (PLANT_JOURNAL if side == "plant" else CONTROLLER_JOURNAL)
+    with system.controller(message), system.plant(steps=300):
+        system.wait(lambda: "plant" in system.codes)
+    old = {path: path.read_bytes() for path in journal.parent.glob("journal.sqlite3*")}
+    with system.controller(message), system.plant(steps=600):
+        system.wait(lambda: system.k >= 600)
+    lose(journal)
+    for path, content in old.items():
+        path.write_bytes(content)
+    with system.controller(message), system.plant() as plant:
+        system.wait(lambda: system.recovered() == [message])
+    assert plant.plant.receiver.record.frames_refused == 0
+    assert len({e["session"] for e in read_trace(system.run_dir / PLANT_TRACE).of("session")}) == 2

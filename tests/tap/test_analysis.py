@@ -1,0 +1,148 @@
+"""The heavy eavesdroppers' process: what it skips when it is far behind, and what it waits for."""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import TapStatus
+from protocol.runtime.trace import CAPTURE
+from tap_service import analysis
+from tap_service.analysis import Assignment, analyse
+from tap_service.capture import recording as capture
+from tap_service.capture.channel import View
+from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line, parts_of
+from tap_service.capture.transcript import Transcript
+from wyner.studies.secrecy.runs import Run, simulate
+
+LOG = logging.getLogger("test")
+NAME = "nearest-centre"
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulate(300, 11)
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The messages that the process heard; it runs in a thread here."""
+    messages: list[object] = []
+
+    class Counting(Transcript):
+        def hear(self, message):  # type: ignore[no-untyped-def]
+            messages.append(message)
+            return super().hear(message)
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    monkeypatch.setattr(analysis, "Transcript", Counting)
+    monkeypatch.setattr(analysis, "SLICE_S", 0.0)
+    monkeypatch.setattr(analysis, "REST_RATIO", 0.0)
+    monkeypatch.setattr(analysis, "BELIEF_PERIOD_S", 0.01)
+    return messages
+
+
+def header(run: Run, view: View) -> dict[str, object]:
+    return {
+        "loop": "loop",
+        "knowledge": run.scenario.knowledge().model_dump(mode="json"),
+        "view": view.model_dump(mode="json"),
+    }
+
+
+def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
+    limits = Limits(part_bytes=part_bytes, free_bytes=0)
+    log = RotatingLog(run_dir / CAPTURE, header(run, view), limits, LOG)
+    for i, message in enumerate(run.messages):
+        log.write(mirror_line(i, message.topic, message.wire()))
+        if i % 10 == 0:
+            log.write(garbage_line(i, "key", b"?"))
+    log.close()
+
+
+@contextmanager
+def started(run: Run, run_dir: Path) -> Iterator[Connection]:
+    knowledge = {NAME: run.scenario.knowledge()}
+    given = Assignment(run_dir, (NAME,), knowledge, Limits(free_bytes=0), header(run, View()))
+    ours, theirs = Pipe()
+    thread = threading.Thread(target=analyse, args=(given, theirs))
+    thread.start()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        thread.join(20.0)
+        theirs.close()
+    assert not thread.is_alive()
+
+
+def status_when_caught_up(pipe: Connection) -> TapStatus:
+    while True:
+        assert pipe.poll(20.0)
+        status: TapStatus = pipe.recv()[0]
+        if status.behind == 0:
+            return status
+
+
+@pytest.mark.parametrize("part_bytes", [10_000, 10**8])
+def test_every_message_is_heard_or_counted_as_skipped(
+    run: Run,
+    tmp_path: Path,
+    heard: list[object],
+    monkeypatch: pytest.MonkeyPatch,
+    part_bytes: int,
+) -> None:
+    monkeypatch.setattr(analysis, "FAR_BEHIND", 20_000)
+    monkeypatch.setattr(capture, "CHUNK", 4000)
+    record(run, tmp_path, part_bytes, View())
+    lines = sum(p.read_bytes().count(b"\n") - 1 for p in parts_of(tmp_path / CAPTURE))
+    readers: list[capture.CaptureReader] = []
+
+    def reader_of(*args: object) -> capture.CaptureReader:
+        readers.append(capture.CaptureReader(*args))  # type: ignore[arg-type]
+        return readers[-1]
+
+    monkeypatch.setattr(analysis, "CaptureReader", reader_of)
+    with started(run, tmp_path) as pipe:
+        status = status_when_caught_up(pipe)
+    (reader,) = readers
+    assert status.dropped == reader.skipped > 0
+    assert len(heard) + reader.skipped + reader.garbage + reader.torn == lines
+    assert heard[-1] == run.messages[-1]
+    assert len(heard) > 20
+
+
+def test_nothing_is_skipped_by_one_who_keeps_up(
+    run: Run, tmp_path: Path, heard: list[object]
+) -> None:
+    record(run, tmp_path, 10_000, View())
+    with started(run, tmp_path) as pipe:
+        assert status_when_caught_up(pipe).dropped == 0
+    assert heard == list(run.messages)
+
+
+def test_it_waits_for_a_capture_of_its_own_settings(
+    run: Run, tmp_path: Path, heard: list[object]
+) -> None:
+    record(run, tmp_path, 10**8, View(loss=0.5))
+    with started(run, tmp_path) as pipe:
+        assert not pipe.poll(0.1)
+        record(run, tmp_path, 10**8, View())
+        assert status_when_caught_up(pipe).dropped == 0
+    assert heard == list(run.messages)
+
+
+def test_it_ends_also_while_it_waits(run: Run, tmp_path: Path, heard: list[object]) -> None:
+    with started(run, tmp_path) as pipe:
+        pipe.send("finish")
+        assert pipe.poll(20.0)
+        assert pipe.recv() is None
+    assert heard == []

@@ -1,0 +1,515 @@
+"""Captures: nothing lost but a torn line, never more disk than allowed, and always said."""
+
+import errno
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic_core import from_json
+
+from protocol.messages import Measurement, Offer
+from protocol.runtime.trace import CAPTURE, read_trace
+from tap_service.capture import recording as capture
+from tap_service.capture.recording import (
+    CaptureError,
+    CaptureReader,
+    Limits,
+    RotatingLog,
+    garbage_line,
+    mirror_line,
+    part_path,
+    parts_of,
+)
+
+LOG = logging.getLogger("test")
+SESSION = "0123456789abcdef"
+ROOMY = Limits(free_bytes=0)
+
+
+def measurement(k: int) -> Measurement:
+    return Measurement(
+        session=SESSION, k=k, x=(1 / 3, -0.1), applied_k=k - 1, x_after=(1 / 3, -0.1)
+    )
+
+
+def line_of(message: Measurement | Offer, t_ns: int = 0) -> bytes:
+    return mirror_line(t_ns, message.topic, message.wire())
+
+
+def record(path: Path, count: int, limits: Limits = ROOMY) -> RotatingLog:
+    log = RotatingLog(path, {"loop": "loop"}, limits, LOG)
+    for k in range(count):
+        log.write(line_of(measurement(k), k))
+    return log
+
+
+def read(path: Path) -> tuple[CaptureReader, list[Measurement | Offer]]:
+    reader = CaptureReader(path)
+    messages = [m for _, m in reader.records()]
+    reader.finish()
+    return reader, messages
+
+
+def test_messages_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    record(tmp_path / CAPTURE, 50).close()
+    reader, messages = read(tmp_path)
+    assert messages == [measurement(k) for k in range(50)]
+    assert reader.header["capture_version"] == 1
+    assert reader.header["loop"] == "loop"
+    assert reader.torn == reader.garbage == 0
+
+
+def test_a_capture_is_a_trace_that_the_common_reader_reads(tmp_path: Path) -> None:
+    record(tmp_path / CAPTURE, 3).close()
+    trace = read_trace(tmp_path / CAPTURE)
+    assert trace.header["vantage"] == "tap"
+    assert [e["message"]["k"] for e in trace.of("field")] == [0, 1, 2]
+
+
+def test_a_torn_last_line_loses_that_line_only(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    record(path, 20).close()
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-30])
+    reader, messages = read(path)
+    assert messages == [measurement(k) for k in range(19)]
+    assert reader.torn == 1
+
+
+def test_going_on_after_a_crash_begins_a_new_part(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    record(path, 5).close()
+    path.write_bytes(path.read_bytes()[:-10])
+    record(path, 5).close()
+    reader, messages = read(path)
+    assert [m.k for m in messages] == [0, 1, 2, 3, 0, 1, 2, 3, 4]
+    assert reader.torn == 1
+    assert len(parts_of(path)) == 2
+
+
+def test_a_line_break_inside_a_payload_stays_one_line() -> None:
+    payload = measurement(3).model_dump_json(indent=2).encode()
+    line = mirror_line(1, "measurement", payload)
+    assert b"\n" not in line
+    assert from_json(line)["message"] == from_json(payload)
+
+
+def test_garbage_is_kept_byte_for_byte(tmp_path: Path) -> None:
+    log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
+    log.write(garbage_line(5, "wyner/v1/loop/offer", b"\x00\xff{\n"))
+    log.close()
+    (event,) = read_trace(tmp_path / CAPTURE).of("garbage")
+    assert event["base64"] == "AP97Cg=="
+    reader, messages = read(tmp_path)
+    assert not messages
+    assert reader.garbage == 1
+
+
+def test_parts_end_by_size_and_the_oldest_go(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    limits = Limits(part_bytes=4096, total_bytes=16384, free_bytes=0)
+    path = tmp_path / CAPTURE
+    with caplog.at_level(logging.WARNING):
+        log = record(path, 500, limits)
+        log.close()
+    on_disk = sum(p.stat().st_size for p in parts_of(path))
+    assert on_disk == log.size <= limits.total_bytes
+    assert log.parts_dropped > 0
+    assert log.written == 500
+    assert "part dropped" in caplog.text
+    reader, messages = read(path)
+    assert reader.parts_missing == log.parts_dropped
+    kept = [m.k for m in messages]
+    assert kept == list(range(kept[0], 500))
+
+
+@pytest.mark.parametrize("part_bytes", [1024, 20_000, 64 * 2**20])
+def test_all_parts_together_never_exceed_their_bound(tmp_path: Path, part_bytes: int) -> None:
+    limits = Limits(part_bytes=part_bytes, total_bytes=20_000, free_bytes=0)
+    path = tmp_path / CAPTURE
+    log = RotatingLog(path, {"loop": "x" * 300}, limits, LOG)
+    most = 0
+    for k in range(1000):
+        log.write(line_of(measurement(k)))
+        log.flush()
+        on_disk = sum(p.stat().st_size for p in parts_of(path))
+        assert on_disk == log.size <= limits.total_bytes
+        most = max(most, on_disk)
+    log.close()
+    assert most > limits.total_bytes - limits.total_bytes // 2
+    assert [m.k for m in read(path)[1]][-1] == 999
+    assert len(parts_of(path)) > 1
+
+
+def test_a_line_that_no_bound_has_room_for_is_dropped_alone(tmp_path: Path) -> None:
+    limits = Limits(part_bytes=1024, total_bytes=4096, free_bytes=0)
+    log = record(tmp_path / CAPTURE, 3, limits)
+    log.write(b"x" * 5000)
+    log.close()
+    assert (log.dropped, log.parts_dropped) == (1, 0)
+    assert [m.k for m in read(tmp_path)[1]] == [0, 1, 2]
+
+
+def test_a_header_that_no_bound_has_room_for_pauses_the_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    limits = Limits(part_bytes=1024, total_bytes=2048, free_bytes=0)
+    log = RotatingLog(tmp_path / CAPTURE, {"loop": "x" * 3000}, limits, LOG)
+    log.write(line_of(measurement(0)))
+    log.close()
+    assert (log.paused, log.dropped) == (True, 1)
+    assert "no room for a header" in caplog.text
+    assert parts_of(tmp_path / CAPTURE) == []
+
+
+def test_parts_end_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    log = RotatingLog(tmp_path / CAPTURE, {}, Limits(part_s=10.0, free_bytes=0), LOG)
+    for k in range(4):
+        log.write(line_of(measurement(k)))
+        now[0] += 6.0
+    log.close()
+    assert len(parts_of(tmp_path / CAPTURE)) == 2
+    assert [m.k for m in read(tmp_path)[1]] == [0, 1, 2, 3]
+
+
+def test_a_full_disk_pauses_the_recording_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    free = [10**9]
+    monkeypatch.setattr(RotatingLog, "_free", lambda _self: free[0])
+    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    log = RotatingLog(tmp_path / CAPTURE, {}, Limits(free_bytes=10**6), LOG)
+    with caplog.at_level(logging.INFO):
+        log.write(line_of(measurement(0)))
+        free[0] = 10
+        log.write(line_of(measurement(1)))
+        log.write(line_of(measurement(2)))
+        assert (log.paused, log.dropped) == (True, 2)
+        free[0] = 10**9
+        log.write(line_of(measurement(3)))
+    log.close()
+    assert (log.paused, log.dropped) == (False, 2)
+    assert [m.k for m in read(tmp_path)[1]] == [0, 3]
+    assert caplog.text.count("recording paused") == 1
+    assert "recording again, 2 lines were dropped" in caplog.text
+
+
+def test_parts_that_end_in_a_pause_count_towards_the_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [10**9]
+    monkeypatch.setattr(RotatingLog, "_free", lambda _self: free[0])
+    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    limits = Limits(part_bytes=10_000, total_bytes=20_000, free_bytes=1000)
+    path = tmp_path / CAPTURE
+    log = RotatingLog(path, {}, limits, LOG)
+    for _ in range(30):
+        free[0] = 10**9
+        for k in range(20):
+            log.write(line_of(measurement(k)))
+        free[0] = 0
+        log.write(line_of(measurement(20)))
+        assert log.size == sum(p.stat().st_size for p in parts_of(path)) <= limits.total_bytes
+    log.close()
+    assert log.written == 600
+
+
+def test_a_disk_that_others_fill_costs_no_part_of_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    path = tmp_path / CAPTURE
+    log = record(path, 100, Limits(part_bytes=2048, free_bytes=0))
+    log.close()
+    before = {p: p.read_bytes() for p in parts_of(path)}
+    assert len(before) > 5
+    monkeypatch.setattr(RotatingLog, "_free", lambda _self: 10)
+    log = RotatingLog(path, {"loop": "loop"}, Limits(part_bytes=2048, free_bytes=1000), LOG)
+    log.write(line_of(measurement(100)))
+    log.close()
+    assert (log.paused, log.dropped, log.parts_dropped) == (True, 1, 0)
+    assert before.items() <= {p: p.read_bytes() for p in parts_of(path)}.items()
+
+
+@pytest.mark.parametrize("written", [None, 0, 10])
+def test_a_header_that_cannot_be_written_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: int | None
+) -> None:
+    put = os.write
+
+    def full(file: int, block: bytes) -> int:
+        if written is None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return put(file, block[:written])
+
+    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    path = tmp_path / CAPTURE
+    log = record(path, 3)
+    log.flush()
+    monkeypatch.setattr(os, "write", full)
+    log.write(line_of(measurement(3)))
+    log.flush()
+    files = len(list(Path("/dev/fd").iterdir()))
+    for _ in range(50):
+        log.write(line_of(measurement(4)))
+    assert (log.paused, log.dropped) == (True, 51)
+    assert len(list(Path("/dev/fd").iterdir())) == files
+    assert parts_of(path) == [path]
+    monkeypatch.setattr(os, "write", put)
+    log.write(line_of(measurement(5)))
+    log.close()
+    assert parts_of(path) == [path, part_path(path, 1)]
+    assert [m.k for m in read(path)[1]] == [0, 1, 2, 5]
+
+
+def test_a_part_without_a_header_is_left_out_and_counted(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    for _ in range(5):
+        record(path, 3).close()
+    path.write_bytes(b"")
+    part_path(path, 1).write_bytes(b'{"event":"hea')
+    part_path(path, 3).write_bytes(line_of(measurement(9)) + b"\n" + line_of(measurement(9)))
+    reader, messages = read(path)
+    assert [m.k for m in messages] == [0, 1, 2] * 2
+    assert (reader.torn, reader.parts_missing) == (4, 0)
+
+
+def test_a_block_that_the_disk_cuts_short_is_counted_line_by_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = record(tmp_path / CAPTURE, 5, ROOMY)
+    log.flush()
+    for k in range(5, 10):
+        log.write(line_of(measurement(k)))
+    room = 2 * len(line_of(measurement(5))) + 10
+    put = os.write
+    monkeypatch.setattr(os, "write", lambda file, block: put(file, block[:room]))
+    log.flush()
+    assert (log.written, log.dropped, log.paused) == (7, 3, True)
+    monkeypatch.undo()
+    log.close()
+    reader, messages = read(tmp_path)
+    assert [m.k for m in messages] == list(range(7))
+    assert reader.torn == 1
+
+
+def test_reading_follows_a_capture_that_grows_and_rotates(tmp_path: Path) -> None:
+    limits = Limits(part_bytes=2048, total_bytes=10**6, free_bytes=0)
+    log = RotatingLog(tmp_path / CAPTURE, {}, limits, LOG)
+    reader = CaptureReader(tmp_path)
+    seen = []
+    for k in range(100):
+        log.write(line_of(measurement(k)))
+        if k % 7 == 0:
+            log.flush()
+            seen += [m.k for _, m in reader.records()]
+    log.close()
+    seen += [m.k for _, m in reader.records()]
+    assert seen == list(range(100))
+    assert reader.behind_bytes == 0
+    assert len(parts_of(tmp_path / CAPTURE)) > 3
+
+
+@pytest.mark.parametrize("part_bytes", [2048, 10**6])
+@pytest.mark.parametrize("keep", [0, 3000])
+def test_skipping_ahead_counts_every_line_that_it_leaves_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int, keep: int
+) -> None:
+    monkeypatch.setattr(capture, "CHUNK", 1500)
+    limits = Limits(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
+    path = tmp_path / CAPTURE
+    log = RotatingLog(path, {}, limits, LOG)
+    for k in range(200):
+        log.write(line_of(measurement(k)))
+        if k % 3 == 0:
+            log.write(garbage_line(k, "key", b"?"))
+        if k % 5 == 0:
+            log.write(b"no message")
+    log.close()
+    lines = sum(p.read_bytes().count(b"\n") - 1 for p in parts_of(path))
+    reader = CaptureReader(path)
+    records = reader.records()
+    first = [next(records)[1].k for _ in range(10)]
+    reader.skip(keep)
+    assert keep - 1500 <= reader.behind_bytes <= keep
+    rest = [m.k for _, m in reader.records()]
+    assert first == list(range(10))
+    assert rest == list(range(200 - len(rest), 200))
+    assert bool(rest) == (keep > 0)
+    assert len(first) + len(rest) + reader.skipped + reader.torn + reader.garbage == lines == 307
+    assert reader.behind_bytes == 0
+
+
+def test_a_reader_that_is_left_and_taken_up_again_loses_nothing(tmp_path: Path) -> None:
+    record(tmp_path / CAPTURE, 50).close()
+    reader = CaptureReader(tmp_path)
+    assert [next(reader.records())[1].k for _ in range(50)] == list(range(50))
+
+
+def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / CAPTURE
+    record(path, 1000, Limits(part_bytes=100_000, free_bytes=0)).close()
+    first, second = parts_of(path)
+    assert first.stat().st_size > second.stat().st_size
+    monkeypatch.setattr(capture, "CHUNK", first.stat().st_size)
+    reader = CaptureReader(path)
+    pending = [next(reader.records())[1].k for _ in range(10)]
+    first.unlink()
+    assert reader.behind_bytes > second.stat().st_size
+    pending += [m.k for _, m in reader.records()]
+    assert pending == list(range(1000))
+    assert reader.behind_bytes == 0
+
+
+def test_a_reader_whose_last_parts_were_dropped_waits_with_nothing_behind(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    record(path, 100).close()
+    reader = CaptureReader(path)
+    list(reader.records())
+    path.unlink()
+    assert reader.behind_bytes == 0
+    part_path(path, 1).write_bytes(b"x")
+    assert reader.behind_bytes == 1
+
+
+KNOWN: dict[str, Any] = {"loop": "loop", "knowledge": {"A": [[0.1, 1e300]]}, "view": {"loss": 0.0}}
+
+
+@pytest.mark.parametrize(
+    ("later", "expected"),
+    [
+        ({"knowledge": {"A": [[0.2, 1e300]]}}, "knowledge: differs from the first part's"),
+        ({"view": {"loss": 0.1}}, "view: differs from the first part's"),
+        ({"loop": "other"}, "loop: differs from the first part's"),
+        ({"capture_version": 2}, "capture_version: got 2, expected 1"),
+    ],
+)
+def test_a_part_of_other_settings_is_told_and_not_mixed_in(
+    tmp_path: Path, later: dict[str, object], expected: str
+) -> None:
+    path = tmp_path / CAPTURE
+    RotatingLog(path, KNOWN, ROOMY, LOG).close()
+    live = CaptureReader(path)
+    second = RotatingLog(path, KNOWN | later, ROOMY, LOG)
+    second.write(line_of(measurement(7)))
+    second.close()
+    for read_it in (lambda: CaptureReader(path), lambda: list(live.records())):
+        with pytest.raises(CaptureError) as error:
+            read_it()
+        assert str(error.value).startswith(f"{part_path(path, 1)}: line 1: {expected}")
+        assert "\n" not in str(error.value)
+
+
+def test_a_tap_that_starts_again_with_other_eavesdroppers_goes_on(tmp_path: Path) -> None:
+    for names in (["oracle"], ["learning"]):
+        log = RotatingLog(tmp_path / CAPTURE, KNOWN | {"eavesdroppers": names}, ROOMY, LOG)
+        log.write(line_of(measurement(len(names[0]))))
+        log.close()
+    assert [m.k for m in read(tmp_path)[1]] == [6, 8]
+
+
+def test_one_who_listens_begins_after_the_parts_of_other_settings(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    bound = {"knowledge": {"h": [float("inf")]}}
+    for k, header in enumerate([KNOWN | bound, KNOWN, KNOWN | {"capture_version": 9}]):
+        log = RotatingLog(path, header, ROOMY, LOG)
+        log.write(line_of(measurement(k)))
+        log.close()
+    with pytest.raises(CaptureError, match="no part with these settings"):
+        CaptureReader(path, KNOWN)
+    for k in (3, 4):
+        log = RotatingLog(path, KNOWN | bound, ROOMY, LOG)
+        log.write(line_of(measurement(k)))
+        log.close()
+    reader = CaptureReader(path, KNOWN | bound)
+    assert [m.k for _, m in reader.records()] == [3, 4]
+    assert reader.parts_missing == 0
+
+
+def test_a_later_part_can_be_read_by_itself(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    record(path, 2).close()
+    record(path, 3).close()
+    reader, messages = read(part_path(path, 1))
+    assert [m.k for m in messages] == [0, 1, 2]
+    assert reader.parts_missing == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (None, "no such capture"),
+        (b"", "line 1: expected a header"),
+        (b"not json\n", "line 1: expected a header"),
+        (b'{"event":"header","format":"wyner-trace","version":1,"vantage":"plant"}\n', "got None"),
+        (
+            b'{"format":"wyner-trace","vantage":"tap","capture_version":9}\n',
+            "capture_version: got 9, expected 1",
+        ),
+    ],
+)
+def test_what_is_no_capture_is_refused_in_one_line(
+    tmp_path: Path, content: bytes | None, expected: str
+) -> None:
+    path = tmp_path / "capture.jsonl"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(CaptureError, match=expected) as error:
+        CaptureReader(path)
+    assert "\n" not in str(error.value)
+
+
+def test_part_names_sort_and_other_files_are_left_alone(tmp_path: Path) -> None:
+    base = tmp_path / "capture.jsonl"
+    for number in (0, 1, 2, 10):
+        part_path(base, number).write_bytes(b"")
+    (tmp_path / "capture-notes.jsonl").write_bytes(b"")
+    (tmp_path / "guesses.jsonl").write_bytes(b"")
+    names = [p.name for p in parts_of(base)]
+    assert names == [part_path(base, n).name for n in (0, 1, 2, 10)]
+
+
+WRITER = """
+import logging, sys
+from pathlib import Path
+from protocol.messages import Measurement
+from tap_service.capture.recording import Limits, RotatingLog, mirror_line
+log = RotatingLog(Path(sys.argv[1]), {}, Limits(free_bytes=0), logging.getLogger())
+k = 0
+while True:
+    m = Measurement(session="0" * 16, k=k, x=(0.5,), applied_k=-1, x_after=())
+    log.write(mirror_line(k, m.topic, m.wire()))
+    k += 1
+    if k % 100 == 0:
+        log.flush()
+        print(k, flush=True)
+"""
+
+
+def test_what_was_written_survives_kill_9(tmp_path: Path) -> None:
+    path = tmp_path / CAPTURE
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    told = 0
+    while told < 1000:
+        told = int(process.stdout.readline())
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    reader, messages = read(path)
+    assert [m.k for m in messages] == list(range(len(messages)))
+    assert len(messages) >= told
+    assert reader.torn <= 1

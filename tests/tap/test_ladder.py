@@ -1,0 +1,404 @@
+"""The ladder on seeded runs: what each must get, and the controls that must fail."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic_core import from_json
+
+from protocol.knowledge import Knowledge
+from tap_service.capture.channel import View
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import (
+    LADDER,
+    Belief,
+    Eavesdropper,
+    Guess,
+    KnowledgeError,
+    named,
+    smoother,
+)
+from tap_service.eavesdroppers.list_decoder import ListDecoder
+from tap_service.status import Listener, belief_record, beliefs_json, status_of
+from wyner.scoring.replay import COUNTS
+from wyner.scoring.score import Proportion, Said, TapScore, score
+from wyner.studies.secrecy.runs import Run, simulate, text_of
+from wyner.studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
+
+CLEAR = View()
+
+
+def play(run: Run, name: str, view: View = CLEAR) -> tuple[Said, TapScore]:
+    kind = named(name)
+    said = said_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
+    return said, score(run.truth, said)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from(ALPHAS), st.integers(0, 10**6))
+def test_nearest_centre_is_never_wrong_on_an_agreed_step(alpha: float, seed: int) -> None:
+    run = simulate(150, seed, alpha=alpha)
+    _, scored = play(run, "nearest-centre")
+    assert scored.keys.right == scored.keys.of
+
+
+@pytest.mark.parametrize("name", ["paper", "quadruple-tank"])
+def test_nearest_centre_on_other_systems(name: str) -> None:
+    run = simulate(60, 1, name=name, alpha=8.0)
+    _, scored = play(run, "nearest-centre")
+    assert scored.keys.of > 0
+    assert scored.keys.right == scored.keys.of
+
+
+def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
+    scores = [play(simulate(1000, seed), "set-membership")[1] for seed in range(4)]
+    keys = Proportion(sum(s.keys.right for s in scores), sum(s.keys.of for s in scores))
+    low, high = keys.interval
+    assert low < 0.5 < high
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["list-decoder", "oracle"])
+def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -> None:
+    run = simulate(1000, seed)
+    said, scored = play(run, name)
+    assert run.truth.whole
+    assert said.whole == tuple(p for _, p in run.truth.whole)
+    assert said.solved_k == run.truth.whole[0][0]
+    assert scored.bits.right == scored.bits.of
+
+
+def test_several_messages_come_in_order() -> None:
+    payloads = [b"one", b"two", b"three"]
+    run = simulate(1300, 7, payloads=payloads)
+    assert len(run.truth.whole) == 3
+    for name in ("list-decoder", "oracle"):
+        assert play(run, name)[0].whole == tuple(payloads)
+
+
+def test_raw_english_without_a_frame_check() -> None:
+    import random
+
+    exact = 0
+    for seed in range(8):
+        rng = random.Random(f"raw text {seed}")
+        run = simulate(1000, seed, payloads=[text_of(rng) for _ in range(3)], raw=True)
+        tap = ListDecoder(run.scenario.knowledge(), framed=False)
+        said = said_about(tap, heard_by(run, CLEAR))
+        exact += said.message == b" ".join(run.payloads)[: len(run.stream) // 8]
+    assert exact >= 6  # at a true rate of 80 % a run of eight does worse once in twenty
+
+
+@pytest.mark.slow
+def test_the_learner_starts_from_nothing() -> None:
+    exact = right = of = 0
+    for seed in range(3):
+        run = simulate(1200, seed)
+        said, scored = play(run, "learning")
+        exact += said.whole == tuple(p for _, p in run.truth.whole)
+        early = {at: v for at, v in run.truth.keys.items() if at[1] < 200}
+        right += sum(said.reviewed.get(at) == v for at, v in early.items())
+        of += len(early)
+        assert scored.keys_reviewed.right >= 0.99 * scored.keys_reviewed.of
+    assert exact >= 2
+    assert right >= 0.95 * of
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [0.1, 0.3, 0.5])
+def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
+    exact = 0
+    for seed in range(2):
+        run = simulate(1200, 100 + seed)
+        said, _ = play(run, "learning", View(model_error=error, seed=seed))
+        exact += said.whole == tuple(p for _, p in run.truth.whole)
+    assert exact >= 1
+
+
+@pytest.mark.slow
+def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> None:
+    for loss in (0.1, 0.3):
+        view = View(loss=loss, seed=3)
+        run = simulate(1000, 3)
+        plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "smoother"))
+        assert smooth.keys_reviewed.right > plain.keys_reviewed.right
+        blind = 0.5 * smooth.keys.of
+        assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
+
+
+def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
+    run = simulate(900, 2)
+    said, scored = play(run, "smoother")
+    assert said.whole == tuple(p for _, p in run.truth.whole) != ()
+    assert scored.bits.right == scored.bits.of
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["list-decoder", "learning", "smoother", "oracle"])
+def test_a_run_longer_than_she_keeps_loses_no_message(name: str) -> None:
+    """Messages one after the other, across the steps at which she lets go of the older half."""
+    payloads = [b"message number %02d" % i for i in range(30)]
+    run = simulate(9000, 1, payloads=payloads)
+    said, scored = play(run, name)
+    assert len(run.truth.whole) >= 10
+    assert said.whole == tuple(p for _, p in run.truth.whole)
+    assert scored.keys_reviewed.right == scored.keys_reviewed.of
+    assert (scored.bits.share or 0) > 0.999
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["learning", "smoother"])
+def test_a_message_longer_than_she_keeps_is_had(name: str) -> None:
+    text = (b"It was a quiet night at the harbour and nobody saw the boats leave. " * 5)[:300]
+    run = simulate(11_000, 1, payloads=[text])
+    assert [p for _, p in run.truth.whole] == [text]
+    assert play(run, name)[0].whole == (text,)
+
+
+def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(smoother, "KEPT", 256)
+    run = simulate(400, 3, payloads=[b"let go"])
+    view = View(loss=0.02, seed=1)
+    said, scored = play(run, "smoother", view)
+    oldest = [at for at in said.live if at[1] < 120]
+    assert len(oldest) > 100
+    assert all(at in said.reviewed for at in oldest)
+    assert scored.keys_reviewed.right > scored.keys.right
+
+
+# --- negative controls ---------------------------------------------------------------------------
+
+
+def test_alpha_one_agrees_no_key() -> None:
+    assert not simulate(1000, 1, alpha=1.0).truth.keys
+
+
+def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
+    _, scored = play(simulate(1000, 5), "oracle")
+    assert scored.guessing == 1.0
+
+
+@pytest.mark.parametrize("name", LADDER)
+def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
+    run = simulate(300, 6)
+    tap = named(name)(knowledge_for(run, named(name), CLEAR))
+    holes = [Transition(t.session, t.k, None, None, None, None) for t in heard_by(run, CLEAR)]
+    said = said_about(tap, holes)
+    assert not said.whole
+    guesses = [*map(tap.observe, holes), *tap.review()]
+    assert max(max(g.symbol) for g in guesses) == 0.5
+    right = score(run.truth, said).keys
+    assert 0.35 < (right.share or 0) < 0.65  # the first of two equals, on some 65 keys
+
+
+@pytest.mark.parametrize("name", LADDER)
+def test_who_was_there_and_heard_no_message_is_scored_as_a_blind_guess(name: str) -> None:
+    run = simulate(300, 6)
+    heard = heard_by(run, View(loss=1.0))
+    assert heard == []
+    said = said_about(named(name)(knowledge_for(run, named(name), CLEAR)), heard)
+    scored = score(run.truth, said)
+    assert scored.keys.of == len(run.truth.keys)
+    assert scored.guessing == 0.5
+
+
+@pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])
+def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
+    run = simulate(1000, 8, corrupt=60)
+    assert not run.truth.whole
+    assert play(run, name)[0].whole == ()
+
+
+# --- the interface -------------------------------------------------------------------------------
+
+
+def test_the_documented_eavesdropper_runs(tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "eavesdroppers.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(code.splitlines()) <= 40
+    file = tmp_path / "mine.py"
+    file.write_text(code)
+    kind = named(f"{file}:Momentum")
+    run = simulate(300, 1)
+    said = said_about(kind(run.scenario.knowledge()), heard_by(run, View(loss=0.05)))
+    scored = score(run.truth, said)
+    assert scored.keys.of > 30
+    assert 0.2 < (scored.keys.share or 0) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("nobody", "expected set-membership"),
+        ("missing.py:Tap", "expected an existing Python file"),
+        ("{file}:Absent", "expected a class Absent"),
+        ("{file}:Nameless", "expected a class attribute name .* got None"),
+        ("{file}:Quoted", "expected a class attribute name .* got 'my \"tap\"'"),
+        ("{broken}:Tap", "cannot be loaded: ZeroDivisionError"),
+    ],
+)
+def test_a_wrong_name_is_one_line(tmp_path: Path, name: str, expected: str) -> None:
+    file, broken = tmp_path / "mine.py", tmp_path / "broken.py"
+    file.write_text(
+        "from tap_service.eavesdroppers import Eavesdropper\nclass Nameless(Eavesdropper): pass\n"
+        "class Quoted(Eavesdropper): name = 'my \"tap\"'\n"
+    )
+    broken.write_text("1 / 0\n")
+    with pytest.raises(KnowledgeError, match=expected) as error:
+        named(name.format(file=file, broken=broken))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "name", ["set-membership", "nearest-centre", "list-decoder", "smoother", "oracle"]
+)
+def test_one_who_needs_a_model_says_what_she_lacks(name: str) -> None:
+    with pytest.raises(KnowledgeError, match=f"eavesdropper {name}: knowledge lacks A, B"):
+        named(name)(Knowledge(scenario="s", period_s=0.1, candidates=2))
+
+
+def test_the_oracle_needs_alpha() -> None:
+    run = simulate(1, 0)
+    with pytest.raises(KnowledgeError, match="lacks alpha"):
+        named("oracle")(run.scenario.knowledge())
+
+
+class Odd(Eavesdropper):
+    """Answers whatever it is told to."""
+
+    name = "odd"
+    guess: object = Guess(0, (0.5, 0.5), 0.5)
+    thoughts: object = ()
+    last_belief: object = Belief()
+
+    def observe(self, transition: Transition) -> Guess:
+        return cast("Guess", self.guess)
+
+    def review(self) -> Sequence[Guess]:
+        return cast("Sequence[Guess]", self.thoughts)
+
+    def belief(self) -> Belief:
+        return cast("Belief", self.last_belief)
+
+
+def odd(**answers: object) -> Listener:
+    run = simulate(3, 0)
+    listener = Listener.of(Odd, run.scenario.knowledge())
+    for name, answer in answers.items():
+        setattr(listener.tap, name, answer)
+    for transition in heard_by(run, CLEAR):
+        listener.observe(transition)
+    return listener
+
+
+@pytest.mark.parametrize(
+    ("guess", "expected"),
+    [
+        (None, "TypeError: expected a Guess, got None"),
+        (Guess(0, (), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, 0.6, 0.1), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, float("nan")), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, 0.5), 1.5), "ValueError: expected 2 probabilities"),
+        (Guess(0.5, (0.5, 0.5), 0.5), "TypeError: 'float' object"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_guess_that_is_none_stops_her_alone(guess: object, expected: str) -> None:
+    listener = odd(guess=guess)
+    assert listener.failed.startswith(f"step 0: {expected}")
+    assert listener.steps == 0
+
+
+@pytest.mark.parametrize(
+    ("belief", "expected"),
+    [
+        (None, "TypeError: expected a Belief, got None"),
+        (Belief(message="hello"), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        (Belief(whole=("a",)), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
+        (Belief(confidence=2.0), "ValueError: expected a confidence"),
+        (Belief(A=((float("inf"),),)), "ValueError: expected a finite model"),
+        (Belief(symbols=((1, 0), (2,))), "ValueError: expected symbols as pairs"),  # type: ignore[arg-type]
+        (Belief(symbols=(("k", 0),)), "TypeError"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_belief_that_is_none_stops_her_alone(belief: object, expected: str) -> None:
+    listener = odd(last_belief=belief)
+    assert listener.belief() == Belief()
+    assert listener.failed.startswith(f"belief: {expected}")
+    assert "\n" not in listener.failed
+
+
+def test_second_thoughts_that_are_none_stop_her_alone() -> None:
+    listener = odd(thoughts=None)
+    assert listener.review() == ()
+    assert listener.failed.startswith("review: TypeError")
+    listener = odd()
+    listener.tap.settled = [Guess(0, (1.0,), 0.0)]
+    assert listener.settled() == ()
+    assert listener.failed.startswith("settled: ValueError")
+
+
+def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:
+    symbol = np.array([0.25, 0.75])
+    listener = odd(
+        guess=Guess(np.int64(3), symbol, np.float32(0.5)),  # type: ignore[arg-type]
+        last_belief=Belief(symbols=[(np.int64(1), np.int8(0))], A=np.eye(2)),  # type: ignore[arg-type]
+    )
+    assert not listener.failed
+    assert list(listener.tail) == [Guess(3, (0.25, 0.75), 0.5)] * 3
+    belief = listener.belief()
+    status = status_of(listener, belief, dict.fromkeys(COUNTS, 0))
+    assert status.tail_symbol == (1, 1, 1)
+    record = belief_record("s", listener, belief, last=True)
+    assert from_json(beliefs_json({"odd": record}))["odd"]["symbols"] == [[1, 0]]
+
+
+def test_one_who_cannot_be_made_is_one_line() -> None:
+    class Fragile(Odd):
+        name = "fragile"
+
+        def __init__(self, knowledge: Knowledge) -> None:
+            raise ValueError("no\nway")
+
+    class Abstract(Eavesdropper):
+        name = "abstract"
+
+    knowledge = simulate(1, 0).scenario.knowledge()
+    for kind, expected in ((Fragile, "ValueError: no way"), (Abstract, "TypeError: ")):
+        with pytest.raises(KnowledgeError, match=f"{kind.name}: cannot be made: {expected}") as e:
+            Listener.of(kind, knowledge)
+        assert "\n" not in str(e.value)
+
+
+def test_a_file_with_a_dataclass_and_late_annotations_is_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+        "from tap_service.eavesdroppers import Eavesdropper\n"
+        "@dataclass\nclass Note:\n    k: int\n"
+        "class Late(Eavesdropper):\n    name = 'late'\n"
+    )
+    assert named(f"{file}:Late").name == "late"
+
+
+def test_one_who_fails_stops_alone() -> None:
+    class Broken(Odd):
+        name = "broken"
+
+        def observe(self, transition: Transition) -> Guess:
+            raise RuntimeError("no\nidea")
+
+        def belief(self) -> Belief:
+            raise AssertionError("not asked any more")
+
+    run = simulate(3, 0)
+    listener = Listener.of(Broken, run.scenario.knowledge())
+    for transition in heard_by(run, CLEAR):
+        assert listener.observe(transition) is None
+    assert listener.failed == "step 0: RuntimeError: no idea"
+    assert listener.belief().message == b""
+    assert listener.review() == ()

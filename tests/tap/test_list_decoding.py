@@ -1,0 +1,208 @@
+"""The list of hypotheses against brute force, and its bounds."""
+
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tap_service.inference.list_decoding as beam_module
+from protocol.schemes.framing import encode_frame
+from tap_service.inference.language_model import OTHER, SAMPLE, class_of, table
+from tap_service.inference.list_decoding import Beam, bytes_of
+
+STEP = tuple[list[float], int]
+
+
+def decode(steps: list[STEP], t_c: float, t_e: float, size: int) -> list[tuple[int, int]]:
+    """The receiver's automaton, plainly, for one pair of thresholds."""
+    key, out = -1, []
+    for k, (gauges, cipher) in enumerate(steps):
+        if key >= 0:
+            out.append((k, (cipher - key) % size))
+            key = -1
+            continue
+        inside = [i for i, g in enumerate(gauges) if g <= t_c]
+        if len(inside) == 1 and max(gauges) <= t_e:
+            key = inside[0]
+    return out
+
+
+def follow(steps: list[STEP], size: int, edge: float | None, cap: int = 100_000) -> Beam:
+    beam = Beam(size, edge=edge, cap=cap)
+    for k, (gauges, cipher) in enumerate(steps):
+        beam.step(k, gauges, cipher)
+    return beam
+
+
+def decodings(beam: Beam) -> set[tuple[tuple[int, int], ...]]:
+    return {tuple(beam._path(row)) for row in range(beam.hypotheses)}
+
+
+gauge = st.floats(0.01, 4.0).map(lambda v: round(v, 2))
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    st.integers(2, 4).flatmap(
+        lambda m: st.lists(
+            st.tuples(st.lists(gauge, min_size=m, max_size=m), st.integers(0, m - 1)), max_size=12
+        )
+    ),
+    st.sampled_from([None, 2.0]),
+)
+def test_the_list_holds_exactly_the_decodings_of_all_thresholds(
+    steps: list[STEP], edge: float | None
+) -> None:
+    size = len(steps[0][0]) if steps else 2
+    values = sorted({g for gauges, _ in steps for g in gauges} | {0.0})
+    edges = [edge] if edge is not None else [*values, 5.0]
+    brute = {
+        tuple(decode(steps, t_c, t_e, size))
+        for t_c in values
+        for t_e in edges
+        if edge is None or t_c < edge
+    }
+    assert decodings(follow(steps, size, edge)) == brute
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32))
+def test_rectangles_stay_disjoint_and_true_thresholds_stay_covered(seed: int) -> None:
+    rng = random.Random(seed)
+    steps = [([rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2)) for _ in range(40)]
+    beam = follow(steps, 2, None)
+    t_c, t_e = rng.uniform(0, 2), rng.uniform(0, 4)
+    rows = beam._rows[: beam.hypotheses]
+    at = (rows["lo"] <= t_c) & (t_c < rows["hi"])
+    at &= (rows["edge_lo"] <= t_e) & (t_e < rows["edge_hi"])
+    assert at.sum() == 1
+    assert beam._path(int(at.argmax())) == decode(steps, t_c, t_e, 2)
+
+
+def message_steps(payload: bytes, size: int, seed: int, idle: int = 30) -> list[STEP]:
+    """Steps whose true thresholds are t_c = 1, t_e = 3, that carry idle symbols and a frame."""
+    rng = random.Random(seed)
+    symbols = [0] * idle + list(encode_frame(payload, size)) + [0] * idle
+    steps: list[STEP] = []
+    key = -1
+    while symbols:
+        gauges = [rng.uniform(0, 3.2) for _ in range(size)]
+        gauges[rng.randrange(size)] = rng.uniform(0, 0.9)
+        cipher = rng.randrange(size)
+        if key >= 0:
+            cipher, key = (symbols.pop(0) + key) % size, -1
+        else:
+            inside = [i for i, g in enumerate(gauges) if g <= 1]
+            if len(inside) == 1 and max(gauges) <= 3:
+                key = inside[0]
+        steps.append((gauges, cipher))
+    return steps
+
+
+@pytest.mark.parametrize("size", [2, 3, 4])
+def test_a_frame_is_found_whatever_the_alphabet(size: int) -> None:
+    payload = "Größe, 試".encode()
+    beam = follow(message_steps(payload, size, size), size, 3.0, cap=3000)
+    assert beam.whole == [payload]
+    lo, hi, *_ = beam.thresholds()
+    assert 0.9 < lo < hi < 1.1
+
+
+def test_both_thresholds_hidden() -> None:
+    beam = follow(message_steps(b"two unknowns", 2, 9), 2, None, cap=3000)
+    assert beam.whole == [b"two unknowns"]
+
+
+def test_the_list_is_bounded_and_says_what_it_dropped() -> None:
+    rng = random.Random(3)
+    beam = Beam(2, cap=200)
+    for k in range(600):
+        beam.step(k, [rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2))
+        assert beam.hypotheses <= 200
+    assert beam.dropped > 0
+    assert beam.peak >= 200
+
+
+def test_once_found_the_list_stays_short() -> None:
+    beam = follow(message_steps(b"short", 2, 4, idle=400), 2, 3.0, cap=3000)
+    assert beam.whole == [b"short"]
+    assert beam.hypotheses < 50
+
+
+@pytest.mark.parametrize("nodes", [4000, 800])
+def test_old_symbols_are_let_go_and_the_message_still_comes(
+    nodes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(beam_module, "NODES", nodes)
+    steps = message_steps(b"let go", 2, 12) + message_steps(b"of the old", 2, 13)
+    beam = Beam(2, edge=3.0)
+    for k, (gauges, cipher) in enumerate(steps):
+        beam.step(k, gauges, cipher)
+        assert len(beam._symbol) <= nodes + beam.hypotheses
+    assert beam.whole[-1] == b"of the old"
+    expected = decode(steps, 1.0, 3.0, 2)
+    got = beam.symbols()
+    assert got[-60:] == expected[-60:]
+
+
+def test_a_sampled_step_without_doubt_is_a_plain_step() -> None:
+    steps = message_steps(b"same", 2, 5)
+    plain, sampled = Beam(2, edge=3.0), Beam(2, edge=3.0)
+    for beam in (plain, sampled):
+        beam.split_evenly([0.9999, 1.0001])
+    for k, (gauges, cipher) in enumerate(steps):
+        clear = [g + 0.02 if 0.99 < g < 1.01 else g for g in gauges]
+        plain.step(k, clear, cipher)
+        sampled.step_sampled(k, np.array([clear]), cipher)
+    assert (plain.whole == [b"same"]) == (sampled.whole == [b"same"])
+
+
+def test_lost_cipher_symbols_are_filled_in_by_check_and_text() -> None:
+    payload = b"the water is clear and the valve is open"
+    steps = message_steps(payload, 2, 6)
+    rng = random.Random(1)
+    beam = Beam(2, edge=3.0)
+    lost = 0
+    for k, (gauges, cipher) in enumerate(steps):
+        if rng.random() < 0.04:
+            lost += 1
+            beam.split_evenly([1.0])
+            beam.step_sampled(k, np.array([gauges]), None)
+        else:
+            beam.step(k, gauges, cipher)
+    assert lost > 20
+    assert beam.whole == [payload]
+
+
+def test_a_new_session_keeps_the_thresholds_and_starts_the_frame_again() -> None:
+    steps = message_steps(b"again", 2, 8)
+    beam = Beam(2, edge=3.0)
+    for session in ("a", "b"):
+        beam.restart()
+        beam.session = session
+        for k, (gauges, cipher) in enumerate(steps):
+            beam.step(k, gauges, cipher)
+    assert [at[0] for at, _ in beam.whole_at] == ["a", "b"]
+    assert beam.whole == [b"again", b"again"]
+
+
+def test_bytes_of_symbols() -> None:
+    assert bytes_of([0, 1, 0, 0, 0, 0, 0, 1, 1], 2) == b"A"
+    assert bytes_of([1, 0, 0, 1], 4) == b"A"
+
+
+def plausibility(text: bytes) -> float:
+    """Log ratio of a text as English over random bytes."""
+    classes = [OTHER, OTHER, *class_of(np.frombuffer(text, dtype=np.uint8)).tolist()]
+    return sum(float(table()[classes[i], classes[i + 1], byte]) for i, byte in enumerate(text))
+
+
+def test_english_is_more_plausible_than_noise_at_any_length() -> None:
+    rng = random.Random(2)
+    for text in (b"Bring two buckets", b"hello", b"No rain is expected before Tuesday night."):
+        assert text.decode() not in SAMPLE
+        assert plausibility(text) > len(text)
+        assert plausibility(rng.randbytes(len(text))) < 0
+    assert plausibility(b"") == 0

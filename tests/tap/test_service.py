@@ -1,0 +1,280 @@
+"""The live service on buses in memory, and as a process over real Zenoh."""
+
+import base64
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from protocol.messages import Measurement, Offer, TapStatus
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.trace import CAPTURE
+from protocol.runtime.zenoh_bus import Endpoints, ZenohBus, free_endpoints
+from protocol.topics import key_of
+from tap_service import service as tap
+from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
+from tap_service.capture.channel import View
+from tap_service.capture.recording import CaptureReader, Limits
+from tap_service.eavesdroppers import KnowledgeError
+from tap_service.service import TapConfig, TapService
+from wyner.scoring.replay import Replay
+from wyner.studies.secrecy.runs import Run, simulate
+
+LIGHT = ("set-membership", "nearest-centre")
+
+
+def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
+    settings: dict[str, object] = {"names": LIGHT, "limits": Limits(free_bytes=0)} | more
+    return TapConfig(
+        run_dir,
+        run.scenario.knowledge(),
+        Endpoints(),
+        Endpoints(),
+        run.scenario.oracle_knowledge(),
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+class Wire:
+    """The tap service on two hubs, with someone who sends and someone who watches."""
+
+    def __init__(self, settings: TapConfig) -> None:
+        field, intel = MemoryHub(), MemoryHub()
+        self.statuses: list[TapStatus] = []
+        self.service = TapService(settings)
+        self.service.attach(MemoryBus(field), MemoryBus(intel))
+        self._sender = MemoryBus(field)
+        MemoryBus(intel).subscribe(
+            key_of(TapStatus, "loop"),
+            lambda _k, p, _t: self.statuses.append(TapStatus.model_validate_json(p)),
+        )
+        self._put = {k: self._sender.publisher(key_of(k, "loop")).put for k in (Measurement, Offer)}
+
+    def send(self, message: Measurement | Offer) -> None:
+        self._put[type(message)](message.wire())
+
+    def send_bytes(self, payload: bytes) -> None:
+        self._put[Offer](payload)
+
+    def finish(self) -> None:
+        self.service.finish()
+        self.service.close()
+
+
+def lines(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_bytes().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulate(300, 11)
+
+
+def test_every_message_is_mirrored_as_it_came(run: Run, tmp_path: Path) -> None:
+    wire = Wire(config(run, tmp_path))
+    for message in run.messages:
+        wire.send(message)
+        wire.service.work(0)
+    wire.finish()
+    mirrored = [m for _, m in CaptureReader(tmp_path).records()]
+    assert mirrored == list(run.messages)
+    assert wire.statuses[-1].mirrored == len(run.messages)
+    assert wire.statuses[-1].dropped == 0
+
+
+def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: Path) -> None:
+    wire = Wire(config(run, tmp_path))
+    for message in run.messages:
+        wire.send(message)
+    wire.finish()
+    guesses = [e for e in lines(tmp_path / GUESSES) if e["event"] == "guess"]
+    for name in LIGHT:
+        mine = [g for g in guesses if g["name"] == name]
+        assert [g["k"] for g in mine] == list(range(300))
+        assert all(0.5 <= float(str(g["p"])) <= 1 for g in mine)
+    session = run.messages[0].session
+    nearest = {(session, g["k"]): g["symbol"] for g in guesses if g["name"] == "nearest-centre"}
+    assert all(nearest[at] == key for at, key in run.truth.keys.items())
+    assert {s.name for s in wire.statuses} == set(LIGHT)
+    assert all(len(s.tail_k) <= 32 for s in wire.statuses)
+
+
+def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
+    rng = random.Random(2)
+    wire = Wire(config(run, tmp_path))
+    junk = [rng.randbytes(rng.randrange(60)) for _ in range(40)]
+    junk += [b"{}", b"null", b'{"v":2}', run.messages[0].wire()]
+    for i, message in enumerate(run.messages):
+        wire.send(message)
+        if i < len(junk):
+            wire.send_bytes(junk[i])
+    wire.finish()
+    reader = CaptureReader(tmp_path)
+    assert [m for _, m in reader.records()] == list(run.messages)
+    kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "garbage"]
+    assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
+    assert reader.garbage == wire.statuses[-1].garbage == len(junk)
+
+
+def test_the_view_acts_before_the_capture_so_a_replay_hears_the_same(
+    run: Run, tmp_path: Path
+) -> None:
+    view = View(loss=0.2, noise=0.01, delay=5, seed=3)
+    wire = Wire(config(run, tmp_path, view=view))
+    for message in run.messages:
+        wire.send(message)
+    wire.finish()
+    live = [e for e in lines(tmp_path / GUESSES) if e["event"] == "guess"]
+    replay = Replay(tmp_path, LIGHT)
+    replay.run()
+    assert replay.view == view
+    for said in replay.said():
+        mine = {(e["session"], e["k"]): e["symbol"] for e in live if e["name"] == said.name}
+        assert mine == said.live
+    assert 0.7 < sum(1 for _ in CaptureReader(tmp_path).records()) / len(run.messages) < 0.9
+
+
+def test_an_overflowing_queue_drops_counts_and_does_not_grow(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tap, "QUEUE_LENGTH", 100)
+    wire = Wire(config(run, tmp_path))
+    for message in run.messages:
+        wire.send(message)
+    assert len(wire.service._queue) == 100
+    wire.finish()
+    assert wire.statuses[-1].mirrored == 100
+    assert wire.statuses[-1].dropped == len(run.messages) - 100
+
+
+def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tap, "BUSY_LENGTH", 200)
+    wire = Wire(config(run, tmp_path))
+    for message in run.messages:
+        wire.send(message)
+    wire.finish()
+    status = wire.statuses[-1]
+    assert status.mirrored == len(run.messages)
+    assert status.dropped == len(run.messages) - 201
+    assert 0 < status.steps < 300
+
+
+@pytest.mark.parametrize("names", [("list-decoder", "oracle"), ("nobody",)])
+def test_a_wrong_choice_is_told_before_anything_starts(
+    run: Run, tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    settings = TapConfig(
+        tmp_path, run.scenario.knowledge(), Endpoints(), Endpoints(), None, names=names
+    )
+    with pytest.raises(KnowledgeError):
+        TapService(settings)
+    assert not (tmp_path / "tap").exists()
+
+
+def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
+    import tracemalloc
+
+    run = simulate(2500, 4)
+    limits = Limits(part_bytes=100_000, total_bytes=400_000, free_bytes=0)
+    wire = Wire(config(run, tmp_path, limits=limits))
+    sizes = []
+    tracemalloc.start()
+    try:
+        for turn in range(4):
+            for message in run.messages:
+                # the same loop again, as another session
+                wire.send(message.model_copy(update={"session": f"{turn:016x}"}))
+                wire.service.work(0)
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    wire.finish()
+    assert sizes[3] - sizes[2] < 150_000
+    assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 400_000
+
+
+def test_heavy_eavesdroppers_work_beside_the_mirror_and_finish(tmp_path: Path) -> None:
+    run = simulate(1000, 11)
+    wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
+    for message in run.messages:
+        wire.send(message)
+    wire.finish()
+    beliefs = json.loads((tmp_path / BELIEFS).read_bytes())
+    assert [base64.b64decode(w) for w in beliefs["list-decoder"]["whole"]] == list(run.payloads)
+    assert beliefs["list-decoder"]["solved_k"] == run.truth.whole[0][0]
+    analysed = [e for e in lines(tmp_path / ANALYSIS_GUESSES) if e["event"] == "guess"]
+    assert [e["k"] for e in analysed] == list(range(1000))
+    last = {s.name: s for s in wire.statuses}["list-decoder"]
+    assert last.message == run.payloads[0].decode()
+    assert last.confidence == 1.0
+
+
+def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
+    run: Run, tmp_path: Path
+) -> None:
+    wire = Wire(config(run, tmp_path, names=("list-decoder",)))
+    child = wire.service._analysis
+    assert child is not None
+    assert child.pid is not None
+    os.kill(child.pid, signal.SIGINT)  # while it is still being loaded
+    wire.finish()
+    assert child.exitcode == 0
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"no {what} within {timeout_s} s"
+        time.sleep(0.02)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> None:
+    field, intel = free_endpoints(2)
+    command = [sys.executable, "-m", "tap_service", "--scenario", "sustained"]
+    command += ["--run-dir", str(tmp_path), "--eavesdropper", "nearest-centre,oracle"]
+    command += ["--connect", f"field={field}", "--listen", f"intel={intel}", "--free-bytes", "0"]
+    statuses: list[TapStatus] = []
+    arrived = threading.Event()
+
+    def watch(_key: str, payload: bytes, _t_ns: int) -> None:
+        statuses.append(TapStatus.model_validate_json(payload))
+        if statuses[-1].mirrored >= len(run.messages):
+            arrived.set()
+
+    with ZenohBus(listen=[field]) as sender, ZenohBus(connect=[intel]) as watcher:
+        watcher.subscribe(key_of(TapStatus, "loop"), watch)
+        put = {kind: sender.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)}
+        process = subprocess.Popen(command, stderr=subprocess.PIPE)
+        try:
+            wait_for(lambda: all(p.matched() for p in put.values()), "match")
+            wait_for(lambda: bool(statuses), "first status")
+            for message in run.messages:  # paced: what nobody takes in time is dropped
+                put[type(message)].put(message.wire())
+                time.sleep(0.001)
+            wait_for(arrived.is_set, "status of all messages")
+            process.send_signal(how)
+            assert process.wait(15) == (-9 if how == signal.SIGKILL else 0)
+        finally:
+            if process.poll() is None:
+                process.kill()
+            _, errors = process.communicate()
+    assert b"Traceback" not in errors
+    reader = CaptureReader(tmp_path)
+    mirrored = sorted((m for _, m in reader.records()), key=lambda m: (m.k, m.topic))
+    assert mirrored == sorted(run.messages, key=lambda m: (m.k, m.topic))
+    assert statuses[-1].steps == 300
+    assert {s.name for s in statuses} == {"nearest-centre", "oracle"}
+    assert [p.name for p in tmp_path.iterdir()] == ["tap"]

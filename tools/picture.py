@@ -1,0 +1,135 @@
+"""The picture in the documentation, made from statuses that a seeded run really published.
+
+``python -m tools.picture`` draws ``docs/dashboard.svg`` from ``docs/dashboard.jsonl``; the same
+recording gives the same bytes. ``--record`` makes the recording anew from a running system.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from pydantic_core import from_json, to_json
+
+from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.screenshot import to_svg
+from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
+from wyner.dashboard.view import Wishes, screen
+
+DOCS: Final = Path(__file__).resolve().parent.parent / "docs"
+RECORDING: Final = "dashboard.jsonl"
+PICTURE: Final = "dashboard.svg"
+SIZE: Final = (110, 36)
+
+STEPS_RECORDED: Final = 400
+"""Steps before the pictured moment that a recording holds."""
+
+OVERLAP: Final = 8
+"""Steps by which the tails of two recorded statuses may overlap."""
+
+_TYPES: Final = {kind.topic: kind for kind in (*OPS_WATCHED, *INTEL_WATCHED)}
+
+
+def read(path: Path) -> list[Arrival]:
+    """The arrivals of a recording."""
+    arrivals = []
+    for line in path.read_bytes().splitlines():
+        record = from_json(line)
+        message = _TYPES[record["topic"]].model_validate_json(to_json(record["message"]))
+        arrivals.append(Arrival(record["t_ns"], message))
+    return arrivals
+
+
+def write(path: Path, arrivals: Iterable[Arrival]) -> None:
+    """Write a recording, one arrival a line."""
+    with path.open("wb") as file:
+        for arrival in arrivals:
+            message = arrival.message
+            record = {"t_ns": arrival.t_ns, "topic": type(message).topic, "message": message}
+            file.write(to_json(record) + b"\n")
+
+
+def draw(arrivals: Iterable[Arrival], width: int, height: int) -> str:
+    """The screen after the last arrival, as SVG."""
+    arrivals = list(arrivals)
+    board = reduce_all(Board(), arrivals)
+    lines = screen(board, width, height, Wishes(), arrivals[-1].t_ns)
+    return to_svg(lines, width)
+
+
+def thin(arrivals: Sequence[Arrival], k: int) -> list[Arrival]:
+    """What is needed to draw the last agreement up to step ``k``: the newest statuses, no overlaps.
+
+    An earlier status is kept only when the tail of the next one kept hardly reaches back to it.
+    """
+    kept: list[Arrival] = []
+    begins: dict[str, int] = {}
+    moment = [a for a in arrivals if not isinstance(a.message, PlantStatus) or a.message.k <= k]
+    last = next(i for i in reversed(range(len(moment))) if _is_agreement(moment[i]))
+    for arrival in reversed(moment[: last + 1]):
+        match arrival.message:
+            case PlantStatus(tail_k=tail):
+                name = "plant"
+            case TapStatus(name=name, tail_k=tail):
+                name = f"tap {name}"
+            case ControllerStatus():
+                name, tail = "controller", ()
+            case _:
+                continue
+        first = begins.get(name)
+        reaches = tail[-1] if tail else -1
+        # A little overlap is allowed, so that statuses a few steps apart leave no gap.
+        if first is None or (k - STEPS_RECORDED < reaches <= first + OVERLAP):
+            kept.append(arrival)
+            begins[name] = tail[0] if tail else -1
+    return kept[::-1]
+
+
+def _is_agreement(arrival: Arrival) -> bool:
+    return isinstance(arrival.message, PlantStatus) and arrival.message.pictured_symbol >= 0
+
+
+def record(until_k: int) -> list[Arrival]:
+    """Listen to a system at the default endpoints until its plant is past step ``until_k``."""
+    from protocol.runtime.zenoh_bus import ZenohBus
+    from protocol.topics import DEFAULT_LOOP
+    from wyner.cli.endpoints import DEFAULTS
+
+    ends = DEFAULTS["dashboard"]
+    arrivals: list[Arrival] = []
+    with ZenohBus(connect=ends["ops"][1]) as ops, ZenohBus(connect=ends["intel"][1]) as intel:
+        source = BusSource(ops, intel, DEFAULT_LOOP)
+        while not any(
+            isinstance(a.message, PlantStatus) and a.message.k > until_k for a in arrivals
+        ):
+            arrivals += source.drain()
+            time.sleep(0.02)
+    return arrivals
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw the picture, after recording where asked."""
+    parser = argparse.ArgumentParser(prog="python -m tools.picture", description=main.__doc__)
+    parser.add_argument("--docs", type=Path, default=DOCS, help="folder of recording and picture")
+    parser.add_argument(
+        "--record", type=int, metavar="K", help="record a running system up to step K first"
+    )
+    args = parser.parse_args(argv)
+    recording = args.docs / RECORDING
+    if args.record is not None:
+        write(recording, thin(record(args.record), args.record))
+    try:
+        arrivals = read(recording)
+    except OSError as error:
+        print(f"{recording}: cannot be read: {error.strerror}", file=sys.stderr)
+        return 1
+    (args.docs / PICTURE).write_text(draw(arrivals, *SIZE), encoding="utf-8")
+    print(args.docs / PICTURE)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,222 @@
+"""A scripted session: the statuses that services would publish, made without any of them.
+
+For tests and for looking at the screen. Plant, agreement, automata and framing are the real rules;
+the control law is a plain feedback with a second candidate beside it, and the taps' statuses are
+made up from the truth. Nothing here measures anything.
+"""
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from protocol.agreement import AgreementRule, Gauge, predict
+from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.schemes.framing import IDLE, Deframer, encode_frame
+from protocol.schemes.switched import INITIAL, MESSAGE, advance_receiver, encrypt
+from wyner.dashboard.model import Arrival
+
+MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
+PERIOD_S: Final = 0.1
+TAIL: Final = 64
+SESSION: Final = "3f2a9c51d07be684"
+STEP_NS: Final = 10_000_000
+"""Wall time of a step: ten times real time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """What the scripted system is like.
+
+    Parameters
+    ----------
+    A, B : matrices, shapes (n, n) and (n, m)
+        The plant.
+    half_widths : tuple of float, shape (n,)
+        D_c, a box.
+    gain : matrix, shape (m, n)
+        K.
+    alpha : float
+        D_e = alpha D_c.
+    """
+
+    A: tuple[tuple[float, ...], ...] = ((1.0, 0.0975), (0.0, 0.9512))
+    B: tuple[tuple[float, ...], ...] = ((0.0246,), (0.4877,))
+    half_widths: tuple[float, ...] = (0.12, 0.12)
+    gain: tuple[tuple[float, ...], ...] = ((-3.0, -1.5),)
+    alpha: float = 8.0
+    message: str = MESSAGE_TEXT
+    seed: int = 7
+
+    def arrivals(self, steps: int, every: int = 10) -> Iterator[list[Arrival]]:
+        """Batches of statuses, one batch after each ``every`` steps, for ``steps`` steps."""
+        draw = random.Random(self.seed)
+        n, m = len(self.A), len(self.B[0])
+        rows = [
+            tuple(sign if j == i else 0.0 for j in range(n))
+            for i in range(n)
+            for sign in (1.0, -1.0)
+        ]
+        H, h = tuple(rows), tuple(w for w in self.half_widths for _ in range(2))
+        rule = AgreementRule(self.A, self.B, Gauge.from_rows(H, h), self.alpha)
+        x: tuple[float, ...] = tuple(4.0 / (i + 1) * (-1) ** i for i in range(n))
+        frame = encode_frame(self.message.encode(), 2)
+        state, p, recovered = INITIAL, 0, ""
+        deframer = Deframer(2)
+        agreements = messages = 0
+        pictured: dict[str, object] = {}
+        tail: list[tuple[int, tuple[float, ...], str, int, int]] = []
+        solved_k = -1
+        for k in range(steps):
+            quiet = [sum(g * v for g, v in zip(row, x, strict=True)) for row in self.gain]
+            first = tuple(max(-6.0, min(6.0, v)) for v in quiet)
+            second = tuple(v + draw.uniform(0.1, 1.4) for v in first)
+            coin = draw.randrange(2)
+            cipher = draw.randrange(2)
+            if state.s == MESSAGE:
+                cipher = encrypt(frame[p] if p < len(frame) else IDLE, state.key, 2)
+            d = [draw.uniform(-w, w) * 0.83 for w in self.half_widths]
+            centre = predict(self.A, self.B, x, (first, second)[coin])
+            x_next = tuple(c + v for c, v in zip(centre, d, strict=True))
+            verdict = rule.verdict(x, (first, second), x_next)
+            role = "message" if state.s == MESSAGE else "test"
+            symbol = verdict.symbol if role == "test" else -1
+            agreements += symbol >= 0
+            tail = [*tail, (k, x, role, symbol, coin)][-TAIL:]
+            if role == "test":
+                pictured = {
+                    "pictured_k": k,
+                    "pictured_x": x,
+                    "pictured_candidates": (first, second),
+                    "pictured_x_next": x_next,
+                    "pictured_gauges": verdict.gauges,
+                    "pictured_symbol": verdict.symbol,
+                }
+            state, m_p = advance_receiver(state, verdict.symbol, cipher, 2)
+            if m_p >= 0:
+                p += 1
+                whole = deframer.push(m_p)
+                if whole is not None:
+                    recovered, messages, solved_k = whole.payload.decode(), messages + 1, k
+            x = x_next
+            if (k + 1) % every:
+                continue
+            t_ns = (k + 1) * STEP_NS
+            partial = deframer.partial.decode("utf-8", "replace")
+            tails = {
+                "tail_k": tuple(row[0] for row in tail),
+                "tail_x": tuple(row[1] for row in tail),
+                "tail_role": tuple(row[2] for row in tail),
+                "tail_symbol": tuple(row[3] for row in tail),
+                "tail_coin": tuple(row[4] for row in tail),
+            }
+            plant = {
+                "seq": k,
+                "t_ns": t_ns,
+                "phase": "running",
+                "scenario": "rehearsal",
+                "law": "sustained",
+                "pace": "x10",
+                "seeded": True,
+                "period_s": PERIOD_S,
+                "alpha": self.alpha,
+                "defender_H": H,
+                "defender_h": h,
+                "A": self.A,
+                "B": self.B,
+                "session": SESSION,
+                "sessions": 1,
+                "k": k + 1,
+                "x": x,
+                "transitions": k + 1,
+                "missed": 0,
+                "late": 0,
+                "garbage": 0,
+                "agreements": agreements,
+                "symbol_errors": 0,
+                "rate_hz": 100.0,
+                "automaton": state.s,
+                "recovered_symbols": p,
+                "messages": messages,
+                "last_message": recovered,
+                "partial": partial,
+                "frame_symbols": min(p, len(frame)),
+                "frame_length": len(frame),
+                "frames_refused": 0,
+            }
+            controller = {
+                "seq": k,
+                "t_ns": t_ns,
+                "phase": "running",
+                "scenario": "rehearsal",
+                "seeded": True,
+                "session": SESSION,
+                "k": k,
+                "set_index": max(0, 40 - k),
+                "horizon": 250,
+                "transitions": k + 1,
+                "agreements": agreements,
+                "garbage": 0,
+                "automaton": state.s,
+                "sent_symbols": p,
+                "sending": self.message,
+                "frame_symbols": min(p, len(frame)),
+                "frame_length": len(frame),
+                "queue": 0,
+                "delivered": messages,
+            }
+            text = recovered or partial
+            yield [
+                Arrival(t_ns, PlantStatus.model_validate({**plant, **pictured, **tails})),
+                Arrival(t_ns, ControllerStatus.model_validate(controller)),
+                *(
+                    Arrival(t_ns, self._tap(name, k, t_ns, tail, text, solved_k, m))
+                    for name in ("set-membership", "nearest-centre", "list-decoder")
+                ),
+            ]
+
+    def _tap(
+        self,
+        name: str,
+        k: int,
+        t_ns: int,
+        tail: list[tuple[int, tuple[float, ...], str, int, int]],
+        text: str,
+        solved_k: int,
+        m: int,
+    ) -> TapStatus:
+        wrong = random.Random(f"{self.seed} {name}")
+        if name == "set-membership":
+            guesses = tuple((row[4] + random.Random(row[0]).randrange(2)) % 2 for row in tail)
+            message = "".join(chr(wrong.randrange(33, 127)) for _ in text)
+        else:
+            guesses = tuple(row[4] for row in tail)
+            message = text
+        if name == "nearest-centre":
+            spoilt = [wrong.random() < 0.15 for _ in self.message]
+            message = "".join("·" if bad else c for c, bad in zip(text, spoilt, strict=False))
+        sure = name == "list-decoder" and solved_k >= 0
+        knows = name != "set-membership"
+        return TapStatus(
+            seq=k,
+            t_ns=t_ns,
+            name=name,
+            steps=k,
+            lost=0,
+            mirrored=2 * k,
+            capture_bytes=400 * k,
+            dropped=0,
+            behind=0,
+            garbage=0,
+            message=message,
+            whole_messages=int(sure),
+            confidence=1.0 if sure else 0.1,
+            candidates_left=1 if sure else (k if name == "list-decoder" else 0),
+            solved_k=solved_k if sure else -1,
+            A=self.A if knows else (),
+            B=tuple(tuple(1.03 * b for b in row[:m]) for row in self.B) if knows else (),
+            tail_k=tuple(row[0] for row in tail),
+            tail_symbol=guesses,
+            tail_probability=tuple(0.98 if knows else 0.5 for _ in tail),
+            tail_agreed=tuple(0.5 for _ in tail),
+        )

@@ -1,0 +1,57 @@
+"""``wyner bench``: measure speed beside a reference, in one run."""
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from protocol.runtime.process import DONE, UsageError
+
+CHECKOUT: Final = Path(__file__).resolve().parents[2]
+
+
+class Benchmark(NamedTuple):
+    """One benchmark: the module that has ``measure`` and ``render``, and its line in the help."""
+
+    module: str
+    text: str
+
+
+BENCHMARKS: Final = {
+    "loop": Benchmark("benchmarks.loop", "the live loop beside bare Zenoh round trips"),
+    "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
+    "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
+    "qp": Benchmark("benchmarks.qp", "one step's programs, by solver"),
+}
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the subcommand."""
+    lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
+    parser = subparsers.add_parser("bench", help="measure speed beside a reference, in one run")
+    parser.add_argument("name", choices=(*BENCHMARKS, "all"), help=lines)
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    names = list(BENCHMARKS) if args.name == "all" else [args.name]
+    if not (CHECKOUT / "benchmarks").is_dir():
+        raise UsageError("bench: the benchmarks come with the source tree; run it from a checkout")
+    sys.path.insert(0, str(CHECKOUT))
+    results: dict[str, Any] = {}
+    for name in names:
+        print(f"bench {name}: {BENCHMARKS[name].text} ...", file=sys.stderr)
+        module = importlib.import_module(BENCHMARKS[name].module)
+        measure: Callable[[], dict[str, Any]] = module.measure
+        render: Callable[[dict[str, Any]], str] = module.render
+        results[name] = measure()
+        if not args.json:
+            print(render(results[name]))
+    if args.json:
+        print(json.dumps(results if args.name == "all" else results[args.name]))
+    return DONE

@@ -1,0 +1,74 @@
+"""``wyner certs``: an authority and a certificate for each service."""
+
+import argparse
+from pathlib import Path
+
+from protocol.runtime.process import DONE, Failure, UsageError
+
+SERVICES = ("router", "controller", "plant", "tap", "dashboard", "operator")
+BUSES = ("field", "ops", "intel")
+
+
+def default_hosts(name: str) -> list[str]:
+    """Where a service is reached when nothing is said: this machine, and its aliases."""
+    return [name, *(f"{name}.{bus}" for bus in BUSES), "localhost", "127.0.0.1", "::1"]
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "certs",
+        help="make certificates for mutual TLS",
+        description="Make an authority in FOLDER and, for each service, a folder with ca.pem, "
+        "cert.pem and key.pem to give to --tls. What is there and valid for another day is kept.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where they are written")
+    parser.add_argument(
+        "--name",
+        action="append",
+        metavar="NAME[=HOST,...]",
+        help="a service and the host names or addresses under which it is reached; may be "
+        f"repeated (default: {', '.join(SERVICES)}, each on this machine and in the containers)",
+    )
+    parser.add_argument(
+        "--days", type=int, default=365, metavar="N", help="days of validity (default: 365)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make what is missing, and say which names were made and which were kept."""
+    from wyner.deployment.certificates import (
+        CertificateError,
+        check_host,
+        check_name,
+        ensure_certificates,
+    )
+
+    problems = []
+    if not 1 <= args.days <= 36500:
+        problems.append(f"--days: got {args.days}, expected 1 to 36500")
+    hosts: dict[str, list[str]] = {}
+    for text in args.name or SERVICES:
+        name, separator, listed = text.partition("=")
+        theirs = [h for h in listed.split(",") if h]
+        try:
+            check_name(name)
+            for host in theirs:
+                check_host(host)
+        except CertificateError as error:
+            problems.append(f"--name {text}: {error}")
+            continue
+        if separator and not theirs:
+            problems.append(f"--name: got {text!r}, expected NAME or NAME=HOST,...")
+        # What is listed is added to the defaults, so that a test on the same machine still works.
+        hosts[name] = [*dict.fromkeys([*default_hosts(name), *theirs])]
+    if problems:
+        raise UsageError(problems)
+    try:
+        made = ensure_certificates(args.folder, hosts, args.days)
+    except CertificateError as error:
+        raise Failure(f"{args.folder}: {error}") from None
+    for name in hosts:
+        print(f"{'made' if name in made else 'kept'} {args.folder / name}")
+    return DONE

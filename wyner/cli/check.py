@@ -1,0 +1,73 @@
+"""``wyner check``: replay a run's traces and say, clause by clause, whether they obey the paper."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocol.runtime.process import DONE, FAILED, UsageError
+
+if TYPE_CHECKING:
+    from wyner.verify.clause import Finding
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "check",
+        help="replay a run's traces and say whether they obey the paper",
+        description="Replay the traces and the capture of a run that has ended through the pure "
+        "functions of the protocol, and say PASS or FAIL for each clause of the paper. A clause "
+        "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
+        "one does, 2 when there is no run.",
+    )
+    parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
+    parser.add_argument("--json", action="store_true", help="print one object for machines")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, judge, print."""
+    from protocol.runtime.trace import TraceError
+    from protocol.scenario import ScenarioError
+    from wyner.verify import check
+    from wyner.verify.evidence import read_evidence
+
+    try:
+        evidence = read_evidence(args.run_dir)
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+    except (TraceError, OSError) as error:
+        raise UsageError(str(error)) from None
+    findings = check(evidence)
+    failed = sum(f.result == "FAIL" for f in findings)
+    if args.json:
+        summary = {
+            "run_dir": str(args.run_dir),
+            "passed": not failed,
+            "failed": failed,
+            "skipped": sum(f.result == "SKIP" for f in findings),
+            "clauses": [f.as_json() for f in findings],
+        }
+        print(json.dumps(summary, ensure_ascii=False))
+    else:
+        for finding in findings:
+            print("\n".join(lines_of(finding)))
+        results = [f.result for f in findings]
+        print(", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP")))
+    return FAILED if failed else DONE
+
+
+def lines_of(finding: "Finding") -> list[str]:
+    """A finding for people: one line, and one more where it does not hold."""
+    clause, tally = finding.clause, finding.tally
+    counted = f"{tally.counted} {clause.of}"
+    details = tally.skipped or "; ".join(part for part in (counted, tally.note) if part)
+    lines = [f"{finding.result}  {clause.name:13} {clause.source:13} {clause.says} [{details}]"]
+    first = tally.first
+    if first is not None:
+        where = f"session {first.session}, " if first.session else ""
+        where += f"transition {first.j}, " if first.j >= 0 else ""
+        where += f"step {first.k}, " if first.k >= 0 else ""
+        lines.append(f"      failures: {tally.failures}, first: {where}{first.text}")
+    return lines

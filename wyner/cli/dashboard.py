@@ -1,0 +1,47 @@
+"""``wyner dashboard``: watch a running system, on a live screen or in lines."""
+
+import argparse
+from pathlib import Path
+
+from wyner.cli.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "dashboard",
+        help="watch a running system",
+        description="Watch plant and controller over ops and the tap over intel. "
+        "Without a terminal it prints lines. In the screen, ? shows the keys.",
+    )
+    parser.add_argument("--headless", action="store_true", help="print lines even on a terminal")
+    parser.add_argument(
+        "--run-dir", type=Path, metavar="D", help="folder for saved screens (default: this one)"
+    )
+    add_endpoint_arguments(parser, "dashboard")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until q or Ctrl-C."""
+    from protocol.runtime.process import DONE, INTERRUPTED, UsageError, stop_on_signals
+    from protocol.runtime.zenoh_bus import TransportError, open_bus
+    from wyner.dashboard.app import Ending, has_screen, run_dashboard
+    from wyner.dashboard.headless import run_headless
+    from wyner.dashboard.source import BusSource
+
+    if args.run_dir is not None and not args.run_dir.is_dir():
+        raise UsageError(f"--run-dir: got {str(args.run_dir)!r}, expected an existing folder")
+    loop = loop_of(args)
+    ops, intel = (endpoints_of(args, "dashboard", bus) for bus in ("ops", "intel"))
+    try:
+        with stop_on_signals() as stopping, open_bus(ops) as ops_bus, open_bus(intel) as intel_bus:
+            source = BusSource(ops_bus, intel_bus, loop)
+            if args.headless or not has_screen():
+                ending = run_headless(source, until=stopping.is_set)
+            else:
+                ending = run_dashboard(source, until=stopping.is_set, run_dir=args.run_dir)
+            interrupted = stopping.is_set() or ending is Ending.INTERRUPTED
+    except TransportError as error:
+        raise UsageError(str(error)) from None
+    return INTERRUPTED if interrupted else DONE

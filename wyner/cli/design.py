@@ -1,0 +1,242 @@
+"""``wyner design``: a scenario's sets, gains and expected rate."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from protocol.runtime.process import DONE, UsageError
+
+if TYPE_CHECKING:
+    from controller_service.laws.paper import ControlLaw
+    from controller_service.sets.design import Design, Progress
+    from protocol.scenario import Scenario
+
+RUNS, STEPS, SEED = 40, 250, 1
+"""The simulation behind the expected rate: 10,000 steps, about a second or less."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "design",
+        help="compute and show a scenario's sets, gains and expected rate",
+        description="Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
+        "them, and estimate the link's rate by a short seeded simulation of the control law.",
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the design."""
+    import time
+
+    from controller_service.laws.paper import ProgramError, make_law
+    from controller_service.sets.design import SynthesisError, cached_design, synthesise
+    from wyner.cli.options import scenario_of
+
+    scenario = scenario_of(args.scenario)
+    begin = time.perf_counter()
+    try:
+        with progress_bar() as progress:
+            design = (synthesise if args.no_cache else cached_design)(scenario, progress)
+        law = make_law(scenario, design)
+    except (SynthesisError, ProgramError) as error:
+        raise UsageError(f"{args.scenario}: {error}") from None
+    result = describe(scenario, design, law)
+    result["seconds"] = round(design.seconds, 4)
+    result["ready_seconds"] = round(time.perf_counter() - begin, 4)
+    result["rate"] = expected_rate(scenario, law)
+    print(json.dumps(result) if args.json else render(result))
+    return DONE
+
+
+@contextmanager
+def progress_bar() -> "Iterator[Progress | None]":
+    """A bar on a terminal's standard error once the synthesis has taken a second."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    import time
+
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    begin = time.monotonic()
+    bar = Bar(console=Console(stderr=True), transient=True)
+    task = bar.add_task("sets", total=None)
+    started = False
+
+    def advance(done: int, total: int) -> None:
+        nonlocal started
+        if not started and time.monotonic() - begin > 1:
+            bar.start()
+            started = True
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield advance
+    finally:
+        if started:
+            bar.stop()
+
+
+def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[str, Any]:
+    """The design's figures as one object for machines."""
+    from controller_service.laws.paper import OutsideError
+    from protocol.convex import Polytope, corners, planar_area
+
+    N = design.horizon
+    shown = sorted({i for i in (0, 1, 2, 5, 10, 20, 50, 100, 150, 200, 250, N) if i <= N})
+    sets = []
+    for i in shown:
+        entry: dict[str, Any] = {"index": i, "facets": design.facets[i]}
+        if scenario.n == 1:
+            entry["interval"] = corners(*design.set(i))[:, 0].tolist()
+        elif scenario.n == 2:
+            entry["area"] = planar_area(Polytope(*design.set(i)))
+        sets.append(entry)
+    start: dict[str, Any] = {"state": list(scenario.plant.initial_state)}
+    try:
+        start["index"] = law.index(scenario.plant.initial_state)
+    except OutsideError as error:
+        start["outside"] = str(error)
+    return {
+        "scenario": scenario.name,
+        "law": scenario.control.law,
+        "states": scenario.n,
+        "inputs": scenario.m,
+        "horizon": N,
+        "horizon_asked": scenario.control.horizon,
+        "gain": design.K.tolist(),
+        "gain_source": "given" if design.gain_given else "linear quadratic regulator",
+        "terminal": vars(design.terminal),
+        "sets": sets,
+        "largest_deflation": 2 * max(design.margins),
+        "start": start,
+        "cached": design.cached,
+        "fingerprint": scenario.design_fingerprint(),
+    }
+
+
+def expected_rate(scenario: "Scenario", law: "ControlLaw") -> dict[str, Any] | None:
+    """Estimate p, the probability that a tested step agrees, and the rate it gives.
+
+    Each run starts at the scenario's initial state; d is uniform in the plant's box, b_r uniform.
+    The interval is over runs, for the steps of one run depend on each other. None when the initial
+    state is outside every set.
+    """
+    import numpy as np
+
+    from controller_service.laws.paper import OutsideError
+    from protocol.agreement import AgreementRule, Gauge, predict
+
+    rule = AgreementRule(
+        A=scenario.A,
+        B=scenario.B,
+        gauge=Gauge.from_rows(*scenario.defender.disturbance.rows()),
+        alpha=scenario.secrecy.alpha,
+    )
+    widths = np.array(scenario.plant.disturbance.half_widths)
+    M, T = scenario.secrecy.candidates, scenario.plant.period_s
+    rates, tested_all, agreed_all = [], 0, 0
+    try:
+        for child in np.random.SeedSequence(SEED).spawn(RUNS):
+            rng = np.random.default_rng(child)
+            noise = (rng.uniform(-1, 1, (STEPS, scenario.n)) * widths).tolist()
+            choices = rng.integers(0, M, STEPS).tolist()
+            x = tuple(scenario.plant.initial_state)
+            tested = agreed = 0
+            carrying = False
+            for d, b in zip(noise, choices, strict=True):
+                u = law.candidates(x)
+                x_next = tuple(
+                    c + e for c, e in zip(predict(scenario.A, scenario.B, x, u[b]), d, strict=True)
+                )
+                if carrying:
+                    carrying = False
+                else:
+                    tested += 1
+                    carrying = rule.verdict(x, u, x_next).agreed
+                    agreed += carrying
+                x = x_next
+            rates.append(agreed / tested)
+            tested_all += tested
+            agreed_all += agreed
+    except OutsideError:
+        return None
+    p = agreed_all / tested_all
+    half = 1.96 * float(np.std(rates, ddof=1)) / RUNS**0.5
+
+    def bits(q: float) -> float:
+        q = min(max(q, 0.0), 1.0)
+        return float(np.log2(M)) * q / (1 + q) / T
+
+    return {
+        "runs": RUNS,
+        "steps": STEPS,
+        "seed": SEED,
+        "agreement_probability": p,
+        "agreement_interval_95": [max(0.0, p - half), min(1.0, p + half)],
+        "bits_per_second": bits(p),
+        "bits_per_second_interval_95": [bits(p - half), bits(p + half)],
+        "ceiling_bits_per_second": bits(1.0),
+    }
+
+
+def render(r: dict[str, Any]) -> str:
+    """The object in lines for people."""
+    import numpy as np
+
+    when = "read from the cache, computed once in" if r["cached"] else "computed in"
+    lines = [
+        f"{r['scenario']}: {r['states']} state(s), {r['inputs']} input(s), law {r['law']}",
+        f"sets T_0..T_{r['horizon']} {when} {r['seconds']:.3f} s"
+        + (
+            f" (they stop growing there; {r['horizon_asked']} were asked)"
+            if r["horizon"] < r["horizon_asked"]
+            else ""
+        ),
+        f"K ({r['gain_source']}): " + "; ".join(" ".join(f"{v:.6g}" for v in k) for k in r["gain"]),
+    ]
+    t = r["terminal"]
+    if t["method"] == "rakovic":
+        lines.append(
+            f"T_0: Rakovic's approximation of order {t['order']}, alpha {t['alpha']:.3g}, within "
+            f"{t['bound']:.3g} of the minimal invariant set"
+        )
+    elif t["method"] == "interval":
+        lines.append("T_0: the minimal invariant interval")
+    else:
+        lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
+    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
+    lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
+    for s in r["sets"]:
+        values = np.atleast_1d(s.get(extent, ()))
+        shown = " to ".join(f"{v:.6g}" for v in values)
+        lines.append(f"{s['index']:>7} {s['facets']:>7}  {shown}".rstrip())
+    start = r["start"]
+    lines.append(
+        f"initial state {start['state']}: "
+        + (f"index {start['index']}" if "index" in start else start["outside"])
+    )
+    rate = r["rate"]
+    if rate is None:
+        lines.append("expected rate: none, the loop cannot start or leaves the sets")
+    else:
+        low, high = rate["agreement_interval_95"]
+        rlow, rhigh = rate["bits_per_second_interval_95"]
+        lines += [
+            f"agreement p = {rate['agreement_probability']:.3f} [{low:.3f}, {high:.3f}] a tested "
+            f"step ({rate['runs']} runs of {rate['steps']} steps, seed {rate['seed']}, 95 % "
+            "interval over runs)",
+            f"expected rate p / (1 + p) / T = {rate['bits_per_second']:.3g} [{rlow:.3g}, "
+            f"{rhigh:.3g}] bit/s, ceiling {rate['ceiling_bits_per_second']:.3g} bit/s",
+        ]
+    return "\n".join(lines)

@@ -1,0 +1,59 @@
+"""``wyner figures``: draw the figures from their data."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from protocol.runtime.process import DONE, Failure, UsageError
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "figures",
+        help="draw the figures from their data",
+        description="Draw the figures of docs/, all or those named, as SVG and PNG.",
+    )
+    parser.add_argument("name", nargs="*", metavar="NAME", help="which (default: all)")
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="make their data anew before; to those of a secrecy-* figure, whose runs take long, "
+        "only what they lack is added",
+    )
+    parser.add_argument("--data", metavar="D", help="folder of the data (default: docs/data)")
+    parser.add_argument("--output", metavar="D", help="folder to draw in (default: docs/figures)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure where asked, and draw."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "figures: needs matplotlib, which `make figures` brings; or pip install '.[figures]' "
+            "in the project's folder"
+        ) from None
+    from wyner.studies.figures import DATA, FIGURES, OUTPUT, FigureError, draw
+
+    unknown = [name for name in args.name if name not in FIGURES]
+    if unknown:
+        raise UsageError(f"figures: got {unknown[0]!r}, expected {', '.join(FIGURES)}")
+    names = args.name or list(FIGURES)
+    data = Path(args.data) if args.data else DATA
+    if args.measure:
+        from wyner.studies.measurements import MEASUREMENTS
+
+        for file in dict.fromkeys(file for name in names for file in FIGURES[name].data):
+            print(f"measuring {file} ...", file=sys.stderr)
+            MEASUREMENTS[file](data / f"{file}.csv")
+    try:
+        for name in names:
+            for path in draw(name, data, Path(args.output) if args.output else OUTPUT):
+                print(path)
+    except FigureError as error:
+        raise Failure(str(error)) from None
+    except OSError as error:
+        raise Failure(f"{error.filename}: cannot be written: {error.strerror}") from None
+    return DONE

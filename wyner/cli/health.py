@@ -1,0 +1,161 @@
+"""``wyner health``: say whether a service advances. For health checks and for a look by hand.
+
+A service that runs but whose loop stands still is not healthy. So the check looks twice: the
+service's own report must be fresh, and what it counts must grow between the two looks.
+"""
+
+import argparse
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocol.runtime.process import DONE, Failure, UsageError
+
+SERVICES = ("controller", "plant", "tap")
+MAX_AGE_S = 5.0
+"""A report older than this was written by a service that is frozen or gone; it writes one each
+second (the tap each two)."""
+
+WITHIN_S = 3.0
+LOOK_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One look at a service: how old its report is, and what it has counted."""
+
+    age_s: float
+    count: int
+    text: str
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "health",
+        help="say whether a service advances",
+        description="Exit 0 when the service's report is fresh and what it counts has grown within "
+        "a few seconds: transitions of the controller and the plant, bytes mirrored by the tap. "
+        "For a router: when it takes a connection.",
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--service", choices=SERVICES, help="a service that writes below --run-dir")
+    what.add_argument("--endpoint", metavar="ENDPOINT", help="a router's, such as tcp/router:7447")
+    parser.add_argument("--run-dir", type=Path, metavar="D", help="the service's run folder")
+    parser.add_argument(
+        "--within",
+        type=float,
+        default=WITHIN_S,
+        metavar="S",
+        help=f"seconds in which the count must grow (default: {WITHIN_S:g})",
+    )
+    parser.set_defaults(run=run)
+
+
+def look_at_status(path: Path, now_s: float) -> Look:
+    """Look at the status that a controller or a plant writes.
+
+    Raises
+    ------
+    Failure
+        When there is none, or it is not one.
+    """
+    from pydantic_core import from_json
+
+    try:
+        status = from_json(path.read_bytes())
+        age_s = now_s - status["t_ns"] / 1e9
+        count = int(status["transitions"])
+        phase = status["phase"]
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError):
+        raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
+    detail = f" ({status['detail']})" if status.get("detail") else ""
+    return Look(age_s, count, f"{phase}{detail}, {count} transitions")
+
+
+def look_at_capture(folder: Path, now_s: float) -> Look:
+    """Look at what the tap has written: its beliefs' age, and the bytes of its capture.
+
+    Parts of a capture are removed when they grow old, so the newest part's time stands in for what
+    was written before.
+
+    Raises
+    ------
+    Failure
+        When nothing is there.
+    """
+    try:
+        age_s = now_s - (folder / "beliefs.json").stat().st_mtime
+        parts = [part.stat() for part in folder.glob("capture*.jsonl")]
+    except OSError as error:
+        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
+    if not parts:
+        raise Failure(f"{folder}: expected a capture")
+    newest = max(part.st_mtime_ns for part in parts)
+    return Look(age_s, newest, f"{sum(part.st_size for part in parts)} bytes captured")
+
+
+def advances(look: Callable[[], Look], within_s: float, max_age_s: float = MAX_AGE_S) -> Look:
+    """Look until the count grows.
+
+    Raises
+    ------
+    Failure
+        When the report is stale, or the count did not grow within ``within_s`` seconds.
+    """
+    first = look()
+    if first.age_s > max_age_s:
+        raise Failure(f"last report {first.age_s:.1f} s ago, expected {max_age_s:g} s at most")
+    until = time.monotonic() + within_s
+    lowest = first.count
+    while True:
+        last = look()
+        if last.count > lowest:
+            return last
+        lowest = last.count  # a new session counts from nought again
+        if time.monotonic() >= until:
+            raise Failure(f"stands still: {last.text}, no more within {within_s:g} s")
+        time.sleep(LOOK_S)
+
+
+def takes_connections(endpoint: str, within_s: float) -> None:
+    """Connect to an endpoint and hang up.
+
+    Raises
+    ------
+    UsageError
+        When it reads like none.
+    Failure
+        When nobody answers.
+    """
+    address = endpoint.partition("/")[2].partition("#")[0]
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdigit():
+        raise UsageError(f"--endpoint: got {endpoint!r}, expected PROTOCOL/HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=within_s).close()
+    except (OSError, OverflowError) as error:
+        raise Failure(f"{endpoint}: no answer: {error}") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look, and print one line."""
+    if not 0 < args.within <= 60:
+        raise UsageError(f"--within: got {args.within:g}, expected more than 0 and at most 60")
+    if args.endpoint is not None:
+        takes_connections(args.endpoint, args.within)
+        print(f"{args.endpoint} takes connections")
+        return DONE
+    if args.run_dir is None:
+        raise UsageError("--service: expected --run-dir D as well")
+    folder = args.run_dir / args.service
+    if args.service == "tap":
+        seen = advances(lambda: look_at_capture(folder, time.time()), args.within)
+    else:
+        seen = advances(lambda: look_at_status(folder / "status.json", time.time()), args.within)
+    print(f"{args.service} advances: {seen.text}")
+    return DONE

@@ -1,0 +1,37 @@
+"""``wyner knowledge``: write what a scenario's eavesdropper knows, for a tap kept apart from it."""
+
+import argparse
+from pathlib import Path
+
+from protocol.runtime.process import DONE, Failure, write_atomically
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "knowledge",
+        help="write what a scenario's eavesdropper knows",
+        description="Write, as JSON, what the paper's eavesdropper knows of a scenario: f_c and "
+        "D_e, and neither D_c nor alpha. A tap on a machine of its own needs this file and no "
+        "scenario (wyner tap --knowledge FILE).",
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="file or shipped name")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="file to write (default: standard output)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the scenario and write its public part."""
+    from wyner.cli.options import scenario_of
+
+    text = scenario_of(args.scenario).knowledge().model_dump_json(indent=2) + "\n"
+    if args.output is None:
+        print(text, end="")
+        return DONE
+    try:
+        write_atomically(args.output, text.encode())
+    except OSError as error:
+        raise Failure(f"--output: {args.output}: cannot be written: {error.strerror}") from None
+    return DONE

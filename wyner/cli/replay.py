@@ -1,0 +1,184 @@
+"""``wyner replay``: decode a recorded capture."""
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from wyner.dashboard.model import Arrival
+    from wyner.scoring.replay import Replay
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "replay",
+        help="decode a recorded capture",
+        description="Feed a capture to eavesdroppers again, all on the same transcript.",
+    )
+    parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
+    parser.add_argument(
+        "--eavesdropper",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME...]",
+        help="which to run, by name or as path/to/file.py:Name (default: those that listened)",
+    )
+    parser.add_argument("--from", dest="first", type=int, metavar="K", help="first step to decode")
+    parser.add_argument("--to", dest="last", type=int, metavar="K", help="last step to decode")
+    parser.add_argument(
+        "--watch", action="store_true", help="watch it on the dashboard, or in lines in a pipe"
+    )
+    parser.add_argument("--score", metavar="RUN_DIR", help="compare with what really happened")
+    parser.add_argument(
+        "--scenario", metavar="S", help="tell them this scenario's model; the oracle needs it"
+    )
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
+    parser.set_defaults(run=run)
+
+
+class ReplaySource:
+    """A replay as the dashboard's source: each look decodes a little more."""
+
+    def __init__(self, replay: "Replay", transitions: int) -> None:
+        self._replay = replay
+        self._transitions = transitions
+        self.exhausted = False
+
+    @property
+    def garbage(self) -> int:
+        """Undecodable messages in the capture."""
+        return self._replay.reader.garbage
+
+    def drain(self) -> "Sequence[Arrival]":
+        """Decode some more; the eavesdroppers' statuses after it."""
+        from wyner.dashboard.model import Arrival
+
+        if self.exhausted:
+            return ()
+        self.exhausted = not self._replay.advance(self._transitions)
+        return [Arrival(self.now_ns(), status) for status in self._replay.statuses()]
+
+    def now_ns(self) -> int:
+        """The monotonic clock."""
+        import time
+
+        return time.monotonic_ns()
+
+    def problems(self) -> Sequence[str]:
+        """Torn lines and missing parts."""
+        reader = self._replay.reader
+        lines = []
+        if reader.torn:
+            lines.append(f"replay: {reader.torn} torn lines were left out")
+        if reader.parts_missing:
+            lines.append(f"replay: {reader.parts_missing} parts of the capture are missing")
+        return lines
+
+
+WATCHED_AT_ONCE = 20
+"""Transitions decoded between two looks while watching."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Decode, and print what each eavesdropper made of it."""
+    import json
+    import sys
+    from pathlib import Path
+
+    from protocol.runtime.process import DONE, UsageError
+    from tap_service.capture.recording import CaptureError, CaptureReader
+    from tap_service.eavesdroppers import DEFAULT, KnowledgeError
+    from wyner.cli.options import scenario_of
+    from wyner.cli.tap import names_of
+    from wyner.scoring.replay import Replay
+    from wyner.scoring.score import RunScore, ScoreError, read_truth, score, summary_of
+
+    for option, least in (("from", 0), ("to", args.first or 0)):
+        value = args.first if option == "from" else args.last
+        if value is not None and value < least:
+            raise UsageError(f"--{option}: got {value}, expected at least {least}")
+    knowledge = oracle = None
+    if args.scenario is not None:
+        scenario = scenario_of(args.scenario)
+        knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
+    path = Path(args.capture)
+    try:
+        names = names_of(args.eavesdropper) or tuple(
+            CaptureReader(path).header.get("eavesdroppers") or DEFAULT
+        )
+        replay = Replay(
+            path,
+            names,
+            first=args.first,
+            last=args.last,
+            knowledge=knowledge,
+            oracle_knowledge=oracle,
+        )
+    except (CaptureError, KnowledgeError) as error:
+        raise UsageError(str(error)) from None
+    try:
+        if args.watch:
+            _watch(replay)
+        replay.run()
+    except CaptureError as error:  # of a part that came later
+        raise UsageError(str(error)) from None
+    report = replay.report()
+    if args.score is not None:
+        try:
+            truth = read_truth(Path(args.score)).between(args.first, args.last)
+        except ScoreError as error:
+            raise UsageError(str(error)) from None
+        taps = tuple(score(truth, said) for said in replay.said())
+        report["score"] = summary_of(RunScore(Path(args.score).name, truth, taps))
+    if args.json:
+        print(json.dumps(report))
+    else:
+        _print(report)
+    for line in ReplaySource(replay, 0).problems():
+        print(line, file=sys.stderr)
+    return DONE
+
+
+def _watch(replay: "Replay") -> None:
+    from wyner.dashboard.app import has_screen, run_dashboard
+    from wyner.dashboard.headless import run_headless
+
+    source = ReplaySource(replay, WATCHED_AT_ONCE)
+    if has_screen():
+        run_dashboard(source, until=lambda: False)
+    else:
+        run_headless(source, until=lambda: source.exhausted)
+
+
+def _print(report: dict[str, object]) -> None:
+    from wyner.scoring.summary import in_short
+
+    taps = report["taps"]
+    assert isinstance(taps, dict)
+    scores = report.get("score")
+    print(f"{report['transitions']} transitions, {report['holes']} with something missing")
+    for name, tap in taps.items():
+        if tap["failed"]:
+            print(f"{name}: stopped at {tap['failed']}")
+            continue
+        solved = (
+            f"first whole message at k {tap['solved_k']}" if tap["solved_k"] >= 0 else "none whole"
+        )
+        print(f"{name}: {solved}, {tap['candidates_left']} candidates left")
+        print(f"  best message: {in_short(tap['message'])}")
+        if isinstance(scores, dict):
+            print(f"  {describe(scores[name])}")
+
+
+def describe(score: dict[str, float | None]) -> str:
+    """A score in words."""
+
+    def share(value: float | None) -> str:
+        return "no" if value is None else f"{100 * value:.1f} % of"
+
+    return (
+        f"{share(score['symbol_accuracy'])} key symbols, "
+        f"{share(score['message_bit_accuracy'])} message symbols right, "
+        f"{score['messages_exact']} messages exact"
+    )

@@ -1,0 +1,126 @@
+"""``wyner router``: a Zenoh router for one or several buses, with access control where asked."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+
+BUSES = ("field", "ops", "intel")
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "router",
+        help="run a Zenoh router, with access control where asked",
+        description="Relay a bus between services that connect as clients (--client BUS). Each bus "
+        "gets a router of its own inside the process, so that nothing crosses from one to another. "
+        "With --guard, the names in the certificates decide who may publish what.",
+    )
+    parser.add_argument(
+        "--listen",
+        action="append",
+        required=True,
+        metavar="BUS=ENDPOINT",
+        help="carry this bus at an endpoint such as tcp/127.0.0.1:7447 (repeatable); BUS is "
+        "field, ops or intel",
+    )
+    parser.add_argument(
+        "--tls",
+        action="append",
+        default=[],
+        metavar="BUS=FOLDER",
+        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder",
+    )
+    parser.add_argument(
+        "--guard",
+        action="append",
+        default=[],
+        metavar="BUS",
+        help="deny what the names in the certificates do not allow; needs --tls for this bus",
+    )
+    parser.set_defaults(run=run)
+
+
+def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:
+    """The values of a repeated ``BUS=VALUE`` option, bus by bus.
+
+    Raises
+    ------
+    UsageError
+        With one line for each that does not read so.
+    """
+    found: dict[str, list[str]] = {}
+    problems = []
+    for text in values:
+        bus, _, value = text.partition("=")
+        if bus in BUSES and value:
+            found.setdefault(bus, []).append(value)
+        else:
+            problems.append(
+                f"{option}: got {text!r}, expected BUS=VALUE with BUS one of {', '.join(BUSES)}"
+            )
+    if problems:
+        raise UsageError(problems)
+    return found
+
+
+def check_guards(
+    guards: Sequence[str],
+    listens: Mapping[str, Sequence[str]],
+    folders: Mapping[str, Sequence[str]],
+) -> None:
+    """Refuse what would leave a bus less guarded than its options sound.
+
+    Raises
+    ------
+    UsageError
+        With one line for each bus.
+    """
+    problems = [
+        f"{option} {bus}: expected --listen {bus}=ENDPOINT as well"
+        for option, buses in (("--guard", guards), ("--tls", folders))
+        for bus in buses
+        if bus not in listens
+    ]
+    problems += [
+        f"--guard {bus}: expected --tls {bus}=FOLDER as well: names are those in the certificates"
+        for bus in guards
+        if bus in listens and bus not in folders
+    ]
+    problems += [
+        f"--tls {bus}: got {len(given)} folders, expected one"
+        for bus, given in folders.items()
+        if len(given) > 1
+    ]
+    if problems:
+        raise UsageError(problems)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Relay until a signal comes."""
+    from protocol.runtime.zenoh_bus import TlsFiles, TransportError, open_router
+    from wyner.deployment.access import access_control
+
+    listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
+    check_guards(args.guard, listens, folders)
+    log = logger("router")
+    try:
+        with stop_on_signals() as stopping, ExitStack() as stack:
+            for bus, endpoints in listens.items():
+                tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
+                rules = access_control(bus) if bus in args.guard else None
+                stack.enter_context(open_router(endpoints, tls, rules))
+                log.info(
+                    "%s at %s, %s",
+                    bus,
+                    ", ".join(endpoints),
+                    "guarded by certificate" if rules else "open to whoever connects",
+                )
+            stopping.wait()
+            log.info("stopping")
+    except TransportError as error:
+        raise UsageError(str(error)) from None
+    return DONE

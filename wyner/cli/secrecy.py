@@ -1,0 +1,127 @@
+"""``wyner secrecy``: report what each eavesdropper got, beside what the scheme claims."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from wyner.scoring.score import RunScore
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "secrecy",
+        help="report what each eavesdropper got, beside what the scheme claims",
+        description="Score the eavesdroppers of one or more runs against the plant's traces.",
+    )
+    parser.add_argument("run_dirs", metavar="RUN_DIR", nargs="+", help="a run's directory")
+    parser.add_argument(
+        "--eavesdropper",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME...]",
+        help="replay these on the captures, in place of what was said live",
+    )
+    parser.add_argument(
+        "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
+    )
+    parser.add_argument("--figure", metavar="FILE", help="draw the report as SVG or PNG")
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Score, pool and print."""
+    import json
+    import sys
+    from pathlib import Path
+
+    from protocol.runtime.process import DONE, Failure, UsageError
+    from wyner.cli.tap import names_of
+    from wyner.scoring import report as reporting
+    from wyner.scoring.score import ScoreError, score_run
+
+    names = names_of(args.eavesdropper)
+    if args.scenario is not None and not names:
+        raise UsageError(
+            "--scenario: tells replayed eavesdroppers a model, expected --eavesdropper"
+        )
+    scores: list[RunScore] = []
+    for text in args.run_dirs:
+        run_dir = Path(text)
+        try:
+            if names:
+                scores.append(_replayed(run_dir, names, args.scenario))
+            else:
+                scores.append(score_run(run_dir))
+        except ScoreError as error:
+            raise UsageError(str(error)) from None
+    report = reporting.report(scores)
+    if args.figure is not None:
+        if Path(args.figure).suffix not in (".svg", ".png"):
+            raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
+        try:
+            from wyner.studies.figures.secrecy import draw_report
+
+            draw_report(report, Path(args.figure))
+        except ImportError:
+            raise Failure(
+                "--figure: needs matplotlib: pip install '.[figures]' in the project's folder"
+            ) from None
+        except OSError as error:
+            raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
+    if args.json:
+        print(json.dumps(reporting.as_json(report)))
+        return DONE
+    _print(report, color=sys.stdout.isatty())
+    return DONE
+
+
+def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
+    from protocol.runtime.process import UsageError
+    from tap_service.capture.recording import CaptureError
+    from tap_service.eavesdroppers import KnowledgeError
+    from wyner.cli.options import scenario_of
+    from wyner.scoring.replay import Replay
+    from wyner.scoring.score import RunScore, read_truth, score
+
+    truth = read_truth(run_dir)
+    knowledge = oracle = None
+    if scenario_name is not None:
+        scenario = scenario_of(scenario_name)
+        knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
+    try:
+        replay = Replay(run_dir, names, knowledge=knowledge, oracle_knowledge=oracle)
+        replay.run()
+    except (CaptureError, KnowledgeError) as error:
+        raise UsageError(str(error)) from None
+    return RunScore(run_dir.name, truth, tuple(score(truth, said) for said in replay.said()))
+
+
+def _print(report: object, *, color: bool) -> None:
+    from os import environ
+
+    from wyner.scoring.report import BOUND, HEADINGS, Report, rows
+
+    assert isinstance(report, Report)
+    table = [HEADINGS, *rows(report)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(HEADINGS))]
+    for row in table:
+        print(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        )
+    for tap in report.taps:
+        if tap.not_on_record:
+            print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
+    print()
+    print(
+        f"{len(report.runs)} runs, {report.transitions} transitions; claimed: "
+        f"{report.claimed_bits:.0f} secret bits; rates with 95 % intervals"
+    )
+    red = color and report.exceeds and "NO_COLOR" not in environ
+    verdict = report.verdict()
+    print(f"\x1b[31m{verdict}\x1b[0m" if red else verdict)
+    print(f"At most {report.hidden_bits:.1f} bits a run stay hidden from one who knows the model.")
+    print(BOUND)

@@ -1,0 +1,256 @@
+"""``wyner sweep``: run a grid of experiments."""
+
+import argparse
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
+from wyner.shipped import SWEEPS
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from multiprocessing.process import BaseProcess
+
+    from wyner.studies.results import Summary
+    from wyner.studies.sweep import Progress
+
+AHEAD: Final = 256
+"""Tasks handed to the workers beyond the one whose rows are written next."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "sweep",
+        help="run a grid of experiments",
+        description="Run the sweep in FILE (or a shipped one, by name) and add its rows to a CSV "
+        "file. Ctrl-C keeps what there is; --resume goes on.",
+    )
+    parser.add_argument("file", metavar="FILE", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="processes or Dask workers (default: one a core)"
+    )
+    parser.add_argument("--executor", choices=("process", "dask"), default="process")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a running Dask scheduler instead of a local one"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with the rows that are there")
+    parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
+    parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+
+
+def _begin_worker() -> None:
+    """A worker leaves Ctrl-C to the process that started it, and ends when that one does."""
+    from multiprocessing import parent_process
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: "BaseProcess") -> None:
+    parent.join()
+    os._exit(FAILED)
+
+
+@contextmanager
+def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor]":
+    """The executor asked for; what is not yet running is dropped when it closes early."""
+    executor: Executor
+    if kind == "dask":
+        with _dask_executor(jobs, scheduler) as executor:
+            yield executor
+        return
+    if jobs == 1:
+        from wyner.studies.sweep import SerialExecutor
+
+        yield SerialExecutor()
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
+    try:
+        yield executor
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    executor.shutdown()
+
+
+@contextmanager
+def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
+    """Workers of a running scheduler, or ``jobs`` processes of a local cluster."""
+    import importlib
+
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ImportError:
+        raise UsageError(
+            "--executor dask: needs Dask: pip install '.[dask]' in the project's folder"
+        ) from None
+    with ExitStack() as stack:
+        if scheduler is None:
+            # Worker processes take over that Ctrl-C is ignored, and leave it to this one.
+            before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+            try:
+                cluster = distributed.LocalCluster(
+                    n_workers=jobs,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    host="127.0.0.1",
+                    silence_logs=logging.ERROR,
+                )
+                client = distributed.Client(stack.enter_context(cluster))
+            finally:
+                signal.signal(signal.SIGINT, before)
+        else:
+            try:
+                client = distributed.Client(scheduler, timeout="10s")
+            except (OSError, ValueError) as error:
+                reason = str(error).splitlines()[0]
+                raise Failure(f"--scheduler: {scheduler}: {reason}") from None
+        stack.enter_context(client)
+        executor = client.get_executor()
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)  # cancels what is left, nothing after a whole sweep
+
+
+@contextmanager
+def _progress(name: str) -> "Iterator[Progress | None]":
+    """A bar with the time left, on a terminal's standard error."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("runs"))
+    console = Console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+        task = bar.add_task(name, total=None)
+        yield lambda done, foreseen: bar.update(task, completed=done, total=foreseen)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sweep."""
+    from wyner.studies.grid import SweepError, load_sweep, points_of
+    from wyner.studies.results import Results, key_of, summarise
+    from wyner.studies.sweep import run_sweep
+
+    jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
+    if jobs < 1:
+        raise UsageError(f"--jobs: got {jobs}, expected at least 1")
+    if args.scheduler is not None and args.executor != "dask":
+        raise UsageError("--scheduler: expected together with --executor dask")
+    shipped = SWEEPS / f"{args.file}.toml"
+    path = shipped if not Path(args.file).is_file() and shipped.is_file() else Path(args.file)
+    try:
+        sweep = load_sweep(path)
+        if args.quick:
+            sweep = sweep.quickly()
+        points = points_of(sweep, path.parent)
+        name = sweep.name + ("-quick" if args.quick else "")
+        output = Path(args.output or f"runs/sweeps/{name}.csv")
+        results = Results(output, list(sweep.grid), args.resume)
+    except SweepError as error:
+        raise UsageError(error.problems) from None
+    except OSError as error:
+        raise UsageError(f"--output: {output}: cannot be written: {error.strerror}") from None
+    before = len(results.rows)
+    try:
+        with (
+            _executor(args.executor, jobs, args.scheduler) as executor,
+            _progress(sweep.name) as progress,
+        ):
+            ahead = 1 if args.executor == "process" and jobs == 1 else AHEAD
+            failures = run_sweep(sweep, points, results, executor, progress, ahead=ahead)
+    except KeyboardInterrupt:
+        print(
+            f"wyner: stopped: {len(results.rows)} rows kept in {output}; --resume goes on",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+    except SweepError as error:
+        raise Failure(str(error)) from None
+    finally:
+        results.close()
+    ours = {p.key for p in points}
+    summaries = summarise(row for row in results.rows if key_of(row) in ours)
+    grid, new = list(sweep.grid), len(results.rows) - before
+    if args.json:
+        print(json.dumps(_as_object(sweep.name, output, grid, new, summaries)))
+    else:
+        print(_render(grid, summaries))
+        print(f"{len(results.rows)} rows in {output}, {new} of them new")
+    for line in failures:
+        print(f"wyner: {line}", file=sys.stderr)
+    return FAILED if failures else DONE
+
+
+def _as_object(
+    name: str, output: Path, grid: list[str], new: int, summaries: "list[Summary]"
+) -> dict[str, Any]:
+    points = []
+    for s in summaries:
+        rate = s.rate
+        fixed = {k: v for k, v in s.first.items() if k in ("task", "scenario", "variant")}
+        fields = {field: json.loads(s.first[field]) for field in grid}
+        points.append(
+            {
+                **fixed,
+                "fields": fields,
+                "runs": s.runs,
+                "bits_per_second": rate.value,
+                "interval_95": [rate.low, rate.high],
+                **s.counts,
+            }
+        )
+    return {"sweep": name, "output": str(output), "new_rows": new, "points": points}
+
+
+def _render(grid: list[str], summaries: "list[Summary]") -> str:
+    """A table: the fields of each point, its runs, its rate with the interval."""
+    head = ["scenario", "variant", *grid, "runs", "bit/s", "95 % interval", "mistaken"]
+    rows = [head]
+    for s in summaries:
+        rate = s.rate
+        rows.append(
+            [
+                str(s.first["scenario"]),
+                str(s.first["variant"]),
+                *(str(s.first[name]) for name in grid),
+                str(s.runs),
+                f"{rate.value:.4g}",
+                f"[{rate.low:.4g}, {rate.high:.4g}]",
+                str(s.counts["mistaken"]),
+            ]
+        )
+    keep = [i for i in range(len(head)) if any(row[i] for row in rows[1:])] or [0]
+    widths = [max(len(row[i]) for row in rows) for i in keep]
+    return "\n".join(
+        "  ".join(row[i].ljust(w) for i, w in zip(keep, widths, strict=True)).rstrip()
+        for row in rows
+    )

@@ -1,0 +1,275 @@
+"""``wyner up``: controller, plant and tap on this machine, and a screen to watch them."""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from protocol.messages import ControllerStatus, PlantStatus
+from protocol.runtime.journal import CONTROLLER_JOURNAL, PLANT_JOURNAL
+from protocol.runtime.process import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    Failure,
+    UsageError,
+    write_atomically,
+)
+from protocol.runtime.trace import CAPTURE, MANIFEST, SCENARIO, SUMMARY
+from protocol.topics import DEFAULT_LOOP, key_of
+from wyner.cli.options import (
+    add_message_arguments,
+    message_of,
+    pace_of,
+    run_dir_of,
+    scenario_file_of,
+    scenario_of,
+)
+
+if TYPE_CHECKING:
+    from protocol.scenario import Scenario
+    from wyner.deployment.supervisor import Supervisor
+
+DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
+
+GRACE_S: Final = 0.5
+"""Seconds that the tap has for its last thoughts once the message has arrived."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the subcommand."""
+    parser = subparsers.add_parser(
+        "up", help="run controller, plant and tap on this machine and watch them"
+    )
+    parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
+    add_message_arguments(parser)
+    parser.add_argument(
+        "--pace", default="realtime", metavar="P", help="realtime, xN, or fast (lock-step)"
+    )
+    parser.add_argument("--steps", type=int, metavar="N", help="end at step N")
+    parser.add_argument(
+        "--until-delivered", action="store_true", help="end when the plant has the message"
+    )
+    parser.add_argument(
+        "--eavesdropper", metavar="NAME[,NAME...]", help="as for the tap (default: the scenario's)"
+    )
+    parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
+    parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
+    parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
+    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Start, watch, stop, sum up."""
+    from protocol.runtime.zenoh_bus import ZenohBus
+    from wyner.dashboard.app import Ending, has_screen, run_dashboard
+    from wyner.dashboard.headless import run_headless
+    from wyner.dashboard.source import BusSource
+    from wyner.scoring.summary import render, summarise
+
+    for option, least in (("steps", 1), ("seed", 0)):
+        value = getattr(args, option)
+        if value is not None and value < least:
+            raise UsageError(f"--{option}: got {value}, expected at least {least}")
+    pace_of(args.pace)
+    scenario = scenario_of(args.scenario)
+    payload = message_of(args.message, args.message_file) or DEFAULT_MESSAGE.encode()
+    _design(scenario)
+    eavesdroppers = _eavesdroppers(args, scenario)
+    run_dir = run_dir_of(args.run_dir)
+    traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
+    if any((run_dir / path).exists() for path in traces_of_a_run):
+        raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
+    try:
+        supervisor, ops_connect, intel = _children(args, scenario, eavesdroppers, run_dir, payload)
+    except OSError as error:
+        raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
+    watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)
+    screen = not args.headless and not args.json and has_screen()
+    failure: Failure | None = None
+    ending = Ending.FINISHED
+    try:
+        supervisor.start()
+        with ZenohBus(connect=ops_connect) as ops, ZenohBus(connect=[intel]) as intel_bus:
+            ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
+            ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
+            source = BusSource(ops, intel_bus, DEFAULT_LOOP)
+            if screen:
+                ending = run_dashboard(source, until=watching.over, run_dir=run_dir)
+            else:
+                out = sys.stderr if args.json else sys.stdout
+                ending = run_headless(source, until=watching.over, out=out)
+    except Failure as error:
+        failure = error
+    except KeyboardInterrupt:
+        ending = Ending.INTERRUPTED
+    finally:
+        supervisor.stop()
+    summary = summarise(run_dir, payload)
+    write_atomically(
+        run_dir / SUMMARY, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n"
+    )
+    if args.json:
+        print(json.dumps(summary, ensure_ascii=False))
+    else:
+        print(render(summary))
+    if failure is not None:
+        raise failure
+    if ending is Ending.INTERRUPTED:
+        return INTERRUPTED
+    return FAILED if args.until_delivered and not summary["delivered"] else DONE
+
+
+def _design(scenario: "Scenario") -> None:
+    """Compute the design before anything starts, and check that the plant starts inside it."""
+    from controller_service.laws.paper import ProgramError, make_law
+    from controller_service.sets.design import SynthesisError, cached_design
+    from wyner.cli.design import progress_bar
+
+    try:
+        with progress_bar() as progress:
+            design = cached_design(scenario, progress)
+        law = make_law(scenario, design)
+    except (SynthesisError, ProgramError) as error:
+        raise UsageError(f"{scenario.name}: {error}") from None
+    try:
+        law.index(scenario.plant.initial_state)
+    except LookupError as error:
+        raise UsageError(f"plant.initial_state: {error}") from None
+
+
+def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
+    """The eavesdroppers asked for, or the scenario's; each one is there, before anything starts."""
+    from tap_service.eavesdroppers import named
+    from wyner.cli.tap import find_each, names_of
+
+    asked = args.eavesdropper
+    names = scenario.tap.eavesdroppers if asked is None else names_of([asked])
+    if asked is not None and not names:
+        raise UsageError(f"--eavesdropper: got {asked!r}, expected at least one name")
+    find_each(names, named, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
+    return names
+
+
+def _children(
+    args: argparse.Namespace,
+    scenario: "Scenario",
+    eavesdroppers: tuple[str, ...],
+    run_dir: Path,
+    payload: bytes,
+) -> "tuple[Supervisor, list[str], str]":
+    """Lay out the run's folder and name its processes; nothing is started yet."""
+    from importlib.metadata import version
+
+    from protocol.runtime.zenoh_bus import free_endpoints
+    from wyner.deployment.supervisor import Child, Supervisor
+
+    scenario_file = run_dir / SCENARIO
+    message_file = run_dir / "controller" / "message"
+    knowledge_file = run_dir / "tap" / "knowledge.json"
+    write_atomically(scenario_file, scenario_file_of(args.scenario).read_bytes())
+    write_atomically(message_file, payload)
+    knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
+    write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
+    manifest = {
+        "wyner": version("wyner"),
+        "zenoh": version("eclipse-zenoh"),
+        "numpy": version("numpy"),
+        "python": sys.version.split()[0],
+        "command": sys.argv[1:],
+        "scenario": scenario.name,
+        "fingerprint": scenario.fingerprint(),
+        "seed": args.seed,
+        "pace": args.pace,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
+    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
+    common = ["--run-dir", str(run_dir)]
+    seed = [] if args.seed is None else ["--seed", str(args.seed)]
+    steps = [] if args.steps is None else ["--steps", str(args.steps)]
+    tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
+    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
+    for name, value in knobs.items():
+        tap += [f"--{name.replace('_', '-')}", str(value)]
+    children = [
+        Child(
+            "plant",
+            [
+                *common,
+                *seed,
+                *steps,
+                *("--scenario", str(scenario_file), "--pace", args.pace),
+                *("--listen", f"field={plant_field}", "--connect", f"field={tap_field}"),
+                *("--listen", f"ops={plant_ops}"),
+            ],
+            run_dir / "plant" / "log",
+        ),
+        Child(
+            "controller",
+            [
+                *common,
+                *seed,
+                *("--scenario", str(scenario_file), "--message-file", str(message_file)),
+                *("--listen", f"field={controller_field}", "--connect", f"field={plant_field}"),
+                *("--connect", f"field={tap_field}"),
+                *("--listen", f"ops={controller_ops}", "--connect", f"ops={plant_ops}"),
+            ],
+            run_dir / "controller" / "log",
+        ),
+        Child(
+            "tap",
+            [
+                *common,
+                *tap,
+                *("--knowledge", str(knowledge_file), "--listen", f"intel={intel}"),
+                *("--listen", f"field={tap_field}"),
+            ],
+            run_dir / "tap" / "log",
+        ),
+    ]
+    return (
+        Supervisor(children, first="tap", first_endpoint=tap_field),
+        [plant_ops, controller_ops],
+        intel,
+    )
+
+
+class _Progress:
+    """Says when the run is over, from what plant and controller say on ops."""
+
+    def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
+        self._until_delivered = until_delivered
+        self._supervisor = supervisor
+        self._received = False
+        self._delivered = False
+        self._over_at: float | None = None
+
+    def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
+        """The plant has a whole message (called on the transport's thread)."""
+        if not self._received:
+            self._received = PlantStatus.model_validate_json(payload).messages > 0
+
+    def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
+        """The controller has counted its last symbol (called on the transport's thread)."""
+        if not self._delivered:
+            self._delivered = ControllerStatus.model_validate_json(payload).delivered > 0
+
+    def over(self) -> bool:
+        """Whether there is nothing more to watch.
+
+        Raises
+        ------
+        Failure
+            When a service ended with an error.
+        """
+        self._supervisor.poll()
+        now = time.monotonic()
+        ended = self._supervisor.child("plant").returned is not None
+        arrived = self._until_delivered and self._received and self._delivered
+        if self._over_at is None and (ended or arrived):
+            self._over_at = now + GRACE_S
+        return self._over_at is not None and now >= self._over_at

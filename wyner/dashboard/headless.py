@@ -1,0 +1,177 @@
+"""Without a terminal: plain lines, one when something happened, never more than a bounded rate."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import IO, Final
+
+from wyner.dashboard.app import REFRESH_S, Ending
+from wyner.dashboard.model import Board, TapView, reduce_all
+from wyner.dashboard.score import characters_right, score, secrecy, truth_for
+from wyner.dashboard.source import Source
+from wyner.dashboard.text import component, letters, percent, printable
+
+PROGRESS_NS: Final = 2_000_000_000
+"""Time between two lines of progress."""
+
+LINES_AT_ONCE: Final = 12
+"""Lines printed for one look at the messages; what is beyond is counted in a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reporter:
+    """What was said already; `report` gives the next lines and the next reporter.
+
+    ``spoken`` is the session and the step k that the last line of progress was about.
+    """
+
+    before: Board = field(default_factory=Board)
+    next_progress_ns: int = 0
+    spoken: tuple[str, int] | None = None
+
+    def report(self, board: Board, now_ns: int) -> tuple[list[str], "Reporter"]:
+        """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
+        lines = list(_events(self.before, board))
+        if len(lines) > LINES_AT_ONCE:
+            more = len(lines) - LINES_AT_ONCE
+            lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
+        now = (board.plant.session, board.plant.k) if board.plant is not None else None
+        if now is None or now == self.spoken or now_ns < self.next_progress_ns:
+            return lines, replace(self, before=board)
+        return [*lines, progress(board)], Reporter(board, now_ns + PROGRESS_NS, now)
+
+
+def progress(board: Board) -> str:
+    """One line on where the loop, the message and the strongest tap stand."""
+    plant = board.plant
+    assert plant is not None
+    recovered, sent = len(letters(board.recovered)), len(letters(board.sent))
+    parts = [
+        f"k {plant.k}",
+        f"x ({', '.join(component(v) for v in plant.x)})",
+        f"keys {plant.agreements}",
+        f"missed {plant.missed}",
+        f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
+    ]
+    its = secrecy(board)
+    if its.strongest:
+        tap = board.taps[its.strongest]
+        scored = score(board, tap)
+        right, total = characters_right(board, tap)
+        old = "" if truth_for(board, tap.status.message) == board.sent else ", old"
+        parts.append(
+            f"{printable(its.strongest)}: {percent(scored.right, scored.scored)} of key symbols,"
+            f" {right}/{total} characters{old}"
+        )
+    return "  ".join(parts)
+
+
+def secrecy_line(board: Board) -> str:
+    """Claimed against true, in words."""
+    its = secrecy(board)
+    if its.left_bits is None:
+        return f"secrecy: claimed {its.claimed_bits:.0f} bit, true unknown: no tap was scored"
+    loud = "CLAIMED EXCEEDS TRUE: " if its.exceeds else ""
+    return (
+        f"secrecy: {loud}claimed {its.claimed_bits:.0f} bit,"
+        f" {printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
+    )
+
+
+def run_headless(
+    source: Source,
+    *,
+    until: Callable[[], bool],
+    out: IO[str] | None = None,
+) -> Ending:
+    """Print lines until ``until()`` or Ctrl-C; as `wyner.dashboard.app.run_dashboard` draws.
+
+    Lines carry no control codes. Whoever reads them may go away: a broken pipe is the caller's.
+    """
+    stream = out or sys.stdout
+    board, reporter = Board(), Reporter()
+
+    def say(lines: list[str]) -> None:
+        encoding = getattr(stream, "encoding", None) or "utf-8"
+        for line in lines:
+            print(line.encode(encoding, "replace").decode(encoding), file=stream)
+        if lines:
+            stream.flush()
+
+    ending = Ending.FINISHED
+    try:
+        while True:
+            finished = until()
+            board = replace(reduce_all(board, source.drain()), unreadable=source.garbage)
+            lines, reporter = reporter.report(board, source.now_ns())
+            say(lines)
+            if finished:
+                break
+            time.sleep(REFRESH_S)
+    except KeyboardInterrupt:
+        ending = Ending.INTERRUPTED
+    if board.plant is not None:
+        say([progress(board), secrecy_line(board)])
+    for line in source.problems():
+        print(line, file=sys.stderr)
+    return ending
+
+
+def _events(before: Board, board: Board) -> Iterator[str]:
+    plant, was = board.plant, before.plant
+    if plant is not None:
+        if was is None or was.session != plant.session:
+            law = printable(plant.law)
+            what = f"{printable(plant.scenario)}, alpha {plant.alpha:g}, law {law}"
+            yield f"session {plant.session}{' began' if was is not None else ''}: {what}"
+            if plant.seeded:
+                yield "random choices are seeded: an experiment, nothing here is secret"
+        if was is None or was.phase != plant.phase:
+            yield f"plant {plant.phase}{_because(plant.detail)}"
+        if was is not None and plant.symbol_errors > was.symbol_errors:
+            more = plant.symbol_errors - was.symbol_errors
+            yield f"{more} symbols decoded unlike b_r at k {plant.k}"
+        if was is not None and plant.frames_refused > was.frames_refused:
+            more = plant.frames_refused - was.frames_refused
+            yield f"{more} frames refused by their check at k {plant.k}"
+        if plant.messages > (was.messages if was is not None else 0):
+            how = "is the last recovered" if was is None else f"recovered at k {plant.k}"
+            yield f"message {plant.messages} {how}: {_quoted(plant.last_message)}"
+    controller, was_controller = board.controller, before.controller
+    if controller is not None and (
+        was_controller is None or was_controller.phase != controller.phase
+    ):
+        yield f"controller {controller.phase}{_because(controller.detail)}"
+    for name, tap in board.taps.items():
+        yield from _tap_events(printable(name), before, tap, board)
+    if board.garbage > before.garbage:
+        yield f"{board.garbage - before.garbage} messages were garbage"
+
+
+def _tap_events(name: str, before: Board, tap: TapView, board: Board) -> Iterator[str]:
+    was, text = before.taps.get(tap.status.name), tap.status.message
+    if was is None:
+        yield f"tap {name} heard"
+    if tap.exact and (was is None or not was.exact):
+        # Where the truth is what came last, she may have held the message for long.
+        new = board.plant is not None and was is not None and text in before.texts
+        at = f" at k {board.plant.k}" if board.plant is not None and new else ""
+        yield f"tap {name} holds the true message{at}: {_quoted(text)}"
+    solved = tap.status.solved_k
+    if solved >= 0 and (was is None or was.status.solved_k != solved):
+        judged = ", and it is the true one" if tap.exact else ", but it is not a true one"
+        if not board.texts:  # a replay: nobody here knows the truth
+            judged = f": {_quoted(text)}"
+        elif not tap.watched:  # it may have been another message than the one that she holds now
+            judged = ""
+        yield f"tap {name} was sure of a message at k {solved}{judged}"
+
+
+def _because(detail: str) -> str:
+    return f": {printable(detail)}" if detail else ""
+
+
+def _quoted(text: str, room: int = 72) -> str:
+    shown = text if len(text) <= room else "..." + text[-room:]
+    return f'"{printable(shown)}"'

@@ -1,0 +1,170 @@
+"""How good the taps are: their guesses scored against the truth, which they never see.
+
+The truth comes over ops, the guesses over intel, and they meet here and nowhere else.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from wyner.dashboard.model import Board, TapView
+from wyner.dashboard.text import letters
+
+SCORED_AT_LEAST: Final = 8
+"""Agreed steps needed before a guessing probability is quoted; fewer say nothing."""
+
+CONFIDENCE_Z: Final = 1.96
+"""Normal quantile of the 95 % Wilson interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One tap's guesses on the agreed steps that both she and the plant reported.
+
+    Parameters
+    ----------
+    scored, right : int
+        Agreed steps compared, and those where her likeliest symbol was the key symbol.
+    guessing : float or None
+        P_g, the share that was right and never below 1/M; None while too few were compared.
+    at_least : float
+        Lower end of the 95 % Wilson interval of the share that was right.
+    """
+
+    scored: int
+    right: int
+    guessing: float | None
+    at_least: float
+
+    @property
+    def bits_per_key(self) -> float | None:
+        """Min-entropy left in one key symbol, -log2 P_g, in bits."""
+        return None if self.guessing is None else abs(math.log2(self.guessing))
+
+
+@dataclass(frozen=True, slots=True)
+class Secrecy:
+    """Claimed against true secrecy of the keys agreed so far.
+
+    Parameters
+    ----------
+    claimed_bits : float
+        What the paper's rule counts: every agreed symbol as log2 M secret bits.
+    left_bits : float or None
+        What the strongest tap leaves of it; None while no tap was scored.
+    strongest : str
+        Name of that tap, or "".
+    exceeds : bool
+        Whether the claim is shown to be too high: a tap holds a true message, or her guesses are
+        better than blind ones beyond chance (95 %).
+    when_bits : float
+        Upper bound 2 log2(N + 1) on what may stay hidden of *when* keys were agreed, in N steps.
+    scored : int
+        Agreed steps on which that tap was scored.
+    """
+
+    claimed_bits: float
+    left_bits: float | None
+    strongest: str
+    exceeds: bool
+    when_bits: float
+    scored: int
+
+
+def score(board: Board, tap: TapView) -> Score:
+    """Score one tap on the agreed steps that are still held."""
+    scored = right = 0
+    for k, guess in tap.guesses.items():
+        truth = board.truths.get(k)
+        if truth is not None and truth.symbol >= 0:
+            scored += 1
+            right += truth.symbol == guess.symbol
+    guessing = None
+    if scored >= SCORED_AT_LEAST:
+        guessing = max(right / scored, 1.0 / board.candidates)
+    return Score(scored, right, guessing, wilson_lower(right, scored))
+
+
+def wilson_lower(right: int, scored: int) -> float:
+    """Lower end of the 95 % Wilson interval for a proportion; 0 of none."""
+    if right == 0:
+        return 0.0
+    z2 = CONFIDENCE_Z**2
+    share = right / scored
+    centre = share + z2 / (2 * scored)
+    spread = CONFIDENCE_Z * math.sqrt(share * (1 - share) / scored + z2 / (4 * scored**2))
+    return max(0.0, (centre - spread) / (1 + z2 / scored))
+
+
+def ranked(board: Board) -> list[tuple[TapView, Score]]:
+    """The taps, strongest first: a true message, else most of its text, else the best guesses."""
+    scored = [(tap, score(board, tap)) for tap in board.taps.values()]
+
+    def strength(pair: tuple[TapView, Score]) -> tuple[bool, int, float, str]:
+        tap, its = pair
+        right, total = characters_right(board, tap)
+        # In tenths of the text, so that a character right by chance changes no order.
+        tenths = 10 * right // total if total else 0
+        return (not tap.exact, -tenths, -its.at_least, tap.status.name)
+
+    return sorted(scored, key=strength)
+
+
+def secrecy(board: Board, taps: Sequence[tuple[TapView, Score]] | None = None) -> Secrecy:
+    """Claimed against true, from all taps; ``taps`` are those of `ranked` where it was called."""
+    symbols = board.plant.agreements if board.plant is not None else 0
+    transitions = board.plant.transitions if board.plant is not None else 0
+    bits = math.log2(board.candidates)
+    claimed = symbols * bits
+    when = 2 * math.log2(transitions + 1)
+    best: tuple[float, str, int] | None = None
+    exceeds = False
+    for tap, its in ranked(board) if taps is None else taps:
+        left = 0.0 if tap.exact else its.bits_per_key
+        if left is None:
+            continue
+        if best is None or left < best[0]:
+            best = (left, tap.status.name, its.scored)
+        exceeds |= tap.exact or its.at_least > 1.0 / board.candidates
+    if best is None:
+        return Secrecy(claimed, None, "", False, when, 0)
+    left_bits, exceeds = symbols * best[0], exceeds and symbols > 0
+    return Secrecy(claimed, left_bits, best[1], exceeds, when, best[2])
+
+
+def truth_for(board: Board, text: str) -> str:
+    """The true message that a tap's text fits best; the one on its way where several fit alike."""
+    best, best_right = board.sent, _right(board.sent, text)
+    for truth in board.texts:
+        right = _right(truth, text)
+        if right > best_right:
+            best, best_right = truth, right
+    return best
+
+
+def characters_right(board: Board, tap: TapView) -> tuple[int, int]:
+    """How many characters of the tap's message are right, and how many the true message has."""
+    truth = truth_for(board, tap.status.message)
+    return _right(truth, tap.status.message), len(letters(truth))
+
+
+def model_error(board: Board, tap: TapView) -> float | None:
+    """Distance of her [A B] from the plant's, relative, Frobenius norm; None: she has no model."""
+    plant, status = board.plant, tap.status
+    if plant is None or not status.A or not status.B:
+        return None
+    hers = [*_entries(status.A), *_entries(status.B)]
+    true = [*_entries(plant.A), *_entries(plant.B)]
+    if len(hers) != len(true):
+        return None
+    size = math.hypot(*true)
+    return math.hypot(*(a - b for a, b in zip(hers, true, strict=True))) / size if size else None
+
+
+def _entries(matrix: tuple[tuple[float, ...], ...]) -> list[float]:
+    return [entry for row in matrix for entry in row]
+
+
+def _right(truth: str, text: str) -> int:
+    return sum(a == b for a, b in zip(letters(truth), letters(text), strict=False))

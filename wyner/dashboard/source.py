@@ -1,0 +1,133 @@
+"""Where the dashboard's messages come from: two buses, or a script for tests and pictures."""
+
+import time
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Final, Protocol
+
+from pydantic import ValidationError
+
+from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.topics import key_of
+from wyner.dashboard.model import Arrival
+
+if TYPE_CHECKING:
+    from protocol.runtime.zenoh_bus import Bus
+
+WAITING_AT_MOST: Final = 4096
+"""Payloads held between two looks; the newest win, and what is pushed out is counted."""
+
+OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantStatus, ControllerStatus)
+INTEL_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
+
+
+class Source(Protocol):
+    """Gives the messages that came since it was last asked, and never waits."""
+
+    @property
+    def garbage(self) -> int:
+        """Payloads that were no message of their key."""
+
+    def drain(self) -> Sequence[Arrival]:
+        """All that came since the last call, oldest first."""
+
+    def now_ns(self) -> int:
+        """The time now, of the clock that arrivals are stamped with."""
+
+    def problems(self) -> Sequence[str]:
+        """What went wrong so far, one line each, to be repeated after the screen closes."""
+
+
+class BusSource:
+    """Subscribes to the statuses of one loop over ops and intel.
+
+    Callbacks of the buses only append to a queue; parsing happens in `drain`, on the caller's
+    thread. Closing the buses is the caller's.
+
+    Parameters
+    ----------
+    ops_bus, intel_bus : protocol.runtime.zenoh_bus.Bus
+        Open buses.
+    loop : str
+        The loop's id.
+    """
+
+    def __init__(self, ops_bus: "Bus", intel_bus: "Bus", loop: str) -> None:
+        self._types: dict[str, type[Message]] = {}
+        self._waiting: deque[tuple[str, bytes, int]] = deque(maxlen=WAITING_AT_MOST)
+        self._came = self._taken = self._dropped = self._garbage = 0
+        for bus, types in ((ops_bus, OPS_WATCHED), (intel_bus, INTEL_WATCHED)):
+            for message_type in types:
+                key = key_of(message_type, loop)
+                self._types[key] = message_type
+                bus.subscribe(key, self._deliver)
+
+    def _deliver(self, key: str, payload: bytes, _sent_ns: int) -> None:
+        # On a foreign thread: append is atomic, and a full deque lets its oldest go.
+        self._waiting.append((key, payload, time.monotonic_ns()))
+        self._came += 1
+
+    @property
+    def garbage(self) -> int:
+        """Payloads that were no message of their key."""
+        return self._garbage
+
+    def drain(self) -> Sequence[Arrival]:
+        """Parse all that is waiting; garbage is counted and left out."""
+        arrivals = []
+        for _ in range(len(self._waiting)):
+            key, payload, t_ns = self._waiting.popleft()
+            self._taken += 1
+            try:
+                message = self._types[key].model_validate_json(payload)
+            except (ValidationError, KeyError):
+                self._garbage += 1
+                continue
+            arrivals.append(Arrival(t_ns, message))
+        self._dropped = self._came - self._taken - len(self._waiting)
+        return arrivals
+
+    def now_ns(self) -> int:
+        """The monotonic clock."""
+        return time.monotonic_ns()
+
+    def problems(self) -> Sequence[str]:
+        """Garbage and overflow, if there was any."""
+        lines = []
+        if self._garbage:
+            lines.append(f"dashboard: {self._garbage} payloads were no message of their key")
+        if self._dropped > 0:
+            lines.append(f"dashboard: {self._dropped} messages came faster than they were read")
+        return lines
+
+
+class ScriptedSource:
+    """Gives prepared batches, one at each call; its clock stands at the last arrival given."""
+
+    garbage = 0
+
+    def __init__(self, batches: Iterable[Sequence[Arrival]]) -> None:
+        self._batches = iter(batches)
+        self._next = next(self._batches, None)
+        self._now_ns = 0
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether all batches were given."""
+        return self._next is None
+
+    def drain(self) -> Sequence[Arrival]:
+        """The next batch, or nothing."""
+        batch = self._next or ()
+        self._next = next(self._batches, None)
+        if batch:
+            self._now_ns = batch[-1].t_ns
+        return batch
+
+    def now_ns(self) -> int:
+        """The time of the last arrival given."""
+        return self._now_ns
+
+    def problems(self) -> Sequence[str]:
+        """Nothing goes wrong in a script."""
+        return ()

@@ -1,0 +1,253 @@
+"""The screen as a pure function: a board, a size and what the user asked for, to lines of text.
+
+Every line is made here to its exact width, so that what a test compares is what a user sees. The
+screen is whole from 80x24 on. On a smaller one whole panels go, in the order of `DROPPED_FIRST`.
+"""
+
+from typing import Final
+
+from rich.cells import cell_len
+from rich.text import Text
+
+from wyner.dashboard import keymap
+from wyner.dashboard.model import Board
+from wyner.dashboard.panels import Panels, Wishes
+from wyner.dashboard.secrecy_panel import explanation, table, verdict
+from wyner.dashboard.text import count, drawn, fit, in_ascii, longest, number, row
+
+__all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "Wishes", "screen"]
+
+WHOLE: Final = (80, 24)
+"""The size, columns and rows, from which every panel is shown."""
+
+SMALLEST: Final = (40, 8)
+"""Below this only a line that says so is shown, and the secrecy verdict."""
+
+DROPPED_FIRST: Final = ("picture", "key symbols and automata", "taps", "loop", "message")
+"""Panels that a small screen does without, in turn; the secrecy verdict always stays."""
+
+SILENT_AFTER_NS: Final = 2_000_000_000
+"""A service that has not been heard for this long is called silent."""
+
+DETAIL_AT_LEAST: Final = 12
+"""Cells to which a reason in the first line is cut; it gets more where there is room."""
+
+DETAIL_RANK: Final = 6
+"""Where a reason stands among the parts of the first line, of which the highest goes first."""
+
+FOOTER_NAMED: Final = 60
+"""From this width on the last line says what its keys do; ? always does."""
+
+HELP: Final = (
+    "Agreement: digits are the centres c_i = A x + B u_i, around each the outline of",
+    "D_c (solid) and of D_e = alpha D_c (dotted); the dot is x(k+1). A key is agreed",
+    "when every D_e holds it (g <= alpha) and exactly one D_c does (g <= 1).",
+    "keys: true key symbols, the strongest tap's below; ^ stands under wrong ones.",
+    "right: the tap's share of right key symbols on agreed steps. P_g: the same, at",
+    "least 1/M. bit/key: -log2 P_g. left: messages she still holds possible. model",
+    "off: her A, B against the true ones. text: right characters of the message.",
+    "broke it: the step at which she was sure of it, and whether it is the true one.",
+    "missed: steps without an offer; late: offers past the deadline; unlike b_r: key",
+    "symbols that are not the coin which the plant drew.",
+    "claimed: every key symbol counted as secret. true: what the strongest tap",
+    "leaves of it, measured. Stronger taps may exist: true is never more than that.",
+    "When keys were agreed may stay hidden: at most 2 log2(N + 1) bit in N steps.",
+    "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
+    "message. It is whole from 80x24 on.",
+)
+
+
+def screen(board: Board, width: int, height: int, wishes: Wishes, now_ns: int) -> list[Text]:
+    """Exactly ``height`` lines of ``width`` cells each."""
+    page = _Page(board, width, wishes, now_ns)
+    if width < SMALLEST[0] or height < SMALLEST[1]:
+        lines = [
+            Text(f"{width}x{height} is too small: {SMALLEST[0]}x{SMALLEST[1]} needed"),
+            verdict(page.secrecy, width),
+        ]
+    elif wishes.help:
+        lines = page.help(height)
+    else:
+        lines = page.whole(height)
+    lines = [fit(line, width) for line in lines[:height]]
+    if not wishes.unicode:
+        lines = [in_ascii(line) for line in lines]
+    return lines + [fit(Text(), width)] * (height - len(lines))
+
+
+class _Page(Panels):
+    def whole(self, height: int) -> list[Text]:
+        """The panels that fit, the picture growing with the screen."""
+        shown = {"message", "loop", "taps", "key symbols and automata", "picture"}
+        if self.width < WHOLE[0]:
+            shown.discard("picture")
+        for panel in DROPPED_FIRST:
+            if self._needed(shown) <= height:
+                break
+            shown.discard(panel)
+        spare = height - self._needed(shown)
+        tap_rows = 1
+        if "taps" in shown:
+            tap_rows += max(0, min(spare, len(self.filtered()) - 1, 7))
+            spare -= tap_rows - 1
+        explained = spare >= 4
+        spare -= explained
+        tap_messages = 1
+        if "message" in shown and spare >= 8:
+            tap_messages += max(0, min((spare - 4) // 2, len(self.filtered()) - 1))
+            spare -= 2 * (tap_messages - 1)
+        top_extra = max(0, min(spare, 20)) if "picture" in shown else 0
+        lines = [self.header()]
+        lines += self._top(shown, top_extra)
+        if "message" in shown:
+            lines += self.message(tap_messages)
+        lines += self.secrecy_panel("taps" in shown, tap_rows, explained)
+        lines += [Text()] * (height - 1 - len(lines))
+        return [*lines[: height - 1], self.footer()]
+
+    def _needed(self, shown: set[str]) -> int:
+        rows = 1 + 1 + 2  # header, footer, rule and verdict of the secrecy panel
+        rows += self._top_rows(shown)
+        rows += 5 if "message" in shown else 0
+        rows += 2 if "taps" in shown else 0
+        return rows
+
+    def _top_rows(self, shown: set[str]) -> int:
+        left = 0
+        if "loop" in shown:
+            left += 1 + 4
+        if "key symbols and automata" in shown:
+            left += 5
+        return left
+
+    def header(self) -> Text:
+        """One line: what is watched and how it is; the less telling parts go where it is narrow."""
+        parts = self._parts()
+
+        def least(part: tuple[int, str]) -> int:
+            rank, text = part
+            return min(cell_len(text), DETAIL_AT_LEAST) if rank == DETAIL_RANK else cell_len(text)
+
+        def spare() -> int:
+            return self.width - sum(2 + least(part) for part in parts)
+
+        while len(parts) > 1 and spare() < 0:
+            parts.remove(max(parts, key=lambda part: part[0]))
+        left = spare()
+        line = Text(" ")
+        for part in parts:
+            text = fit(Text(part[1]), min(cell_len(part[1]), least(part) + max(0, left)))
+            left -= text.cell_len - least(part)
+            line.append_text(text)
+            line.append("  ")
+        return fit(line[:-2], self.width, style="reverse")
+
+    def _parts(self) -> list[tuple[int, str]]:
+        """What the first line says, each with its rank: the highest goes first."""
+        plant = self.board.plant
+        parts: list[tuple[int, str]] = [(0, "wyner")]
+        if plant is None:
+            parts.append((0, "waiting for the plant"))
+        else:
+            parts += [
+                (5, drawn(plant.scenario)),
+                (4, drawn(plant.pace)),
+                (7, f"alpha {number(plant.alpha)}"),
+                (8, f"session {plant.session[:8]}"),
+                (2, plant.phase),
+            ]
+            if plant.seeded:
+                parts.append((3, "SEEDED"))
+            if plant.frames_refused:
+                parts.append((2, f"{count(plant.frames_refused)} frames refused"))
+            if plant.detail:
+                parts.append((DETAIL_RANK, drawn(plant.detail)))
+        controller = self.board.controller
+        if controller is not None and controller.phase != "running":
+            parts.append((1, f"controller {controller.phase}"))
+            if controller.detail:
+                parts.append((DETAIL_RANK, drawn(controller.detail)))
+        if self.wishes.frozen:
+            steps = self.wishes.held_steps
+            parts.append((0, f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}"))
+        return parts + [(1, f"{name} silent") for name in self._silent()]
+
+    def _silent(self) -> list[str]:
+        seen = {
+            "plant": self.board.plant_seen_ns if self.board.plant else None,
+            "controller": self.board.controller_seen_ns if self.board.controller else None,
+        }
+        if self.board.taps:
+            seen["tap"] = max(tap.seen_ns for tap in self.board.taps.values())
+        return [
+            name
+            for name, at in seen.items()
+            if at is not None and self.now_ns - at > SILENT_AFTER_NS
+        ]
+
+    def footer(self) -> Text:
+        """One line: the filter being typed, a note, or the keys."""
+        if self.wishes.typing:
+            return Text(f" show taps whose name holds: {drawn(self.wishes.filter)}_")
+        if self.wishes.note:
+            return Text(f" {self.wishes.note}", style="bold")
+        messages = f"{count(self.board.received)} messages"
+        garbage = f"{count(self.board.garbage)} garbage"
+        tails = (f"{messages}, {garbage}", garbage) if self.board.garbage else (messages,)
+        line = self._keys(named=self.width >= FOOTER_NAMED)
+        if self.board.garbage and line.cell_len + len(garbage) + 2 > self.width:
+            line = self._keys(named=False)
+        tail = longest(self.width - line.cell_len - 2, *tails)
+        if tail:
+            line.append(tail.rjust(self.width - line.cell_len - 1), style="dim")
+        return line
+
+    def _keys(self, *, named: bool) -> Text:
+        line = Text()
+        for key in keymap.KEYS:
+            line.append(f" {key.label} ", style="reverse")
+            line.append(f" {key.short}  " if named else " ")
+        return line
+
+    def _top(self, shown: set[str], extra: int) -> list[Text]:
+        rows = self._top_rows(shown) + extra
+        if rows == 0:
+            return []
+        picture = "picture" in shown
+        left_width = 40 if self.width < 100 else min(54, self.width // 2 - 6)
+        width = left_width if picture else self.width
+        left: list[Text] = []
+        if "loop" in shown:
+            left += self.loop(width, extra)
+        if "key symbols and automata" in shown:
+            left += self.keys(width)
+        if rows - len(left) >= 4:
+            left += self.last_steps(width, rows - len(left))
+        left = left[:rows] + [Text()] * (rows - len(left))
+        if not picture:
+            return left
+        right = self.picture(self.width - left_width - 1, rows)
+        return [Text.assemble(fit(a, left_width), " ", b) for a, b in zip(left, right, strict=True)]
+
+    def secrecy_panel(self, with_table: bool, rows: int, explained: bool) -> list[Text]:
+        """Claimed against true, and a table of the taps, strongest first."""
+        shown = self.filtered()
+        note = ""
+        if self.wishes.filter:
+            note = f"/{drawn(self.wishes.filter)}: {len(shown)} of {len(self.taps)} taps"
+        elif len(shown) > rows and with_table:
+            note = f"the strongest {rows} of {len(shown)} taps"
+        lines = [self.rule("Secrecy", self.width, note), verdict(self.secrecy, self.width)]
+        if with_table:
+            lines += table(self.board, shown[:rows], self.width)
+        if explained:
+            lines.append(explanation(self.secrecy, self.width))
+        return lines
+
+    def help(self, height: int) -> list[Text]:
+        """The keys from their table, then how to read the screen."""
+        lines = [self.rule("Keys", self.width)]
+        lines += [row(f"   {key.label}", Text(key.meaning)) for key in keymap.KEYS]
+        lines.append(self.rule("How to read it", self.width))
+        lines += [Text(f" {line}") for line in HELP]
+        return [*lines[: height - 1], self.footer()]

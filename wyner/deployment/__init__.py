@@ -1,0 +1,1 @@
+"""Certificates, access control, and the supervisor of services."""

@@ -1,0 +1,172 @@
+"""The three services as child processes: started, watched, started again when killed, stopped."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from protocol.runtime.process import STOP_WITH_STDIN, Failure
+
+RESTART_S: Final = 0.2
+"""Seconds before a killed service is started again."""
+
+RESTARTS: Final = 20
+"""A service that was killed more often than this in one run stays down."""
+
+PATIENCE_S: Final = 5.0
+"""Seconds that a service has to come up, and to stop by itself."""
+
+LAST_THOUGHTS_S: Final = 25.0
+"""Seconds that the tap has to stop: heavy eavesdroppers think to the end of what they heard."""
+
+
+@dataclass
+class Child:
+    """One service and its process.
+
+    Parameters
+    ----------
+    name : str
+        ``controller``, ``plant`` or ``tap``.
+    arguments : list of str
+        After ``python -m NAME_service``.
+    log : Path
+        Where its output goes, appended.
+    """
+
+    name: str
+    arguments: list[str]
+    log: Path
+    process: subprocess.Popen[bytes] | None = None
+    restarts: int = 0
+    restart_at: float = 0.0
+    returned: int | None = None
+
+    def start(self) -> None:
+        """Start the process, in a session of its own, so that Ctrl-C reaches the parent only."""
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", f"{self.name}_service", *self.arguments],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, STOP_WITH_STDIN: "1"},
+                start_new_session=True,
+            )
+
+    def poll(self, now_s: float) -> int | None:
+        """Look after the process; its exit code once it ended by itself.
+
+        Killed by a signal, it is started again after :data:`RESTART_S`, as a restart policy would.
+        """
+        if self.returned is not None or self.process is None:
+            return self.returned
+        code = self.process.poll()
+        if code is None:
+            return None
+        if code >= 0 or self.restarts >= RESTARTS:
+            self.returned = code
+        elif not self.restart_at:
+            self.restart_at = now_s + RESTART_S
+        elif now_s >= self.restart_at:
+            self.restart_at = 0.0
+            self.restarts += 1
+            self._let_go()
+            self.start()
+        return self.returned
+
+    def stop(self) -> None:
+        """Ask the process to stop, then make it."""
+        if self.process is None:
+            return
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(LAST_THOUGHTS_S if self.name == "tap" else PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        if self.process is not None and self.process.stdin is not None:
+            self.process.stdin.close()
+
+    def last_line(self) -> str:
+        """The last line of its log: why it ended."""
+        try:
+            lines = self.log.read_text(errors="replace").strip().splitlines()
+        except OSError:
+            lines = []
+        return lines[-1].removeprefix("wyner: ") if lines else "no reason given"
+
+
+@dataclass
+class Supervisor:
+    """The children of one run.
+
+    ``first`` is started before the others and listens at ``first_endpoint``: the tap, which then
+    hears the very first message.
+    """
+
+    children: list[Child]
+    first: str
+    first_endpoint: str
+
+    def start(self) -> None:
+        """Start them all.
+
+        Raises
+        ------
+        Failure
+            When the first one does not come up.
+        """
+        first = self.child(self.first)
+        first.start()
+        host, _, port = self.first_endpoint.removeprefix("tcp/").rpartition(":")
+        until = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                socket.create_connection((host, int(port)), timeout=0.1).close()
+                break
+            except OSError:
+                self.poll()
+                if time.monotonic() > until:
+                    raise Failure(
+                        f"{first.name}: not up after {PATIENCE_S:g} s (log: {first.log})"
+                    ) from None
+                time.sleep(0.02)
+        for child in self.children:
+            if child is not first:
+                child.start()
+
+    def child(self, name: str) -> Child:
+        """The child of a name."""
+        return next(c for c in self.children if c.name == name)
+
+    def poll(self) -> None:
+        """Look after them all.
+
+        Raises
+        ------
+        Failure
+            When one ended by itself with an error; the line is the last of its log.
+        """
+        now = time.monotonic()
+        for child in self.children:
+            code = child.poll(now)
+            if code:
+                raise Failure(f"{child.name}: {child.last_line()} (log: {child.log})")
+
+    def stop(self) -> None:
+        """Stop them all, the plant first, so that its last transition is counted."""
+        for name in ("plant", "controller", "tap"):
+            for child in self.children:
+                if child.name == name:
+                    child.stop()

@@ -1,0 +1,1 @@
+"""Guesses beside the truth: scores, reports, intervals."""

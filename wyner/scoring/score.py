@@ -1,0 +1,370 @@
+"""Secrecy as it is reported: each eavesdropper's guesses beside the truth, and beside the claim.
+
+This is the scoring, and it stands outside the tap: it reads what the tap wrote and the plant's
+trace, and nothing in the tap imports it. Probabilities come with Wilson intervals, and a guessing
+probability P_g gives the min-entropy -log2 P_g that it leaves of one key symbol.
+"""
+
+import base64
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic_core import from_json
+
+from protocol.runtime.trace import PLANT_TRACE, Trace, TraceError, read_trace
+from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
+from tap_service.capture.recording import parts_of
+from tap_service.eavesdroppers.base import KEPT_SYMBOLS
+
+Z: Final = 1.959963984540054
+"""Normal quantile of a two-sided 95 % interval."""
+
+Step = tuple[str, int]
+
+
+class ScoreError(Exception):
+    """A run that cannot be scored; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proportion:
+    """A share of successes with its 95 % Wilson interval; of no trials it says nothing."""
+
+    right: float
+    of: int
+
+    @property
+    def share(self) -> float | None:
+        """Successes over trials."""
+        return self.right / self.of if self.of else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end; (0, 1) of no trials."""
+        if not self.of:
+            return 0.0, 1.0
+        n, p, z2 = self.of, self.right / self.of, Z**2
+        centre = p + z2 / (2 * n)
+        spread = Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
+        scale = 1 + z2 / n
+        low = 0.0 if p == 0 else max(0.0, (centre - spread) / scale)
+        high = 1.0 if p == 1 else min(1.0, (centre + spread) / scale)
+        return low, high
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What really happened in a run, from the plant's trace.
+
+    Parameters
+    ----------
+    size : int
+        M.
+    keys : mapping
+        The key symbol of each agreed transition, by session and step. The last transition of a
+        session is left out: its result never travelled, and its key is never used.
+    symbols : mapping
+        The message symbol of each message transition.
+    whole : tuple of (int, bytes)
+        Each message that the plant recovered, with the step (of its session) at which it was whole.
+    transitions : int
+    """
+
+    size: int
+    keys: Mapping[Step, int]
+    symbols: Mapping[Step, int]
+    whole: tuple[tuple[int, bytes], ...]
+    transitions: int
+
+    @property
+    def claimed_bits(self) -> float:
+        """What the paper's rule counts: log2 M secret bits for each agreement."""
+        return len(self.keys) * math.log2(self.size)
+
+    def between(self, first: int | None, last: int | None) -> "Truth":
+        """The truth of the steps from and to which a run was decoded, both included."""
+        low, high = first or 0, math.inf if last is None else last
+        return Truth(
+            self.size,
+            {at: key for at, key in self.keys.items() if low <= at[1] <= high},
+            {at: symbol for at, symbol in self.symbols.items() if low <= at[1] <= high},
+            tuple((k, payload) for k, payload in self.whole if low <= k <= high),
+            self.transitions,
+        )
+
+
+def truth_of(trace: Trace) -> Truth:
+    """Read the truth from a plant's trace."""
+    keys: dict[Step, int] = {}
+    symbols: dict[Step, int] = {}
+    steps: set[Step] = set()
+    whole: list[tuple[int, bytes]] = []
+    size, last_k = 2, -1
+    for event in trace.events:
+        if event["event"] == "transition":
+            at = (str(event["session"]), int(event["k"]))
+            steps.add(at)
+            last_k = at[1]
+            size = len(event["candidates"])
+            # a plant that was killed may have written a transition twice: the last counts
+            for store, value, role in (
+                (keys, int(event["symbol"]), "test"),
+                (symbols, int(event["message_symbol"]), "message"),
+            ):
+                store.pop(at, None)
+                if event["role"] == role and value >= 0:
+                    store[at] = value
+        elif event["event"] == "recovered":
+            whole.append((last_k, base64.b64decode(event["payload"])))
+    last: dict[str, int] = {}
+    for session, k in steps:
+        last[session] = max(k, last.get(session, k))
+    for at in last.items():  # no message follows it: its result never travelled
+        keys.pop(at, None)
+    return Truth(size, keys, symbols, tuple(whole), len(steps))
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
+
+    ``symbols`` is None where she was not heard to the end. ``whole`` are the last of her
+    ``whole_count`` messages.
+    """
+
+    name: str
+    live: Mapping[Step, int]
+    reviewed: Mapping[Step, int]
+    session: str
+    symbols: Mapping[int, int] | None
+    message: bytes
+    whole: tuple[bytes, ...]
+    whole_count: int
+    candidates_left: int
+    solved_k: int
+    confidence: float
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TapScore:
+    """One eavesdropper's score in one run.
+
+    Parameters
+    ----------
+    name : str
+    keys : Proportion
+        Agreed steps on which her likeliest symbol, right after the step, was the key symbol; one
+        that she missed counts as a blind guess. Steps before the first and after the last that is
+        on record of her are left out: she was not there, or her log was cut.
+    keys_reviewed : Proportion
+        The same with her second thoughts, where she has any.
+    bits : Proportion
+        Message symbols she got right, step by step; one that she missed counts as a blind guess.
+        Where she was not heard to the end, there are none.
+    messages : Proportion
+        Messages that she had whole and exact, of those the plant recovered; where she keeps only
+        the last of hers, of as many of the plant's last.
+    candidates_left : int
+        Candidate messages that remain; 0 where they are not counted.
+    solved_k : int
+        The step at which she was first sure of a whole message; -1 never.
+    size : int
+        M.
+    guess : str
+        Her best message as text.
+    failed : str
+        Why she stopped, if she did.
+    """
+
+    name: str
+    keys: Proportion
+    keys_reviewed: Proportion
+    bits: Proportion
+    messages: Proportion
+    candidates_left: int
+    solved_k: int
+    size: int
+    guess: str = ""
+    failed: str = ""
+
+    @property
+    def guessing(self) -> float | None:
+        """P_g per key symbol, with all that she knew at the end; never below 1/M."""
+        share = self.keys_reviewed.share
+        return None if share is None else max(share, 1.0 / self.size)
+
+
+@dataclass(frozen=True, slots=True)
+class RunScore:
+    """The score of a run: the truth's own figures, and one `TapScore` an eavesdropper."""
+
+    run: str
+    truth: Truth
+    taps: tuple[TapScore, ...]
+
+
+def score(truth: Truth, said: Said) -> TapScore:
+    """Compare what one eavesdropper said with what happened."""
+    blind = 1.0 / truth.size
+    keys = _on_record(truth, said)
+
+    def right(guesses: Mapping[Step, int]) -> float:
+        missed = sum(at not in guesses for at in keys)
+        return sum(guesses.get(at) == key for at, key in keys.items()) + blind * missed
+
+    recovered = [payload for _, payload in truth.whole]
+    if said.whole_count > len(said.whole):
+        recovered = recovered[-len(said.whole) :]
+    unclaimed = list(said.whole)
+    exact = 0
+    for payload in recovered:
+        if payload in unclaimed:
+            unclaimed.remove(payload)
+            exact += 1
+    return TapScore(
+        name=said.name,
+        keys=Proportion(right(said.live), len(keys)),
+        keys_reviewed=Proportion(right({**said.live, **said.reviewed}), len(keys)),
+        bits=_bits(truth, said),
+        messages=Proportion(exact, len(recovered)),
+        candidates_left=said.candidates_left,
+        solved_k=said.solved_k,
+        size=truth.size,
+        guess=said.message.decode("utf-8", errors="replace"),
+        failed=said.failed,
+    )
+
+
+def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
+    """The keys of the steps between the first and the last guess of hers in each session.
+
+    Of one who was there to the end and heard nothing at all, every key counts.
+    """
+    if not said.live:
+        return {} if said.symbols is None else truth.keys
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for session, k in said.live:
+        first[session] = min(k, first.get(session, k))
+        last[session] = max(k, last.get(session, k))
+    return {
+        (session, k): key
+        for (session, k), key in truth.keys.items()
+        if session in first and first[session] <= k <= last[session]
+    }
+
+
+def _bits(truth: Truth, said: Said) -> Proportion:
+    """Message symbols right, of her last session's; of the newest only, where she kept no more."""
+    if said.symbols is None:
+        return Proportion(0.0, 0)
+    oldest = min(said.symbols) if len(said.symbols) >= KEPT_SYMBOLS else 0
+    asked = {k: s for (session, k), s in truth.symbols.items() if session == said.session}
+    asked = {k: s for k, s in asked.items() if k >= oldest}
+    missed = sum(k not in said.symbols for k in asked)
+    right = sum(said.symbols.get(k) == symbol for k, symbol in asked.items())
+    return Proportion(right + missed / truth.size, len(asked))
+
+
+def read_said(run_dir: Path) -> list[Said]:
+    """What each eavesdropper of a run said, from the tap's files.
+
+    Raises
+    ------
+    ScoreError
+        When the tap left nothing that can be read.
+    """
+    beliefs = run_dir / BELIEFS
+    try:
+        records: dict[str, dict[str, Any]] = from_json(beliefs.read_bytes())
+    except OSError as error:
+        raise ScoreError(f"{beliefs}: cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise ScoreError(f"{beliefs}: expected the tap's beliefs as JSON") from None
+    guesses: dict[str, dict[str, dict[Step, int]]] = {}
+    for stem in (GUESSES, ANALYSIS_GUESSES):
+        for path in parts_of(run_dir / stem):
+            for event in _lines(path):
+                if event["event"] in ("guess", "review"):
+                    mine = guesses.setdefault(event["name"], {"guess": {}, "review": {}})
+                    mine[event["event"]][event["session"], event["k"]] = event["symbol"]
+    return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
+
+
+def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> Said:
+    """What one eavesdropper said, from her record and her guesses by kind."""
+    symbols = record["symbols"]
+    return Said(
+        name=record["name"],
+        live=guesses.get("guess", {}),
+        reviewed=guesses.get("review", {}),
+        session=record["session"],
+        symbols=None if symbols is None else {int(k): int(v) for k, v in symbols},
+        message=base64.b64decode(record["message"]),
+        whole=tuple(base64.b64decode(w) for w in record["whole"]),
+        whole_count=record["whole_count"],
+        candidates_left=record["candidates_left"],
+        solved_k=record["solved_k"],
+        confidence=record["confidence"],
+        failed=record["failed"],
+    )
+
+
+def _lines(path: Path) -> Iterable[dict[str, Any]]:
+    with path.open("rb") as file:
+        for line in file:
+            try:
+                value = from_json(line)
+            except ValueError:
+                continue
+            if isinstance(value, dict) and "event" in value:
+                yield value
+
+
+def read_truth(run_dir: Path) -> Truth:
+    """The truth of a run.
+
+    Raises
+    ------
+    ScoreError
+        When its plant's trace cannot be read.
+    """
+    try:
+        return truth_of(read_trace(run_dir / PLANT_TRACE))
+    except TraceError as error:
+        raise ScoreError(str(error)) from None
+
+
+def score_run(run_dir: Path) -> RunScore:
+    """Score every eavesdropper of a run.
+
+    Raises
+    ------
+    ScoreError
+        When the plant's trace or the tap's files cannot be read.
+    """
+    truth = read_truth(run_dir)
+    taps = tuple(score(truth, said) for said in read_said(run_dir))
+    return RunScore(run_dir.name, truth, taps)
+
+
+def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
+    """Per eavesdropper, what the summary of a run says: accuracies and her guess."""
+    return {
+        tap.name: {
+            "symbol_accuracy": tap.keys_reviewed.share,
+            "symbol_accuracy_live": tap.keys.share,
+            "agreed_steps": tap.keys.of,
+            "agreed_steps_not_on_record": len(run.truth.keys) - tap.keys.of,
+            "message_bit_accuracy": tap.bits.share,
+            "messages_exact": int(tap.messages.right),
+            "candidates_left": tap.candidates_left,
+            "solved_k": tap.solved_k,
+            "guessed_text": tap.guess,
+        }
+        for tap in run.taps
+    }

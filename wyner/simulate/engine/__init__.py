@@ -1,0 +1,26 @@
+"""The closed loop over many runs at once: the same system as the services, elementwise in NumPy.
+
+The layers: :mod:`~wyner.simulate.engine.draws` gives each run the random numbers that a single run
+of the services would take; :mod:`~wyner.simulate.engine.loop` simulates plant and laws and keeps
+what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows both automata over it;
+:mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it. Neither law nor coin depends on
+alpha, so that one simulation serves every alpha.
+"""
+
+from wyner.simulate.engine.draws import Draws, cipher_symbols
+from wyner.simulate.engine.link import Link, Transfer, follow, transfer
+from wyner.simulate.engine.loop import CHUNK, Runs, SimulationError, chunks, simulate_runs
+
+__all__ = [
+    "CHUNK",
+    "Draws",
+    "Link",
+    "Runs",
+    "SimulationError",
+    "Transfer",
+    "chunks",
+    "cipher_symbols",
+    "follow",
+    "simulate_runs",
+    "transfer",
+]

@@ -1,0 +1,104 @@
+"""Random numbers of many runs: exactly those that each run's own seeded streams would give."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.scenario import Disturbance
+from protocol.streams import CIPHER, COIN, DISTURBANCE
+from wyner.simulate.engine.seeding import generator_states
+
+Array = NDArray[np.float64]
+
+
+class Draws:
+    """Disturbance and coin of consecutive steps for a set of runs, block by block.
+
+    Parameters
+    ----------
+    seed : int
+        The experiment's seed.
+    runs : sequence of int
+        Numbers of the runs; the services with a seed are run 0.
+    n : int
+        Number of states: uniform numbers a step that the disturbance takes.
+    """
+
+    def __init__(self, seed: int, runs: Sequence[int], n: int) -> None:
+        self.n = n
+        self._noise = Streams(seed, runs, DISTURBANCE)
+        self._coins = Streams(seed, runs, COIN)
+
+    def block(self, steps: int) -> tuple[Array, Array]:
+        """The next ``steps`` draws: shapes (steps, n, R) and (steps, R), uniform in [0, 1)."""
+        noise = self._noise.take(steps * self.n).reshape(-1, steps, self.n)
+        return (
+            np.ascontiguousarray(noise.transpose(1, 2, 0)),
+            np.ascontiguousarray(self._coins.take(steps).T),
+        )
+
+
+class Streams:
+    """One stream of each run; the runs take turns with one generator."""
+
+    def __init__(self, seed: int, runs: Sequence[int], stream: int) -> None:
+        self._states: list[Any] = list(generator_states(seed, runs, stream))
+        self._bits = np.random.PCG64(0)
+        self._generator = np.random.Generator(self._bits)
+
+    def take(self, count: int) -> Array:
+        """The next ``count`` numbers of each run, shape (R, count)."""
+        out = np.empty((len(self._states), count))
+        for r, state in enumerate(self._states):
+            self._bits.state = state
+            self._generator.random(out=out[r])
+            self._states[r] = self._bits.state
+        return out
+
+
+def cipher_symbols(seed: int, runs: Sequence[int], steps: int, size: int) -> NDArray[np.int8]:
+    """The random cipher symbol of each transition, shape (steps, R), in range(size)."""
+    return (Streams(seed, runs, CIPHER).take(steps) * size).astype(np.int8).T.copy()
+
+
+def disturbances(spec: Disturbance, first_step: int, uniforms: Array) -> Array:
+    """d of consecutive steps, the same numbers as :func:`plant_service.disturbance.disturbance`.
+
+    Parameters
+    ----------
+    spec : Disturbance
+    first_step : int
+        Step of ``uniforms[0]``.
+    uniforms : array, shape (steps, n, R)
+
+    Returns
+    -------
+    array, shape (steps, n, R)
+    """
+    w = np.array(spec.half_widths)[:, None]
+    out: Array
+    if spec.kind == "uniform":
+        out = (2.0 * uniforms - 1.0) * w
+    elif spec.kind == "corners":
+        out = np.where(uniforms >= 0.5, w, -w)
+    elif spec.kind == "constant":
+        out = np.broadcast_to(spec.bias * w, uniforms.shape).copy()
+    elif spec.kind == "sinusoid":
+        # The library's sine of each step, as the plant takes it.
+        steps = range(first_step, first_step + len(uniforms))
+        phase = np.array([math.sin(2.0 * math.pi * k / spec.cycle_steps) for k in steps])
+        out = np.broadcast_to(phase[:, None, None] * w, uniforms.shape).copy()
+    else:
+        from scipy.special import ndtr, ndtri
+
+        if spec.kind == "gaussian":
+            standard = ndtri(np.maximum(uniforms, 2.0**-54))
+        else:
+            low = float(ndtr(-1.0 / spec.deviation))
+            span = 1.0 - 2.0 * low
+            standard = ndtri(low + span * uniforms)
+        out = (spec.deviation * w) * standard
+    return out

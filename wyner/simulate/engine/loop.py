@@ -1,0 +1,276 @@
+"""Plant, laws and the agreement test's gauges for many runs, step by step.
+
+Arithmetic is elementwise and in the order of :func:`protocol.agreement.predict` and
+:class:`protocol.agreement.Gauge`: products added from the left, then the disturbance. No BLAS and
+no einsum, which may fuse multiply and add. For a single input every number is therefore the
+services' own to the last bit.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError
+from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, Matrix
+from protocol.scenario import Scenario
+from wyner.simulate.engine.draws import Draws, disturbances
+
+Array = NDArray[np.float64]
+Symbols = NDArray[np.int8]
+
+CHUNK: Final = 4096
+"""Runs simulated together: a column (32 kB) stays in cache, and NumPy's calls are paid for."""
+
+BLOCK: Final = 256
+"""Steps for which random numbers are drawn at a time."""
+
+
+class SimulationError(Exception):
+    """A run that cannot go on; the message names run, step and reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """What a simulation keeps of every transition; time is the first axis, runs the last.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    seed : int
+    runs : range
+        Numbers of the runs.
+    coin : int8 array, shape (steps, R)
+        b_r.
+    symbol : int8 array, shape (steps, R)
+        The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
+    largest : array, shape (steps, R)
+        The largest gauge: a transition is in Diff at alpha when ``symbol`` is not -1 and this is at
+        most alpha.
+    state_cost, input_effort : array, shape (R,)
+        Sums over steps of abs(x(k+1))^2 and abs(u(k))^2.
+    x : array, shape (steps + 1, n, R), optional
+        States; with ``candidates`` and ``gauges`` only where the record was asked for.
+    candidates : array, shape (steps, M, m, R), optional
+    gauges : array, shape (steps, M, R), optional
+    """
+
+    scenario: Scenario
+    seed: int
+    runs: range
+    coin: Symbols
+    symbol: Symbols
+    largest: Array
+    state_cost: Array
+    input_effort: Array
+    x: Array | None = None
+    candidates: Array | None = None
+    gauges: Array | None = None
+
+    @property
+    def steps(self) -> int:
+        """Transitions in each run."""
+        return len(self.coin)
+
+
+def _weighted(row: Sequence[float], columns: Sequence[Array], out: Array, spare: Array) -> None:
+    """row[0] columns[0] + row[1] columns[1] + ..., added from the left, into ``out``."""
+    np.multiply(columns[0], row[0], out=out)
+    for weight, column in zip(row[1:], columns[1:], strict=True):
+        np.multiply(column, weight, out=spare)
+        np.add(out, spare, out=out)
+
+
+def _add(row: Sequence[float], columns: Sequence[Array], out: Array, spare: Array) -> None:
+    """``out`` + row[0] columns[0] + ..., added from the left."""
+    for weight, column in zip(row, columns, strict=True):
+        np.multiply(column, weight, out=spare)
+        np.add(out, spare, out=out)
+
+
+class _Loop:
+    """Buffers and constants of one chunk."""
+
+    def __init__(self, scenario: Scenario, law: ControlLaw, runs: range, seed: int) -> None:
+        self.scenario, self.law, self.runs = scenario, law, runs
+        self.n, self.m, self.M = scenario.n, scenario.m, scenario.secrecy.candidates
+        self.A, self.B = scenario.A, scenario.B
+        plant = scenario.plant
+        self.true_A: Matrix = plant.A
+        self.true_B: Matrix = plant.B
+        self.same_model = (plant.A, plant.B) == (self.A, self.B)
+        self.gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
+        self.draws = Draws(seed, runs, self.n)
+        R = len(runs)
+        self.x = np.repeat(np.array(plant.initial_state)[:, None], R, axis=1)
+        self.following = np.empty((self.n, R))
+        self.free = np.empty((self.n, R))  # A x
+        self.centres = np.empty((self.M, self.n, R))
+        self.gauges = np.empty((self.M, R))
+        self.u = np.empty((self.m, R))
+        self.difference = np.empty((self.n, R))
+        self.spare = np.empty(R)
+        self.ratio = np.empty(R)
+        self.inside = np.empty((self.M, R), dtype=bool)
+
+    def choose(self, coin: Symbols, options: Sequence[Array], out: Array) -> None:
+        """``out`` = options[coin], run by run."""
+        np.copyto(out, options[0])
+        for i in range(1, self.M):
+            np.copyto(out, options[i], where=coin == i)
+
+    def step(self, columns: list[list[Array]], coin: Symbols, d: Array) -> None:
+        """Centres, next state and gauges from the candidates' columns, ``columns[i][j]`` (R,)."""
+        rows_x = list(self.x)
+        for i in range(self.n):
+            _weighted(self.A[i], rows_x, self.free[i], self.spare)
+        for j, inputs in enumerate(columns):
+            for i in range(self.n):
+                np.copyto(self.centres[j, i], self.free[i])
+                _add(self.B[i], inputs, self.centres[j, i], self.spare)
+        for i in range(self.m):
+            self.choose(coin, [inputs[i] for inputs in columns], self.u[i])
+        for i in range(self.n):
+            out = self.following[i]
+            if self.same_model:
+                self.choose(coin, [self.centres[j, i] for j in range(self.M)], out)
+            else:
+                _weighted(self.true_A[i], rows_x, out, self.spare)
+                _add(self.true_B[i], list(self.u), out, self.spare)
+            np.add(out, d[i], out=out)
+        for j in range(self.M):
+            np.subtract(self.following, self.centres[j], out=self.difference)
+            self.measure(self.gauges[j])
+        self.x, self.following = self.following, self.x
+
+    def measure(self, out: Array) -> None:
+        """``out`` = g(difference)."""
+        widths = self.gauge.half_widths
+        v = self.difference
+        if widths is not None:
+            np.abs(v, out=v)
+            np.divide(v[0], widths[0], out=out)
+            for i in range(1, self.n):
+                np.divide(v[i], widths[i], out=self.ratio)
+                np.maximum(out, self.ratio, out=out)
+            return
+        out[:] = 0.0
+        for row, bound in zip(self.gauge.H, self.gauge.h, strict=True):
+            _weighted(row, list(v), self.ratio, self.spare)
+            np.divide(self.ratio, bound, out=self.ratio)
+            np.maximum(out, self.ratio, out=out)
+
+    def verdict(self, symbol: Symbols, largest: Array) -> None:
+        """The verdict's parts that do not depend on alpha."""
+        g = self.gauges
+        np.less_equal(g, INSIDE, out=self.inside)
+        if self.M == 2:
+            np.maximum(g[0], g[1], out=largest)
+            # One inside only: its index is the second's flag; otherwise -1.
+            np.copyto(symbol, self.inside[1].view(np.int8))
+            np.copyto(symbol, NO_SYMBOL, where=self.inside[0] == self.inside[1])
+            return
+        np.max(g, axis=0, out=largest)
+        symbol[:] = np.argmax(self.inside, axis=0)
+        np.copyto(symbol, NO_SYMBOL, where=self.inside.sum(axis=0) != 1)
+
+
+def simulate_runs(
+    scenario: Scenario,
+    law: ControlLaw,
+    *,
+    seed: int,
+    runs: range,
+    steps: int,
+    record: bool = False,
+) -> Runs:
+    """Simulate ``runs`` together; a chunk, for more see :func:`chunks`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its plant, disturbance and agreement rule; the law is the one given.
+    law : ControlLaw
+    seed : int
+    runs : range
+        Numbers of the runs, each with its own streams.
+    steps : int
+    record : bool
+        Keep states, candidates and gauges of every transition.
+
+    Raises
+    ------
+    SimulationError
+        When a state leaves every set, or a program has no answer.
+    """
+    R = len(runs)
+    if R < 1 or steps < 1:
+        raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
+    loop = _Loop(scenario, law, runs, seed)
+    M, m, n = loop.M, loop.m, loop.n
+    coin = np.empty((steps, R), dtype=np.int8)
+    symbol = np.empty((steps, R), dtype=np.int8)
+    largest = np.empty((steps, R))
+    state_cost, input_effort = np.zeros(R), np.zeros(R)
+    xs = np.empty((steps + 1, n, R)) if record else None
+    us = np.empty((steps, M, m, R)) if record else None
+    gs = np.empty((steps, M, R)) if record else None
+    if xs is not None:
+        xs[0] = loop.x
+    d = np.empty((0, n, R))
+    for k in range(steps):
+        place = k % BLOCK
+        if place == 0:
+            uniforms, coins = loop.draws.block(min(BLOCK, steps - k))
+            d = disturbances(scenario.plant.disturbance, k, uniforms)
+            coin[k : k + len(coins)] = coins * M
+        X = loop.x.T
+        try:
+            options = law.candidates_many(X, law.indices(X))
+        except (OutsideError, ProgramError) as error:
+            raise SimulationError(
+                f"runs {runs.start} to {runs.stop - 1}, step {k}: {error}"
+            ) from None
+        columns = [[np.ascontiguousarray(options[:, j, i]) for i in range(m)] for j in range(M)]
+        loop.step(columns, coin[k], d[place])
+        loop.verdict(symbol[k], largest[k])
+        for i in range(n):
+            np.multiply(loop.x[i], loop.x[i], out=loop.spare)
+            np.add(state_cost, loop.spare, out=state_cost)
+        for i in range(m):
+            np.multiply(loop.u[i], loop.u[i], out=loop.spare)
+            np.add(input_effort, loop.spare, out=input_effort)
+        if xs is not None and us is not None and gs is not None:
+            xs[k + 1] = loop.x
+            us[k] = options.transpose(1, 2, 0)
+            gs[k] = loop.gauges
+    return Runs(
+        scenario=scenario,
+        seed=seed,
+        runs=runs,
+        coin=coin,
+        symbol=symbol,
+        largest=largest,
+        state_cost=state_cost,
+        input_effort=input_effort,
+        x=xs,
+        candidates=us,
+        gauges=gs,
+    )
+
+
+def chunks(
+    scenario: Scenario,
+    law: ControlLaw,
+    *,
+    seed: int,
+    runs: range,
+    steps: int,
+    chunk: int = CHUNK,
+) -> Iterator[Runs]:
+    """Simulate any number of runs, ``chunk`` at a time."""
+    for first in range(runs.start, runs.stop, chunk):
+        part = range(first, min(first + chunk, runs.stop))
+        yield simulate_runs(scenario, law, seed=seed, runs=part, steps=steps)

@@ -1,0 +1,86 @@
+"""Eavesdroppers on simulated runs: the classes that listen live, fed the same public messages."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from protocol.agreement import NO_SYMBOL
+from protocol.schemes.framing import Deframer
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import ORACLE, named
+from wyner.simulate.engine.link import Transfer
+from wyner.simulate.engine.loop import Runs
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What one eavesdropper got of one run.
+
+    Parameters
+    ----------
+    agreements : int
+        Key symbols that were agreed.
+    right : int
+        Of these, the ones that she guessed right at once.
+    delivered : int
+        Whole messages that the plant recovered.
+    read : int
+        Of these, the ones among her whole messages in the end.
+    """
+
+    agreements: int
+    right: int
+    delivered: int
+    read: int
+
+
+def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
+    """The public transcript of run ``place`` of a simulation with a record, nothing lost.
+
+    Raises
+    ------
+    ValueError
+        When the simulation kept no record.
+    """
+    if runs.x is None or runs.candidates is None:
+        raise ValueError("runs: expected a simulation with record=True")
+    x = [tuple(v) for v in runs.x[:, :, place].tolist()]
+    offers = runs.candidates[..., place].tolist()
+    for j, cipher in enumerate(link.cipher[:, place].tolist()):
+        candidates = tuple(tuple(u) for u in offers[j])
+        yield Transition("simulated", j, x[j], candidates, cipher, x[j + 1], start=j == 0)
+
+
+def listen(runs: Runs, link: Transfer, names: Sequence[str], place: int) -> list[Heard]:
+    """Let each named eavesdropper hear run ``place``, and score her against the truth.
+
+    Parameters
+    ----------
+    runs : Runs
+        With a record.
+    link : Transfer
+        Of the same runs.
+    names : sequence of str
+        As ``wyner tap --eavesdropper`` takes them.
+    place : int
+    """
+    scenario = runs.scenario
+    taps = [
+        named(name)(scenario.oracle_knowledge() if name == ORACLE else scenario.knowledge())
+        for name in names
+    ]
+    keys = link.key[:, place].tolist()
+    right = [0] * len(taps)
+    for transition, key in zip(transcript(runs, link, place), keys, strict=True):
+        for i, tap in enumerate(taps):
+            guess = tap.observe(transition)
+            right[i] += key != NO_SYMBOL and guess.best == key
+    deframer = Deframer(scenario.secrecy.candidates)
+    symbols = (v for v in link.message_symbol[:, place].tolist() if v != NO_SYMBOL)
+    frames = [frame for v in symbols if (frame := deframer.push(v)) is not None]
+    messages = [frame.payload for frame in frames if frame.intact]
+    agreements = sum(key != NO_SYMBOL for key in keys)
+    out = []
+    for tap, hits in zip(taps, right, strict=True):
+        whole = tap.belief().whole
+        out.append(Heard(agreements, hits, len(messages), sum(m in whole for m in messages)))
+    return out

@@ -1,0 +1,1 @@
+"""Experiments: sweeps, the secrecy study, and the figures."""

@@ -1,0 +1,63 @@
+"""Every figure of docs/, each from its data files: SVG and PNG, the same bytes twice.
+
+A figure's note states its runs, seeds and intervals, all read from the data.
+"""
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from wyner.studies.figures import loop, secrecy
+from wyner.studies.figures.style import Drawing, FigureError, drawing, save
+from wyner.studies.grid import ROOT
+
+__all__ = ["DATA", "FIGURES", "OUTPUT", "FigureError", "draw"]
+
+DATA: Final = ROOT / "docs" / "data"
+OUTPUT: Final = ROOT / "docs" / "figures"
+
+
+class Kind(NamedTuple):
+    """One figure: how it is drawn, from which data files, and its size in inches."""
+
+    draw: Drawing
+    data: tuple[str, ...]
+    size: tuple[float, float]
+
+
+FIGURES: Final[dict[str, Kind]] = {
+    "rate-paper": Kind(loop.draw_paper, ("fig7-paper", "fig7-paper-20"), (6.4, 4.2)),
+    "rate-sustained": Kind(loop.draw_sustained, ("fig7-sustained", "sustained-long"), (6.4, 4.2)),
+    "distance": Kind(loop.draw_distance, ("distance",), (6.4, 4.0)),
+    "disturbances": Kind(loop.draw_disturbances, ("disturbances", "taps"), (9.0, 4.2)),
+    "price": Kind(loop.draw_price, ("price",), (8.0, 3.8)),
+    "plants": Kind(loop.draw_plants, ("plants", "widths"), (8.0, 3.8)),
+    "sets": Kind(loop.draw_sets, ("sets",), (9.0, 4.4)),
+    "secrecy-alpha": Kind(secrecy.draw_alpha, ("secrecy-alpha",), (7.0, 3.8)),
+    "secrecy-alpha-bits": Kind(secrecy.draw_alpha_bits, ("secrecy-alpha",), (7.0, 3.8)),
+    "secrecy-learning": Kind(secrecy.draw_learning, ("secrecy-learning",), (7.0, 3.8)),
+    "secrecy-view": Kind(secrecy.draw_views, ("secrecy-view",), (7.5, 4.2)),
+}
+"""The figures, in the order of docs/experiments.md and then of docs/secrecy.md."""
+
+
+def draw(name: str, data: Path = DATA, output: Path = OUTPUT) -> tuple[Path, Path]:
+    """Draw one figure; returns the paths of its SVG and its PNG.
+
+    Raises
+    ------
+    FigureError
+        When its data cannot be read or are not complete.
+    """
+    kind = FIGURES[name]
+    output.mkdir(parents=True, exist_ok=True)
+    svg, png = output / f"{name}.svg", output / f"{name}.png"
+    with drawing(kind.size) as figure:
+        try:
+            note = kind.draw(figure, data)
+        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
+            files = " or ".join(str(data / f"{file}.csv") for file in kind.data)
+            raise FigureError(f"{files}: does not have what the figure shows") from error
+        figure.supxlabel(note, fontsize=6.5, color="0.35")
+        save(figure, svg)
+        save(figure, png)
+    return svg, png

@@ -1,0 +1,164 @@
+"""The figures of docs/secrecy.md, and the picture of a secrecy report."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from wyner.scoring.report import Report, Share
+from wyner.studies.figures.style import COLOURS, FigureError, drawing, save
+from wyner.studies.secrecy.tables import Row, read_rows, share_of
+
+MARKS: Final = {
+    "set-membership": ("o", "0.5"),
+    "nearest-centre": ("s", COLOURS[0]),
+    "list-decoder": ("^", COLOURS[1]),
+    "learning": ("D", COLOURS[2]),
+    "smoother": ("v", COLOURS[3]),
+    "oracle": ("*", "k"),
+}
+"""Marker and colour: told apart without colour too."""
+
+
+def rows_of(study: str, data: Path) -> list[Row]:
+    """The rows of a study.
+
+    Raises
+    ------
+    FigureError
+        When they cannot be read.
+    """
+    try:
+        return read_rows(study, data)
+    except OSError as error:
+        raise FigureError(f"{error.filename}: cannot be read: {error.strerror}") from None
+
+
+def note_of(rows: Sequence[Row], text: str = "95 % bootstrap intervals over runs") -> str:
+    """Runs, steps, seeds and interval."""
+    seeds = sorted({int(r["seed"]) for r in rows})
+    steps = sorted({int(r["steps"]) for r in rows})
+    groups: dict[tuple[str, str], int] = {}
+    for r in rows:
+        groups[r["condition"], r["tap"]] = groups.get((r["condition"], r["tap"]), 0) + 1
+    fewest, most = min(groups.values()), max(groups.values())
+    runs = str(most) if fewest == most else f"{fewest} to {most}"
+    return (
+        f"{runs} runs of {' or '.join(str(s) for s in steps)} steps each, seeds {seeds[0]} to "
+        f"{seeds[-1]}; {text}"
+    )
+
+
+def shares_of(
+    rows: Sequence[Row], tap: str, conditions: Sequence[str], right: str, of: str
+) -> list[Share]:
+    """What one eavesdropper got under each condition."""
+    mine = [r for r in rows if r["tap"] == tap]
+    return [share_of([r for r in mine if r["condition"] == c], right, of) for c in conditions]
+
+
+def heights(shares: Sequence[Share]) -> tuple[list[float], list[list[float]]]:
+    """Values, and how far their intervals reach below and above."""
+    values = [s.value or 0.0 for s in shares]
+    below = [max(v - s.low, 0.0) for v, s in zip(values, shares, strict=True)]
+    above = [max(s.high - v, 0.0) for v, s in zip(values, shares, strict=True)]
+    return values, [below, above]
+
+
+def against_alpha(
+    axes: Axes, rows: Sequence[Row], taps: Sequence[str], right: str, of: str
+) -> None:
+    """One line an eavesdropper, over the values of alpha."""
+    alphas = sorted({r["condition"] for r in rows}, key=float)
+    for tap in taps:
+        values, errors = heights(shares_of(rows, tap, alphas, right, of))
+        marker, colour = MARKS[tap]
+        axes.errorbar([float(a) for a in alphas], values, yerr=errors, marker=marker, color=colour,
+                      capsize=2, ms=5, label=tap)  # fmt: skip
+    axes.axhline(0.5, color="0.6", lw=0.8, ls=":")
+    axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
+    axes.set_ylim(0.4, 1.03)
+
+
+def draw_alpha(figure: Figure, data: Path) -> str:
+    """Key symbols right against alpha, per eavesdropper: claimed secrecy beside true."""
+    rows = [r for r in rows_of("alpha", data) if r["tap"] != "list-decoder"]
+    axes = figure.subplots()
+    taps = ("set-membership", "nearest-centre")
+    against_alpha(axes, rows, taps, "keys_right_reviewed", "keys")
+    axes.set_ylabel("agreed key symbols guessed right")
+    axes.legend(loc="center right")
+    return note_of(rows)
+
+
+def draw_alpha_bits(figure: Figure, data: Path) -> str:
+    """Message symbols right against alpha: one threshold against all of them."""
+    rows = rows_of("alpha", data)
+    axes = figure.subplots()
+    taps = ("set-membership", "nearest-centre", "list-decoder")
+    against_alpha(axes, rows, taps, "bits_right", "bits")
+    axes.set_ylabel("message bits right")
+    axes.legend(loc="center right")
+    return note_of(rows)
+
+
+def draw_views(figure: Figure, data: Path) -> str:
+    """Message bits right under an imperfect view: list decoder and smoother."""
+    rows = rows_of("view", data)
+    conditions = list(dict.fromkeys(r["condition"] for r in rows))
+    axes = figure.subplots()
+    for offset, tap, hatch in ((-0.15, "list-decoder", ""), (0.15, "smoother", "//")):
+        values, errors = heights(shares_of(rows, tap, conditions, "bits_right", "bits"))
+        places = [i + offset for i in range(len(conditions))]
+        axes.bar(places, values, 0.28, yerr=errors, color=MARKS[tap][1], alpha=0.75, hatch=hatch,
+                 capsize=2, label=tap)  # fmt: skip
+    axes.axhline(0.5, color="0.3", lw=0.8, ls=":")
+    axes.grid(visible=False, axis="x")
+    axes.set_xticks(range(len(conditions)), conditions, rotation=35, ha="right")
+    axes.set_ylabel("message bits right")
+    axes.set_ylim(0.4, 1.12)
+    axes.set_yticks([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+    axes.legend(loc="upper center", ncols=2)
+    return note_of(rows)
+
+
+def draw_learning(figure: Figure, data: Path) -> str:
+    """When the learner first had the whole message, beside when the plant had it."""
+    rows = [r for r in rows_of("learning", data) if int(r["plant_k"]) >= 0]
+    conditions = list(dict.fromkeys(r["condition"] for r in rows))
+    axes = figure.subplots()
+    grid = list(range(0, max(int(r["steps"]) for r in rows) + 1, 10))
+
+    def reached(steps: Sequence[int], k: int) -> float:
+        return sum(0 <= step <= k for step in steps) / len(steps)
+
+    for style, condition in zip(("-", "--", "-.", ":"), conditions, strict=True):
+        solved = [int(r["solved_k"]) for r in rows if r["condition"] == condition]
+        axes.plot(grid, [reached(solved, k) for k in grid], style, color=MARKS["learning"][1],
+                  label=f"learning, {condition}")  # fmt: skip
+    had = [int(r["plant_k"]) for r in rows if r["condition"] == conditions[0]]
+    axes.plot(grid, [reached(had, k) for k in grid], color="k", lw=0.9, label="the plant itself")
+    axes.set_xlabel("step k")
+    axes.set_ylabel("runs with the whole message")
+    axes.set_ylim(0, 1.03)
+    axes.legend(loc="upper left")
+    return note_of(rows, "every run is counted, 95 % Wilson intervals in the table")
+
+
+def draw_report(report: Report, path: Path) -> None:
+    """Claimed against true: the bits the scheme counts, and what each eavesdropper leaves."""
+    with drawing((7.0, 3.6)) as figure:
+        axes = figure.subplots()
+        names = ["claimed", *(t.name for t in report.taps)]
+        values = [report.claimed_bits, *(t.left_bits or 0.0 for t in report.taps)]
+        bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
+        bars[0].set_hatch("//")
+        axes.bar_label(bars, [f" {value:.1f}" for value in values])
+        axes.invert_yaxis()
+        axes.grid(visible=False)
+        axes.set_xlabel("secret bits")
+        axes.set_xlim(0, 1.15 * max([*values, 1.0]))
+        axes.set_title(report.verdict(), fontsize=9, loc="left")
+        save(figure, path)

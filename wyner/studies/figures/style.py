@@ -1,0 +1,74 @@
+"""What the drawings share: the style, how a figure is written, and the rows of a data file."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from wyner.studies.grid import Row, SweepError
+from wyner.studies.results import read_table
+
+STYLE: Final[dict[str, Any]] = {
+    "svg.hashsalt": "wyner",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.markersize": 4,
+}
+"""Everything that a figure's bytes depend on besides its data and the library's version."""
+
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+MARKERS: Final = ("o", "s", "^", "D", "v", "P")
+DPI: Final = 110
+
+Rows = list[Row]
+Drawing = Callable[[Figure, Path], str]
+
+
+class FigureError(Exception):
+    """A figure that cannot be drawn; the text names the data file."""
+
+
+def plain_rows(path: Path) -> Rows:
+    """The rows of a data file that is no sweep's, with numbers as numbers."""
+    try:
+        return [{k: _number(v) for k, v in row.items()} for row in read_table(path)]
+    except SweepError as error:
+        raise FigureError(str(error)) from None
+
+
+def _number(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+@contextmanager
+def drawing(size: tuple[float, float]) -> Iterator[Figure]:
+    """An empty figure of this size in inches; the style holds within."""
+    style: dict[Any, Any] = {**mpl.rcParamsDefault, **STYLE}  # not the user's own
+    with mpl.rc_context(style):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as SVG or PNG, by the path's suffix, the same bytes each time."""
+    if path.suffix == ".svg":
+        figure.savefig(path, metadata={"Date": None, "Creator": None})
+    else:
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})

@@ -1,0 +1,317 @@
+"""A sweep's file and its points: a grid over scenario fields.
+
+A point is a scenario with its fields set, a number of steps and a seed. It is named by the hash of
+everything that its numbers depend on.
+"""
+
+import hashlib
+import itertools
+import json
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from protocol.scenario import (
+    Scenario,
+    ScenarioError,
+    describe_errors,
+    load_scenario,
+    parse_scenario,
+)
+from wyner.shipped import SCENARIOS
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+ALPHA: Final = "secrecy.alpha"
+NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
+"""Fields of a scenario that the numbers do not depend on."""
+
+Row = dict[str, Any]
+
+
+class SweepError(Exception):
+    """A sweep that cannot be run; ``problems`` holds one line for each wrong field."""
+
+    def __init__(self, problems: Sequence[str] | str) -> None:
+        self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Stop(_Part):
+    """When a point has enough runs: its rate's interval is this narrow, or the limit is reached."""
+
+    relative_width: Annotated[float, Field(gt=0)]
+    max_runs: Annotated[int, Field(ge=1)]
+
+
+class Variant(_Part):
+    """Fields that are set together, under one name."""
+
+    label: str
+    set: dict[str, Any] = {}
+
+
+class Quick(_Part):
+    """What ``--quick`` replaces."""
+
+    runs: Annotated[int, Field(ge=1)] = 20
+    steps: Annotated[int, Field(ge=2)] | None = None
+
+
+class Sweep(_Part):
+    """A sweep file.
+
+    Parameters
+    ----------
+    name : str
+        Names the results.
+    scenario : str or list of str
+        Shipped names, or paths relative to the file.
+    runs : int
+        Runs of each point; with a stopping rule, runs of the first look.
+    batch : int
+        Runs of one task at most.
+    steps, seed : int
+    grid : dict
+        Dotted path of a scenario field, and the values that it takes.
+    variant : list of Variant
+        Settings of several fields, each a further axis value.
+    stop : Stop, optional
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+    description: str = ""
+    scenario: str | tuple[str, ...]
+    runs: Annotated[int, Field(ge=1)]
+    steps: Annotated[int, Field(ge=2)]
+    seed: Annotated[int, Field(ge=0)]
+    batch: Annotated[int, Field(ge=1)] = 1000
+    grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = {}
+    variant: tuple[Variant, ...] = (Variant(label=""),)
+    stop: Stop | None = None
+    quick: Quick = Quick()
+
+    @model_validator(mode="after")
+    def _points_can_be_told_apart(self) -> Self:
+        if not self.scenario:
+            raise ValueError("scenario: got none, expected at least one")
+        labels = [v.label for v in self.variant]
+        if not labels or len(set(labels)) != len(labels):
+            raise ValueError(f"variant: got labels {labels}, expected different ones")
+        for path in self.grid:
+            if path.split(".")[0] in NEUTRAL:
+                raise ValueError(f"grid: {path}: changes none of the numbers")
+        return self
+
+    @property
+    def limit(self) -> int:
+        """Runs that no point needs more than."""
+        return max(self.runs, self.stop.max_runs if self.stop else 0)
+
+    def quickly(self) -> "Sweep":
+        """The same grid with few runs and no stopping rule."""
+        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps, "stop": None}
+        return self.model_copy(update=changes)
+
+
+def load_sweep(path: Path) -> Sweep:
+    """Read a sweep file.
+
+    Raises
+    ------
+    SweepError
+        With one line for each wrong field.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SweepError(f"{path}: not TOML: {error}") from None
+    try:
+        return Sweep.model_validate(data)
+    except ValidationError as error:
+        raise SweepError(describe_errors(error, str(path))) from None
+
+
+# --- points ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the grid.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    variant : str
+    fields : dict
+        The grid's fields and their values.
+    task : str
+        Hash of all that its numbers depend on: scenario, steps, seed and batch.
+    """
+
+    scenario: Scenario
+    variant: str
+    fields: dict[str, Any]
+    task: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What its rows are known by: scenario, variant and task."""
+        return self.scenario.name, self.variant, self.task
+
+
+def _set_field(data: dict[str, Any], path: str, value: Any, source: str) -> None:
+    place: Any = data
+    *parents, last = path.split(".")
+    try:
+        for name in parents:
+            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
+        if isinstance(place, list):
+            place[int(last)] = value
+        else:
+            place[last] = value
+    except (AttributeError, IndexError, TypeError, ValueError):
+        raise SweepError(f"{source}: {path}: expected the path of a scenario's field") from None
+
+
+def canonical(value: object) -> str:
+    """The value as JSON in one spelling: what is hashed and what stands in a cell."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+def _substance(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario the numbers depend on."""
+    return scenario.model_dump(mode="json", exclude=set(NEUTRAL), exclude_none=True)
+
+
+def _hash(value: object) -> str:
+    return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
+
+
+def points_of(sweep: Sweep, folder: Path) -> list[Point]:
+    """Every point of the grid, in order; ``folder`` is the sweep file's.
+
+    Raises
+    ------
+    SweepError
+        When a scenario cannot be read, a value does not fit its field, or a point stands there
+        twice.
+    """
+    names = (sweep.scenario,) if isinstance(sweep.scenario, str) else sweep.scenario
+    problems: list[str] = []
+    known: dict[tuple[str, str, str], str] = {}
+    points = []
+    for name in names:
+        path = folder / name
+        shipped = SCENARIOS / f"{name}.toml"
+        try:
+            base = load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
+        except ScenarioError as error:
+            raise SweepError(error.problems) from None
+        for variant in sweep.variant:
+            for values in itertools.product(*sweep.grid.values()):
+                fields = dict(zip(sweep.grid, values, strict=True))
+                data = base.model_dump(mode="json", exclude_none=True)
+                settings = variant.set | fields
+                where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
+                for field_path, value in settings.items():
+                    _set_field(data, field_path, value, where)
+                try:
+                    scenario = parse_scenario(data, where)
+                except ScenarioError as error:
+                    problems += [p for p in error.problems if p not in problems]
+                    continue
+                task = _hash(
+                    {
+                        "scenario": _substance(scenario),
+                        "steps": sweep.steps,
+                        "seed": sweep.seed,
+                        "batch": sweep.batch,
+                    }
+                )
+                point = Point(scenario, variant.label, fields, task)
+                shown = f"{where}: {canonical(fields)}" if fields else where
+                if point.key in known:
+                    problems.append(f"{shown}: stands there twice, first as {known[point.key]}")
+                known.setdefault(point.key, shown)
+                points.append(point)
+    if problems:
+        raise SweepError(problems)
+    return points
+
+
+@dataclass
+class Group:
+    """Points that differ in alpha only, and share their trajectories.
+
+    ``done`` has the rows of each task's batches, by number.
+    """
+
+    points: list[Point]
+    done: dict[tuple[str, int], list[Row]] = field(default_factory=dict)
+    failure: str = ""
+
+
+def groups_of(points: Iterable[Point]) -> list[Group]:
+    """The points by trajectory, in order of first appearance."""
+    found: dict[str, Group] = {}
+    for point in points:
+        substance = _substance(point.scenario)
+        del substance["secrecy"]["alpha"]
+        key = canonical([point.scenario.name, point.variant, substance])
+        found.setdefault(key, Group([])).points.append(point)
+    return list(found.values())
+
+
+SOURCES: Final = (
+    "wyner/simulate/engine/*.py",
+    "wyner/studies/sweep.py",
+    "controller_service/**/*.py",
+    "plant_service/disturbance.py",
+    "protocol/agreement.py",
+    "protocol/schemes/switched.py",
+    "protocol/streams.py",
+    "protocol/schemes/framing.py",
+    "protocol/scenario.py",
+    "protocol/convex.py",
+)
+"""Where the numbers come from."""
+
+SHELLS: Final = ("service.py", "__main__.py", "design_cache.py")
+
+
+@cache
+def code_version(*more: str) -> str:
+    """The package's version and a hash of the sources that the numbers come from.
+
+    ``more`` are patterns of sources besides those of the loop.
+    """
+    from importlib.metadata import version
+
+    digest = hashlib.blake2b(digest_size=4)
+    for pattern in (*SOURCES, *more):
+        for path in sorted(ROOT.glob(pattern)):
+            if path.name not in SHELLS:
+                digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return f"{version('wyner')}+{digest.hexdigest()}"
+
+
+def describe(point: Point) -> str:
+    """The point without its alpha, in a few words."""
+    fields: Mapping[str, Any] = {k: v for k, v in point.fields.items() if k != ALPHA}
+    parts = [point.scenario.name, *([point.variant] if point.variant else [])]
+    parts += [f"{name} = {canonical(value)}" for name, value in fields.items()]
+    return ", ".join(parts)

@@ -1,0 +1,250 @@
+"""A sweep's results: additive rows in a CSV file, and what they add up to."""
+
+import csv
+import fcntl
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import log2
+from operator import itemgetter
+from pathlib import Path
+from typing import IO, Final
+
+from wyner.scoring.statistics import Interval, bootstrap_mean
+from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
+
+COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
+SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
+FIXED: Final = ("task", "version", "scenario", "variant")
+MEASURED: Final = (
+    *("period_s", "candidates", "steps", "seed", "first_run", "runs"),
+    *COUNTS,
+    *SUMS,
+    "runs_by_symbols",
+)
+"""Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
+
+
+class Results:
+    """A CSV file of rows, appended a line at a time by one process.
+
+    Parameters
+    ----------
+    path : Path
+    fields : sequence of str
+        The grid's.
+    resume : bool
+        Go on with a file that is there.
+
+    Raises
+    ------
+    SweepError
+        When the file is there and ``resume`` is not given, or it is no sweep's, another sweep's or
+        another version's, or another process writes it. It is then left as it is.
+    """
+
+    def __init__(self, path: Path, fields: Sequence[str], resume: bool) -> None:
+        self.path = path
+        self.columns = (*FIXED, *fields, *MEASURED)
+        self.rows: list[Row] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._file: IO[bytes] = path.open("a+b" if resume else "x+b")
+        except FileExistsError:
+            raise SweepError(
+                f"{path}: exists; --resume goes on with it, --output names another"
+            ) from None
+        try:
+            self._take_up()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _take_up(self) -> None:
+        """Read what is there; a torn last line is cut off once the file is known to be ours."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SweepError(f"{self.path}: another process is writing it") from None
+        self._file.seek(0)
+        data = self._file.read()
+        header = _line(self.columns)
+        if data[: len(header)] != header[: len(data)]:
+            raise SweepError(
+                f"{self.path}: its columns are not this sweep's; --output names another"
+            )
+        whole = data[: data.rfind(b"\n") + 1]
+        self.rows = _numbers(self.path, _table(self.path, whole))
+        foreign = sorted({r["version"] for r in self.rows} - {code_version()})
+        if foreign:
+            raise SweepError(
+                f"{self.path}: has rows of code version {foreign[0]}, this is {code_version()}; "
+                "--output names another file"
+            )
+        self._file.truncate(len(whole))
+        if not whole:
+            self._write(self.columns)
+
+    def _write(self, values: Sequence[object]) -> None:
+        self._file.write(_line(values))
+        self._file.flush()
+
+    def add(self, point: Point, measured: Row) -> Row:
+        """Append one row; returns it as a reader will see it."""
+        row = {
+            "task": point.task,
+            "version": code_version(),
+            "scenario": point.scenario.name,
+            "variant": point.variant,
+            **{name: canonical(value) for name, value in point.fields.items()},
+            **measured,
+        }
+        self._write([row[c] for c in self.columns])
+        self.rows.append(row)
+        return row
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _line(values: Sequence[object]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(values)
+    return text.getvalue().encode()
+
+
+def key_of(row: Row) -> tuple[str, str, str]:
+    """Scenario, variant and task: the rows of one point share them."""
+    return row["scenario"], row["variant"], row["task"]
+
+
+def read_table(path: Path) -> list[Row]:
+    """The rows of a data file with a header, as text.
+
+    Raises
+    ------
+    SweepError
+        When the file cannot be read, has no rows, or its last line is torn.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
+    if not data.endswith(b"\n"):
+        raise SweepError(f"{path}: {'its last line is torn' if data else 'is empty'}")
+    rows = _table(path, data)
+    if not rows:
+        raise SweepError(f"{path}: has no rows")
+    return rows
+
+
+def _table(path: Path, data: bytes) -> list[Row]:
+    try:
+        rows: list[Row] = list(csv.DictReader(io.StringIO(data.decode(), newline="")))
+    except (UnicodeDecodeError, csv.Error):
+        raise SweepError(f"{path}: is not CSV text") from None
+    for number, row in enumerate(rows, start=2):
+        if None in row or None in row.values():
+            raise SweepError(f"{path}: line {number}: expected as many cells as the header has")
+    return rows
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a results file, with numbers as numbers; a grid field stays JSON text.
+
+    Raises
+    ------
+    SweepError
+        When the file cannot be read, has no rows, or a row is wrong or stands there twice.
+    """
+    return _numbers(path, read_table(path))
+
+
+def _numbers(path: Path, rows: list[Row]) -> list[Row]:
+    for number, row in enumerate(rows, start=2):
+        try:
+            for name in MEASURED:
+                if name in ("period_s", *SUMS):
+                    row[name] = float(row[name])
+                elif name != "runs_by_symbols":
+                    row[name] = int(row[name])
+            counted = sum(histogram_of(row[name]).values())
+        except (KeyError, ValueError):
+            raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
+        if counted != row["runs"]:
+            raise SweepError(f"{path}: line {number}: {name}: expected {row['runs']} runs")
+    try:
+        summarise(rows)
+    except SweepError as error:
+        raise SweepError(f"{path}: {error}") from None
+    return rows
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All rows of one point, added up.
+
+    Parameters
+    ----------
+    first : dict
+        The first of the rows: task, fields and all that they share.
+    runs : int
+    counts, sums : dict
+    histogram : dict
+        How many runs carried each number of message symbols.
+    """
+
+    first: Row
+    runs: int
+    counts: dict[str, int]
+    sums: dict[str, float]
+    histogram: dict[int, int]
+
+    @property
+    def rate(self) -> Interval:
+        """Bits a second of plant time, with the bootstrap interval over runs."""
+        row = self.first
+        bits = log2(row["candidates"]) / (row["steps"] * row["period_s"])
+        return bootstrap_mean(self.histogram).scaled(bits)
+
+
+def histogram_of(text: str) -> dict[int, int]:
+    """The column ``runs_by_symbols``, read."""
+    pairs = (pair.split(":") for pair in text.split())
+    return {int(value): int(runs) for value, runs in pairs}
+
+
+def summarise(rows: Iterable[Row]) -> list[Summary]:
+    """Add up the rows of each point, in order of appearance.
+
+    Raises
+    ------
+    SweepError
+        When a run is in two rows of one point.
+    """
+    found: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault(key_of(row), []).append(row)
+    out = []
+    for same in found.values():
+        ordered = sorted(same, key=itemgetter("first_run"))
+        for one, following in pairwise(ordered):
+            if following["first_run"] < one["first_run"] + one["runs"]:
+                shown = ", ".join(part for part in key_of(one) if part)
+                raise SweepError(f"{shown}: run {following['first_run']} stands there twice")
+        histogram: dict[int, int] = {}
+        for row in same:
+            for value, runs in histogram_of(row["runs_by_symbols"]).items():
+                histogram[value] = histogram.get(value, 0) + runs
+        out.append(
+            Summary(
+                first=same[0],
+                runs=sum(row["runs"] for row in same),
+                counts={name: sum(row[name] for row in same) for name in COUNTS},
+                sums={name: sum(row[name] for row in same) for name in SUMS},
+                histogram=histogram,
+            )
+        )
+    return out

@@ -1,0 +1,179 @@
+"""Seeded runs of the closed loop for the secrecy study.
+
+A run is the public transcript, message by message, and beside it the truth that only the scoring
+sees. The loop is the system's own: the law's candidates, the agreement rule, the automata and the
+frames, all from their modules; random draws come from one seeded generator a run.
+"""
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.design import cached_design
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
+from protocol.messages import Measurement, Offer
+from protocol.scenario import Scenario, load_scenario
+from protocol.schemes.framing import IDLE, encode_frame, frame_length
+from protocol.schemes.switched import INITIAL, MESSAGE, advance_sender, encrypt
+from wyner.scoring.score import Truth
+from wyner.shipped import SCENARIOS
+
+SENTENCES: Final = (
+    "We sail at dawn.",
+    "Lower the bridge now",
+    "Ration the fuel",
+    "Nothing to report",
+    "Tank five leaks",
+    "Trust the night crew",
+    "Close every hatch",
+    "Cool the furnace",
+    "Swap the two seals",
+    "Use the north road",
+    "Wait for my signal",
+    "Bypass relay nine",
+    "Guests arrive late",
+    "Fog on the runway",
+    "Paint it blue",
+    "Quota is one tonne",
+    "Move the cranes",
+    "Ship the spare parts",
+    "Hold the elevator",
+    "Vent the boiler",
+)
+"""Messages of the study; none is in the text from which English plausibility was counted."""
+
+
+@cache
+def scenario_at(name: str, alpha: float) -> Scenario:
+    """A shipped scenario with another alpha."""
+    s = load_scenario(SCENARIOS / f"{name}.toml")
+    return s.model_copy(update={"secrecy": s.secrecy.model_copy(update={"alpha": alpha})})
+
+
+@cache
+def law_of(name: str) -> ControlLaw:
+    """Its law; alpha does not matter to it."""
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    return make_law(scenario, cached_design(scenario))
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One seeded run.
+
+    Parameters
+    ----------
+    messages : tuple
+        The public transcript, in the order in which it was sent.
+    truth : Truth
+    stream : bytes
+        The message symbols that the plant recovered, in order.
+    payloads : tuple of bytes
+        What was queued.
+    """
+
+    scenario: Scenario
+    messages: tuple[Measurement | Offer, ...]
+    truth: Truth
+    stream: bytes
+    payloads: tuple[bytes, ...]
+
+
+def text_of(rng: random.Random) -> bytes:
+    """A message of the study, drawn."""
+    return rng.choice(SENTENCES).encode("ascii")
+
+
+def raw_symbols(text: bytes) -> bytes:
+    """Text as bits without a frame, most significant first."""
+    return bytes(byte >> place & 1 for byte in text for place in range(7, -1, -1))
+
+
+def simulate(
+    steps: int,
+    seed: int,
+    *,
+    name: str = "sustained",
+    alpha: float = 8.0,
+    payloads: Sequence[bytes] | None = None,
+    raw: bool = False,
+    corrupt: int | None = None,
+) -> Run:
+    """One run of the loop.
+
+    Parameters
+    ----------
+    steps : int
+        Transitions.
+    seed : int
+    payloads : sequence of bytes, optional
+        Messages, one after the other; one drawn from :data:`SENTENCES` by default.
+    raw : bool
+        Send the text's bits without frames, and idle symbols after it.
+    corrupt : int, optional
+        Encrypt the message symbol of this index under a wrong key: a negative control.
+    """
+    rng = random.Random(f"secrecy study {name} {seed}")
+    scenario = scenario_at(name, alpha)
+    law = law_of(name)
+    if payloads is None:
+        payloads = (text_of(rng),)
+    size = scenario.secrecy.candidates
+    if raw:
+        stream = raw_symbols(b" ".join(payloads))
+    else:
+        stream = b"".join(encode_frame(p, size) for p in payloads)
+    ends = []
+    end = 0
+    for payload in payloads:
+        end += frame_length(len(payload), size)
+        ends.append(end)
+    H, h = scenario.defender.disturbance.rows()
+    rule = AgreementRule(scenario.A, scenario.B, Gauge.from_rows(H, h), alpha)
+    widths = scenario.plant.disturbance.half_widths
+    session = f"{rng.getrandbits(64):016x}"
+    x = scenario.plant.initial_state
+    state = INITIAL
+    applied = -1
+    after: tuple[float, ...] = ()
+    messages: list[Measurement | Offer] = []
+    keys: dict[tuple[str, int], int] = {}
+    symbols: dict[tuple[str, int], int] = {}
+    whole: list[tuple[int, bytes]] = []
+    sent = bytearray()
+    for k in range(steps):
+        messages.append(
+            Measurement.model_construct(session=session, k=k, x=x, applied_k=applied, x_after=after)
+        )
+        candidates = law.candidates(x)
+        if state.s == MESSAGE:
+            p = len(sent)
+            symbol = stream[p] if p < len(stream) else IDLE
+            cipher = encrypt(symbol, state.key, size)
+            if corrupt == p:
+                cipher = (cipher + 1) % size
+            sent.append(symbol)
+            symbols[session, k] = symbol
+            if not raw and corrupt is None and len(sent) in ends:
+                whole.append((k, payloads[ends.index(len(sent))]))
+        else:
+            cipher = rng.randrange(size)
+        messages.append(
+            Offer.model_construct(session=session, k=k, candidates=candidates, cipher=cipher)
+        )
+        coin = rng.randrange(size)
+        centre = predict(scenario.A, scenario.B, x, candidates[coin])
+        x_next = tuple(c + rng.uniform(-w, w) for c, w in zip(centre, widths, strict=True))
+        verdict = rule.verdict(x, candidates, x_next)
+        if state.s != MESSAGE and verdict.symbol != NO_SYMBOL:
+            keys[session, k] = verdict.symbol
+        state = advance_sender(state, verdict.symbol, size)
+        applied, after, x = k, x_next, x_next
+    messages.append(
+        Measurement.model_construct(session=session, k=steps, x=x, applied_k=applied, x_after=after)
+    )
+    truth = Truth(size, keys, symbols, tuple(whole), steps)
+    return Run(scenario, tuple(messages), truth, bytes(sent), tuple(payloads))

@@ -1,0 +1,142 @@
+"""Does a run obey the paper? A table of clauses, each a function that looks at the evidence.
+
+A clause counts what it looked at and keeps the first place where it did not hold. It replays the
+run through the same pure functions that both ends evaluate (:mod:`protocol.agreement`,
+:mod:`protocol.schemes.switched`, :mod:`protocol.schemes.framing`), from the raw numbers of the
+traces.
+"""
+
+from typing import Final
+
+from wyner.verify import bus, keys, loop, message
+from wyner.verify.clause import Clause, Finding, Tally
+from wyner.verify.evidence import Evidence
+
+CLAUSES: Final[tuple[Clause, ...]] = (
+    Clause(
+        "traces",
+        "rule 5",
+        "transitions are whole and numbered without a gap",
+        "transitions",
+        loop.traces,
+    ),
+    Clause(
+        "switching",
+        "(15), rule 4",
+        "every step applies candidate b_r, a missed one the fallback",
+        "steps",
+        loop.switching,
+    ),
+    Clause(
+        "reachable",
+        "(6), (14)",
+        "x(k+1) is in Reach^c of the applied input, within Reach^e",
+        "steps",
+        loop.reachable,
+    ),
+    Clause(
+        "admissible",
+        "(27)",
+        "every candidate is in U and leads into T_(i-1) ~ D_c",
+        "candidates",
+        loop.admissible,
+    ),
+    Clause(
+        "agreement",
+        "(20), (21)",
+        "both verdicts follow from x, the candidates and x(k+1)",
+        "verdicts",
+        keys.agreement,
+    ),
+    Clause("coin", "(22)", "the agreed symbol is the plant's own coin", "keys", keys.coin),
+    Clause(
+        "sender",
+        "Figs. 5, 6a",
+        "the sender's automaton gives what the controller recorded",
+        "transitions",
+        keys.sender,
+    ),
+    Clause(
+        "receiver",
+        "Figs. 5, 6b",
+        "the receiver's automaton gives what the plant recorded",
+        "transitions",
+        keys.receiver,
+    ),
+    Clause(
+        "in-step",
+        "proposition 3",
+        "both ends agree on every transition both have counted",
+        "transitions",
+        keys.in_step,
+    ),
+    Clause(
+        "prefix",
+        "proposition 3",
+        "what was recovered is a prefix of what was sent",
+        "symbols",
+        message.prefix,
+    ),
+    Clause(
+        "frames", "rule 7", "every frame passes its check and is reported", "frames", message.frames
+    ),
+    Clause(
+        "messages",
+        "rule 7",
+        "recovered messages are the queued ones, in order",
+        "messages",
+        message.messages,
+    ),
+    Clause(
+        "one-time-pad",
+        "section 4.2",
+        "every key symbol serves one message symbol",
+        "message symbols",
+        message.one_time_pad,
+    ),
+    Clause(
+        "one-cipher",
+        "rule 3",
+        "a transition's cipher symbol is decided once",
+        "offers",
+        message.one_cipher,
+    ),
+    Clause(
+        "same-answer",
+        "rule 2",
+        "a repeated message is the same, byte for byte",
+        "messages",
+        bus.same_answer,
+    ),
+    Clause(
+        "wire",
+        "assumption 2",
+        "what the tap read is what the plant worked with",
+        "messages",
+        bus.wire,
+    ),
+    Clause(
+        "public-fields",
+        "assumption 2",
+        "the field bus carries nothing but public fields",
+        "messages",
+        bus.public_fields,
+    ),
+    Clause(
+        "same-shape",
+        "proposition 3",
+        "messages look the same in both automaton states",
+        "messages",
+        bus.same_shape,
+    ),
+)
+
+
+def check(evidence: Evidence) -> list[Finding]:
+    """Judge every clause."""
+    findings = []
+    for clause in CLAUSES:
+        tally = Tally()
+        clause.judge(evidence, tally)
+        findings.append(Finding(clause, tally))
+    return findings

@@ -1,0 +1,122 @@
+"""What a clause is, what it counts, and what clauses share."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from wyner.verify.evidence import Evidence, Side
+
+EDGE: Final = 1e-9
+"""A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a clause did not hold; -1 or empty where a number does not apply."""
+
+    session: str
+    j: int
+    k: int
+    text: str
+
+
+@dataclass(slots=True)
+class Tally:
+    """What a clause counted and found; ``skipped`` says why there was nothing to look at."""
+
+    counted: int = 0
+    failures: int = 0
+    first: Place | None = None
+    note: str = ""
+    skipped: str = ""
+
+    def count(self, holds: bool, session: str, j: int, k: int, text: str = "") -> bool:
+        """Count one more case; where it does not ``hold`` keep the first. Returns ``holds``."""
+        self.counted += 1
+        if not holds:
+            self.fail(session, j, k, text)
+        return holds
+
+    def fail(self, session: str, j: int, k: int, text: str) -> None:
+        """Something does not hold."""
+        self.failures += 1
+        if self.first is None:
+            self.first = Place(session, j, k, text)
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """One thing that the paper or the protocol demands of a run.
+
+    Parameters
+    ----------
+    name : str
+    source : str
+        The paper's equation or figure, or the rule of docs/protocol.md.
+    says : str
+        What must hold, in one line.
+    of : str
+        What is counted.
+    judge : callable
+        Looks at the evidence and fills a tally.
+    """
+
+    name: str
+    source: str
+    says: str
+    of: str
+    judge: Callable[[Evidence, Tally], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A clause and how it came out."""
+
+    clause: Clause
+    tally: Tally
+
+    @property
+    def result(self) -> Literal["PASS", "FAIL", "SKIP"]:
+        """SKIP where the run left nothing to look at."""
+        if self.tally.skipped:
+            return "SKIP"
+        return "FAIL" if self.tally.failures else "PASS"
+
+    def as_json(self) -> dict[str, Any]:
+        """The finding for machines."""
+        t, first = self.tally, self.tally.first
+        return {
+            "name": self.clause.name,
+            "source": self.clause.source,
+            "says": self.clause.says,
+            "result": self.result,
+            "counted": t.counted,
+            "of": self.clause.of,
+            "failures": t.failures,
+            "first": None
+            if first is None
+            else {"session": first.session, "j": first.j, "k": first.k, "text": first.text},
+            "note": t.skipped or t.note,
+        }
+
+
+def sides(e: Evidence) -> Iterator[tuple[str, Side]]:
+    """Both ends' traces, as far as they are there."""
+    if e.plant is not None:
+        yield "plant", e.plant
+    if e.controller is not None:
+        yield "controller", e.controller
+
+
+def need(tally: Tally, **parts: object) -> bool:
+    """Whether all parts are there; if not the clause is skipped."""
+    missing = [name.replace("_", " ") for name, part in parts.items() if part is None]
+    if missing:
+        tally.skipped = f"no {' and no '.join(missing)} in this run's folder"
+    return not missing
+
+
+def may_leave(e: Evidence) -> bool:
+    """Whether the scenario says that d(k) may leave D_c."""
+    d = e.scenario.plant.disturbance
+    return d.may_leave_defender_set or d.kind == "gaussian"
