@@ -1,0 +1,227 @@
+"""The one wrapper of every plant: units, operating point, scaling, limits, finiteness.
+
+x = (y - y_operating) / scale and u_physical = u_operating + scale u: controller, wire and journal
+know deviations, the plant knows physical units, and this is where they meet.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import TypeVar
+
+from plant_service.adapters.base import (
+    Displaceable,
+    PlantAdapter,
+    PlantError,
+    Resumable,
+    Sample,
+    Simulated,
+    Vector,
+)
+from protocol.agreement import Gauge
+
+_R = TypeVar("_R")
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """Where deviations are counted from, and in which unit.
+
+    Parameters
+    ----------
+    state, input : tuple of float, shapes (n,) and (m,)
+        In physical units.
+    state_scale, input_scale : tuple of float, shapes (n,) and (m,)
+        Physical units to one unit of deviation, positive.
+    """
+
+    state: Vector
+    input: Vector
+    state_scale: Vector
+    input_scale: Vector
+
+    @classmethod
+    def origin(cls, n: int, m: int) -> "OperatingPoint":
+        """Deviations are the physical values."""
+        return cls((0.0,) * n, (0.0,) * m, (1.0,) * n, (1.0,) * m)
+
+    def deviation(self, y: Vector) -> Vector:
+        """x of a reading."""
+        rows = zip(y, self.state, self.state_scale, strict=True)
+        return tuple([(v - at) / scale for v, at, scale in rows])
+
+    def reading(self, x: Vector) -> Vector:
+        """The reading of x."""
+        rows = zip(x, self.state, self.state_scale, strict=True)
+        return tuple([at + scale * v for v, at, scale in rows])
+
+    def physical_input(self, u: Vector) -> Vector:
+        """What the plant is to be actuated with."""
+        rows = zip(u, self.input, self.input_scale, strict=True)
+        return tuple([at + scale * v for v, at, scale in rows])
+
+
+def clip(u: Sequence[float], inputs: Gauge) -> Vector:
+    """The input nearest to ``u`` in a box U, by component; in another U, ``u`` made shorter."""
+    if inputs.half_widths is not None:
+        widths = inputs.half_widths
+        return tuple([min(max(v, -w), w) for v, w in zip(u, widths, strict=True)])
+    g = inputs(u)
+    return tuple(u) if g <= 1 else tuple([v / g for v in u])
+
+
+class Operated:
+    """A plant in deviations.
+
+    After any failure the plant is told to be safe, and stays so: every later call but
+    :meth:`safe` and :meth:`close` fails.
+
+    Parameters
+    ----------
+    adapter : PlantAdapter
+    point : OperatingPoint
+    inputs : Gauge
+        Of U, in deviations; what is applied is clipped to it.
+    name : str
+        For messages.
+    settle_steps : int
+        Steps at the operating input before the start; where they lead is the operating state.
+    limits : tuple of (low, high), optional
+        Range of each reading in physical units; one outside is a failure.
+    """
+
+    def __init__(
+        self,
+        adapter: PlantAdapter,
+        point: OperatingPoint,
+        inputs: Gauge,
+        *,
+        name: str = "plant",
+        settle_steps: int = 0,
+        limits: tuple[tuple[float, float], ...] | None = None,
+    ) -> None:
+        self.adapter = adapter
+        self.point = point
+        self._inputs = inputs
+        self._name = name
+        self._settle_steps = settle_steps
+        self._limits = limits
+        self._t_ns = -1
+        self._fault = ""
+
+    @property
+    def fault(self) -> str:
+        """Why the plant is in its safe state, or nothing."""
+        return self._fault
+
+    @property
+    def resumable(self) -> bool:
+        """Whether the plant can go on from a reading."""
+        return isinstance(_core(self.adapter), Resumable)
+
+    @property
+    def displaceable(self) -> bool:
+        """Whether a disturbance can be added to the state."""
+        return isinstance(_core(self.adapter), Displaceable)
+
+    def start(self, seed: int | None) -> Vector:
+        """Reset or connect, settle; x(0).
+
+        Raises
+        ------
+        PlantError
+        """
+        sample = self._guarded("start", lambda: self.adapter.start(seed))
+        x = self._checked(sample)
+        for _ in range(self._settle_steps):
+            self._guarded("apply", lambda: self.adapter.apply(self.point.input))
+            sample = self._guarded("sample", self.adapter.sample)
+            x = self._checked(sample)
+        if self._settle_steps:
+            here = self.point
+            self.point = OperatingPoint(sample.y, here.input, here.state_scale, here.input_scale)
+            x = (0.0,) * len(sample.y)
+        return x
+
+    def resume(self, x: Vector, k: int) -> None:
+        """Go on from x(k); only where :attr:`resumable`."""
+        core = _core(self.adapter)
+        assert isinstance(core, Resumable)
+        self._guarded("resume", lambda: core.resume(self.point.reading(x), k))
+
+    def apply(self, u: Vector) -> Vector:
+        """Actuate; returns what was applied, ``u`` clipped to U.
+
+        Raises
+        ------
+        PlantError
+        """
+        applied = clip(u, self._inputs) if self._inputs(u) > 1 else u
+        physical = self.point.physical_input(applied)
+        self._guarded("apply", lambda: self.adapter.apply(physical))
+        return applied
+
+    def sample(self, d: Vector | None = None) -> Vector:
+        """x at the end of the step, with the disturbance ``d`` (a deviation) added to the state.
+
+        Raises
+        ------
+        PlantError
+            Also for a stale, short, infinite or out-of-range reading.
+        """
+        sample = self._guarded("sample", self.adapter.sample)
+        if d is not None:
+            core = _core(self.adapter)
+            assert isinstance(core, Displaceable)
+            rows = zip(d, self.point.state_scale, strict=True)
+            physical = tuple([v * scale for v, scale in rows])
+            sample = Sample(self._guarded("displace", lambda: core.displace(physical)), sample.t_ns)
+        return self._checked(sample)
+
+    def safe(self, why: str = "it was asked to") -> None:
+        """Send the plant to its safe state; it stays there."""
+        self._fault = self._fault or why
+        try:
+            self.adapter.safe()
+        except Exception as error:
+            self._fault += f"; and its safe() failed: {error}"
+
+    def close(self) -> None:
+        """Let go of the plant."""
+        self.adapter.close()
+
+    def _guarded(self, what: str, call: "Callable[[], _R]") -> _R:
+        """Call into the plant's own code: whatever it raises becomes one line, and it is safe."""
+        if self._fault:
+            raise PlantError(f"{self._name}: is in its safe state: {self._fault}")
+        try:
+            return call()
+        except Exception as error:
+            text = error if isinstance(error, PlantError) else f"{type(error).__name__}: {error}"
+            self._fail(f"{what}: {' '.join(str(text).split())}", error)
+            raise
+
+    def _fail(self, text: str, cause: Exception | None = None) -> None:
+        self.safe(text)
+        raise PlantError(f"{self._name}: {self._fault}") from cause
+
+    def _checked(self, sample: Sample) -> Vector:
+        y, t_ns = sample
+        n = len(self.point.state)
+        if len(y) != n:
+            self._fail(f"got {len(y)} readings, expected {n}")
+        if not all(map(isfinite, y)):
+            self._fail(f"got the reading {list(y)}, expected finite numbers")
+        if t_ns:
+            if t_ns <= self._t_ns:
+                self._fail(f"got a reading of time {t_ns} ns again, expected a newer one")
+            self._t_ns = t_ns
+        for i, (v, (low, high)) in enumerate(zip(y, self._limits or (), strict=False)):
+            if not low <= v <= high:
+                self._fail(f"got {v!r} as reading {i + 1}, expected {low!r} to {high!r}")
+        return self.point.deviation(y)
+
+
+def _core(adapter: PlantAdapter) -> object:
+    """What the optional abilities are asked of: the stepped plant, or the adapter itself."""
+    return adapter.plant if isinstance(adapter, Simulated) else adapter

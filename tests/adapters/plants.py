@@ -1,0 +1,139 @@
+"""The double integrator as every kind of plant, and plants that fail in every way."""
+
+import hashlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sample, Simulated
+from plant_service.adapters.linear import Linear
+from plant_service.adapters.ode import Ode
+from protocol.agreement import Gauge
+
+Vector = tuple[float, ...]
+
+A = ((1.0, 1.0), (0.0, 1.0))
+B = ((0.5,), (1.0,))
+START = (-5.0, -2.0)
+PERIOD_S = 1.0
+MODELS = Path(__file__).parent / "fmu_models"
+KINDS = ("linear", "ode", "python", "fmi2", "fmi3", "gymnasium")
+
+
+def operated(adapter: PlantAdapter, **more: Any) -> Operated:
+    """The plant in deviations that are the physical values; U is [-1, 1]."""
+    return Operated(adapter, OperatingPoint.origin(2, 1), Gauge(half_widths=(1.0,)), **more)
+
+
+def dynamics(t: float, x: Any, u: Any) -> Vector:
+    return (x[1], u[0])
+
+
+class PythonLine:
+    """An object as a user writes one: lists, and no more than two methods."""
+
+    def reset(self, seed: int | None) -> list[float]:
+        self.x = list(START)
+        return self.x
+
+    def step(self, u: Any, period_s: float) -> list[float]:
+        place, speed = self.x
+        self.x = [place + speed + 0.5 * u[0], speed + u[0]]
+        return self.x
+
+
+def build_fmu(model: str, folder: Path) -> tuple[Path, str]:
+    """The FMU of a model file, and its SHA-256."""
+    builder: Any
+    if "fmi3" in model:
+        builder = pytest.importorskip("pythonfmu3").FmuBuilder
+    else:
+        builder = pytest.importorskip("pythonfmu").FmuBuilder
+    path = Path(builder.build_FMU(str(MODELS / f"{model}.py"), dest=str(folder)))
+    return path, hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def gymnasium_line() -> Any:
+    gymnasium = pytest.importorskip("gymnasium")
+    import numpy as np
+
+    class Env(gymnasium.Env):  # type: ignore[misc]
+        observation_space = gymnasium.spaces.Box(-100, 100, (2,))
+        action_space = gymnasium.spaces.Box(-1, 1, (1,))
+
+        def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+            super().reset(seed=seed)
+            self.state = np.array(START)
+            return self.state, {}
+
+        def step(self, action: Any) -> Any:
+            place, speed = self.state
+            u = action[0]
+            self.state = np.array([place + speed + 0.5 * u, speed + u])
+            return self.state, 0.0, False, False, {}
+
+    return Env()
+
+
+def line(kind: str, folder: Path) -> PlantAdapter:
+    """The double integrator as a plant of this kind."""
+    if kind == "linear":
+        return Simulated(Linear(A, B, START), PERIOD_S)
+    if kind == "ode":  # Runge-Kutta is exact where the solution is a polynomial
+        return Simulated(Ode(dynamics, START, PERIOD_S, substeps=1), PERIOD_S)
+    if kind == "python":
+        return Simulated(PythonLine(), PERIOD_S)
+    if kind == "gymnasium":
+        from plant_service.adapters.gymnasium_env import StateEnvironment
+
+        return Simulated(StateEnvironment(gymnasium_line(), "state"), PERIOD_S)
+    from plant_service.adapters.fmu import Fmu
+
+    pytest.importorskip("fmpy")
+    path, sha256 = build_fmu(f"line_{kind}", folder)
+    return Simulated(Fmu(path, sha256, ["u"], ["place", "speed"]), PERIOD_S)
+
+
+class Device:
+    """A device that is actuated and read, with a clock, and a switch for each way to fail."""
+
+    def __init__(self, reading: Callable[[Vector], Vector] = lambda y: y) -> None:
+        self.calls: list[str] = []
+        self.y: Vector = START
+        self.u = 0.0
+        self.reading = reading
+        self.frozen = False
+        self.slow_s = 0.0
+        self.raises: Exception | None = None
+        self._t_ns = 1
+
+    def start(self, seed: int | None) -> Sample:
+        self.calls.append("start")
+        self.y = START
+        return Sample(self.y, self._tick())
+
+    def apply(self, u: Vector) -> None:
+        self.calls.append("apply")
+        if self.raises is not None:
+            raise self.raises
+        (self.u,) = u
+
+    def sample(self) -> Sample:
+        self.calls.append("sample")
+        time.sleep(self.slow_s)
+        place, speed = self.y
+        self.y = (place + speed + 0.5 * self.u, speed + self.u)
+        return Sample(self.reading(self.y), self._t_ns if self.frozen else self._tick())
+
+    def safe(self) -> None:
+        self.calls.append("safe")
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+    def _tick(self) -> int:
+        self._t_ns += 1
+        return self._t_ns

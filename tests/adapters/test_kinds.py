@@ -1,0 +1,196 @@
+"""What is particular to each kind of plant."""
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+
+from plant_service.adapters import PlantError
+from plant_service.adapters.ode import Ode, runge_kutta_step
+from plant_service.adapters.python_object import load_attribute, stepped
+from tests.adapters.plants import build_fmu
+
+
+def test_runge_kutta_is_of_fourth_order() -> None:
+    errors = []
+    for substeps in (4, 8, 16):
+        plant = Ode(lambda t, x, u: (-x[0] + u[0],), (2.0,), 1.0, substeps)
+        plant.reset(None)
+        (x,) = plant.step((1.0,), 1.0)
+        errors.append(abs(x - (1.0 + math.exp(-1.0))))
+    orders = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
+    assert orders == pytest.approx([4.0, 4.0], abs=0.25)
+
+
+def test_runge_kutta_sees_the_time() -> None:
+    (x,) = runge_kutta_step(lambda t, x, u: (3.0 * t * t,), 2.0, (8.0,), (), 1.0)
+    assert x == pytest.approx(27.0, abs=1e-12)
+
+
+def test_the_time_of_a_resumed_plant_is_k_periods() -> None:
+    plant = Ode(lambda t, x, u: (t,), (0.0,), 0.1, substeps=1)
+    plant.resume((0.0,), 30)
+    (x,) = plant.step((), 0.1)
+    assert x == pytest.approx(0.1 * 3.05)
+
+
+def test_dynamics_that_raise_say_where() -> None:
+    plant = Ode(lambda t, x, u: (math.sqrt(-1.0),), (0.5,), 0.1)
+    plant.reset(None)
+    with pytest.raises(PlantError, match=r"the dynamics at x = \[0.5\]: math domain error"):
+        plant.step((), 0.1)
+
+
+def test_dynamics_of_the_wrong_length_say_so() -> None:
+    plant = Ode(lambda t, x, u: (0.0,), (0.5, 1.0), 0.1)
+    plant.reset(None)
+    with pytest.raises(PlantError, match=r"zip\(\) argument 2 is shorter"):
+        plant.step((), 0.1)
+
+
+CODE = """
+class Tank:
+    def reset(self, seed): return [1.0]
+    def step(self, u, period_s): return [1.0]
+class Half:
+    def reset(self, seed): return [1.0]
+class Needy:
+    def __init__(self, level): pass
+tank = Tank()
+number = 3
+"""
+
+
+def test_code_is_found_beside_the_scenario_and_by_module_name(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(CODE)
+    for name in ("mine.py:Tank", "mine.py:tank"):
+        plant = stepped(load_attribute(name, tmp_path), name)
+        assert plant.reset(None) == [1.0]
+    assert load_attribute("math:pi", tmp_path) == math.pi
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("mine.py", r"got 'mine.py', expected 'file.py:attribute' or 'module:attribute'"),
+        (":Tank", "expected 'file.py:attribute'"),
+        ("none.py:Tank", "none.py: no such file"),
+        ("mine.py:Boat", "mine.py: has no 'Boat'"),
+        ("no.such.module:x", "No module named 'no'"),
+        ("bad.py:x", "bad.py: cannot be loaded: SyntaxError"),
+        ("mine.py:Half", r"has no method step, expected reset\(seed\) and step\(u, period_s\)"),
+        ("mine.py:number", "has no method reset"),
+        ("mine.py:Needy", "TypeError"),
+    ],
+)
+def test_code_that_cannot_be_used_is_named(tmp_path: Path, name: str, says: str) -> None:
+    (tmp_path / "mine.py").write_text(CODE)
+    (tmp_path / "bad.py").write_text("def")
+    with pytest.raises(PlantError, match=says):
+        stepped(load_attribute(name, tmp_path), name)
+
+
+# --- FMUs -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    pytest.importorskip("fmpy")
+    return build_fmu("line_fmi2", tmp_path_factory.mktemp("fmu"))
+
+
+def test_an_fmu_of_another_hash_is_refused_before_it_is_opened(fmu: tuple[Path, str]) -> None:
+    from plant_service.adapters.fmu import Fmu
+
+    with pytest.raises(PlantError, match=f"its sha256 is {fmu[1]}, expected 00"):
+        Fmu(fmu[0], "00", ["u"], ["place", "speed"])
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "says"),
+    [
+        (["v"], ["place"], "has no variable 'v'; inputs and outputs: place, speed, u"),
+        (["u"], ["height"], "has no variable 'height'"),
+        (["place"], ["speed"], "'place' is a variable of causality output, expected input"),
+    ],
+)
+def test_wrong_names_are_told_the_right_ones(
+    fmu: tuple[Path, str], inputs: list[str], outputs: list[str], says: str
+) -> None:
+    from plant_service.adapters.fmu import Fmu
+
+    with pytest.raises(PlantError, match=says):
+        Fmu(*fmu, inputs, outputs)
+
+
+def test_what_is_no_fmu_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("fmpy")
+    import hashlib
+
+    from plant_service.adapters.fmu import Fmu
+
+    path = tmp_path / "x.fmu"
+    path.write_bytes(b"not a zip")
+    with pytest.raises(PlantError, match=r"x\.fmu: .*zip"):
+        Fmu(path, hashlib.sha256(b"not a zip").hexdigest(), ["u"], ["y"])
+    with pytest.raises(PlantError, match="cannot be read: No such file"):
+        Fmu(tmp_path / "y.fmu", "", ["u"], ["y"])
+
+
+def test_the_files_of_an_fmu_go_when_it_is_closed(fmu: tuple[Path, str]) -> None:
+    from plant_service.adapters.fmu import Fmu
+
+    plant = Fmu(*fmu, ["u"], ["place", "speed"])
+    folder = plant._folder
+    plant.reset(None)
+    assert folder.is_dir()
+    plant.close()
+    assert not folder.exists()
+
+
+# --- Gymnasium ------------------------------------------------------------------------------------
+
+
+def test_gymnasium_pendulum_is_read_and_set_in_full_precision() -> None:
+    pytest.importorskip("gymnasium")
+    from plant_service.adapters.gymnasium_env import make
+
+    plant = make("Pendulum-v1", "state", (0.1, 0.0), 0.05)
+    assert plant.reset(3) == (0.1, 0.0)
+    angle, speed = plant.step((0.5,), 0.05)
+    expected = (15.0 * math.sin(0.1) + 3.0 * 0.5) * 0.05
+    assert speed == pytest.approx(expected, abs=1e-15)
+    assert angle == pytest.approx(0.1 + expected * 0.05, abs=1e-15)
+    plant.close()
+
+
+@pytest.mark.parametrize(
+    ("id_", "state", "period_s", "says"),
+    [
+        ("Pendulum-v1", "state", 0.1, "its step is 0.05 s, got a period_s of 0.1"),
+        ("NoSuchPlant-v0", None, 0.1, "NoSuchPlant-v0: Environment .*doesn't exist"),
+    ],
+)
+def test_environments_that_do_not_fit(
+    id_: str, state: str | None, period_s: float, says: str
+) -> None:
+    pytest.importorskip("gymnasium")
+    from plant_service.adapters.gymnasium_env import make
+
+    with pytest.raises(PlantError, match=says):
+        make(id_, state, None, period_s)
+
+
+def test_an_attribute_that_is_not_there_and_an_episode_that_ends() -> None:
+    pytest.importorskip("gymnasium")
+    from plant_service.adapters.gymnasium_env import make
+
+    plant = make("Pendulum-v1", "angle", None, 0.05)
+    with pytest.raises(PlantError, match="has no attribute 'angle'"):
+        plant.reset(1)
+    car = make("MountainCarContinuous-v0", "state", (0.44, 0.07), 1.0)
+    car.reset(1)
+    with pytest.raises(PlantError, match="episode has ended"):
+        for _ in range(20):
+            car.step((1.0,), 1.0)

@@ -1,0 +1,114 @@
+"""How large D_c must be, and how sure one is of it, counted in whole sessions.
+
+A hundred sessions, none of which left D_c: with confidence 0.999 the next one leaves it with
+probability at most 0.067, for a plant that leaves it more often would have shown it.
+
+The steps of one loop depend on each other; sessions that start alike do not. So a session has one
+score, the largest of its steps, and what is promised is promised of sessions.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def template(residuals: ArrayLike) -> Array:
+    """Half-widths of the smallest box about all residuals, shape (n,).
+
+    Parameters
+    ----------
+    residuals : array, shape (T, n)
+        Of a pilot run under the law that will be used.
+    """
+    out: Array = np.abs(np.asarray(residuals, dtype=float)).max(axis=0)
+    return out
+
+
+def session_score(residuals: ArrayLike, half_widths: ArrayLike) -> float:
+    """The largest gauge of a session's residuals, in the box of these half-widths.
+
+    Parameters
+    ----------
+    residuals : array, shape (steps, n)
+    half_widths : array, shape (n,)
+    """
+    return float((np.abs(np.asarray(residuals)) / np.asarray(half_widths)).max())
+
+
+def rank(sessions: int, violation: float) -> int:
+    """k = ceil((1 - violation)(N + 1)), the score that split conformal prediction takes.
+
+    Raises
+    ------
+    ValueError
+        When there are too few sessions for it.
+    """
+    k = math.ceil((1.0 - violation) * (sessions + 1) - 1e-9)
+    if k > sessions:
+        needed = math.ceil(1.0 / violation - 1.0 - 1e-9)
+        raise ValueError(
+            f"got {sessions} sessions, expected at least {needed} for a violation of {violation:g}"
+        )
+    return max(k, 1)
+
+
+def conformal_scale(scores: Sequence[float], violation: float) -> float:
+    """The scale q of the template: the next session leaves q times it with at most ``violation``.
+
+    The probability is over both the calibration's sessions and the next one, and at most
+    1 - k / (N + 1) with k of :func:`rank` (split conformal prediction: Papadopoulos et al. 2002,
+    Vovk et al. 2005).
+    """
+    return sorted(scores)[rank(len(scores), violation) - 1]
+
+
+def training_conditional(sessions: int, k: int, violation: float) -> float:
+    """How probable it is that *this* calibration promises too much.
+
+    P[the k-th smallest of N scores is exceeded with probability > violation] is at most
+    sum_{i=0}^{N-k} C(N, i) violation^i (1 - violation)^(N - i) (Vovk 2012, proposition 2a).
+    """
+    from scipy.stats import binom
+
+    return float(binom.cdf(sessions - k, sessions, violation))
+
+
+def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
+    """Upper bound of the probability that a session leaves D_c, after ``exceeded`` of N did.
+
+    Clopper and Pearson 1934, one-sided. With none exceeded it is 1 - (1 - confidence)^(1 / N).
+
+    Parameters
+    ----------
+    sessions, exceeded : int
+    confidence : float
+        Strictly between 0 and 1.
+    """
+    if not 0 <= exceeded <= sessions or sessions < 1:
+        raise ValueError(f"got {exceeded} of {sessions} sessions, expected 0 to all of at least 1")
+    if exceeded == sessions:
+        return 1.0
+    if exceeded == 0:
+        return -math.expm1(math.log1p(-confidence) / sessions)
+    from scipy.stats import beta
+
+    return float(beta.ppf(confidence, exceeded + 1, sessions - exceeded))
+
+
+def violation_floor(sessions: int, exceeded: int, confidence: float) -> float:
+    """Lower bound of that probability, one-sided: what contradicts a certificate."""
+    if exceeded == 0:
+        return 0.0
+    return 1.0 - violation_bound(sessions, sessions - exceeded, confidence)
+
+
+def sessions_needed(violation: float, confidence: float) -> int:
+    """Sessions that must all stay in D_c to promise ``violation`` with this confidence.
+
+    N >= ln(1 / (1 - confidence)) / -ln(1 - violation).
+    """
+    return math.ceil(math.log1p(-confidence) / math.log1p(-violation) - 1e-9)
