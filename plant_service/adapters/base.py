@@ -7,7 +7,7 @@ ends. What most people write is one call, ``step``; :class:`Simulated` makes the
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from protocol.runtime import Failure
+from protocol.runtime.process import Failure
 
 Vector = tuple[float, ...]
 
@@ -57,7 +57,7 @@ class Stepped(Protocol):
     def reset(self, seed: int | None, /) -> Sequence[float]:
         """Begin anew; the initial state."""
 
-    def step(self, u: Sequence[float], period_s: float, /) -> Sequence[float]:
+    def step(self, u: Vector, period_s: float, /) -> Sequence[float]:
         """The state ``period_s`` seconds on, with ``u`` held."""
 
 

@@ -60,7 +60,7 @@ def gymnasium_line() -> Any:
     gymnasium = pytest.importorskip("gymnasium")
     import numpy as np
 
-    class Env(gymnasium.Env):  # type: ignore[misc]
+    class Env(gymnasium.Env):  # type: ignore[misc,name-defined]
         observation_space = gymnasium.spaces.Box(-100, 100, (2,))
         action_space = gymnasium.spaces.Box(-1, 1, (1,))
 

@@ -1,5 +1,7 @@
 """The double integrator x+ = A x + B u with a period of 1 s, as a pythonfmu3 model (FMI 3.0)."""
 
+from typing import Any
+
 from pythonfmu3 import (
     Float64,
     Fmi3Causality,
@@ -10,8 +12,8 @@ from pythonfmu3 import (
 )
 
 
-class LineFmi3(Fmi3Slave):
-    def __init__(self, **kwargs):
+class LineFmi3(Fmi3Slave):  # type: ignore[misc]
+    def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.time, self.u, self.place, self.speed = 0.0, 0.0, -5.0, -2.0
         self.register_variable(
@@ -27,7 +29,7 @@ class LineFmi3(Fmi3Slave):
                 )
             )
 
-    def do_step(self, current_time, step_size):
+    def do_step(self, current_time: float, step_size: float) -> Any:
         place, speed, u = self.place, self.speed, self.u
         self.place = 1.0 * place + 1.0 * speed + 0.5 * u
         self.speed = 0.0 * place + 1.0 * speed + 1.0 * u
