@@ -27,6 +27,9 @@ TERMINAL_MARGIN = 1e-4
 TERMINAL_ERROR = 1e-3
 """Without a stated order, T_0 takes the first whose error bound is this part of its radius."""
 
+NEARLY_PARALLEL = 1e-11
+"""Normals of the terminal set nearer than this, in rad, are one: their bounds round by more."""
+
 CHAIN_PARALLEL = 1e-12
 """A facet whose unit normal meets B's direction by less than this fraction bounds no input."""
 

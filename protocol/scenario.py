@@ -208,7 +208,7 @@ class Secrecy(Part):
     """The agreement rule's public-by-assumption half: D_e = alpha D_c, and M candidates."""
 
     alpha: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    candidates: Annotated[int, Field(ge=2, le=16)] = 2
+    candidates: Annotated[int, Field(ge=2, le=256)] = 2
 
 
 class Link(Part):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller_service.tolerances import TERMINAL_ERROR
+from controller_service.tolerances import NEARLY_PARALLEL, TERMINAL_ERROR
 from protocol.convex import Array, Polytope, corners, planar_reduce, planar_vertices
 from protocol.scenario import ConvexSet, Scenario
 
@@ -147,7 +147,28 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
     normals = normals[lengths > 0] / lengths[lengths > 0, None]
     normals = np.vstack([normals, -normals])
     support = (V @ terms.transpose(0, 2, 1) @ normals.T).max(axis=1).sum(axis=0)
-    return planar_reduce(normals, support / (1 - alpha)), Terminal("rakovic", s, alpha, bound)
+    rows = merged_directions(normals, support / (1 - alpha))
+    return planar_reduce(*rows), Terminal("rakovic", s, alpha, bound)
+
+
+def merged_directions(H: Array, h: Array) -> tuple[Array, Array]:
+    """Unit normals of the plane in order of angle, nearly equal ones as one with the least bound.
+
+    Of late terms A_c^k D_c the normals crowd together as the ratio of the eigenvalues to the power
+    k. Where they are nearer than a bound's rounding can tell, a facet between two of them seems
+    redundant and is not.
+    """
+    angles = np.arctan2(H[:, 1], H[:, 0])
+    order = angles.argsort(kind="stable")
+    H, h, angles = H[order], h[order], angles[order]
+    first = np.concatenate([[True], np.diff(angles) > NEARLY_PARALLEL])
+    groups = np.flatnonzero(first)
+    least = np.minimum.reduceat(h, groups)
+    # The range of angles ends at half a turn, where a group may go on with the first one.
+    if len(groups) > 1 and 2 * np.pi - angles[groups[-1]] + angles[0] <= NEARLY_PARALLEL:
+        least[0] = min(least[0], least[-1])
+        groups, least = groups[:-1], least[:-1]
+    return H[groups], least
 
 
 def modal(Ac: Array, V: Array) -> tuple[Polytope, Terminal]:

@@ -14,12 +14,17 @@ CHUNK: Final = 64
 Within a chunk a save is one statement in both automaton states, so that neither takes longer."""
 
 
+def hex_digits(size: int) -> int:
+    """Hexadecimal digits of a symbol kept: one up to M = 16, else two."""
+    return 1 if size <= 16 else 2
+
+
 class ReceiverRecord(NamedTuple):
     """All that the plant must not forget, as its journal keeps it.
 
     ``applied_k`` and ``x_after`` report the last applied offer and the state right after it;
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
-    the frame under way, a hexadecimal digit each. Counters run over all sessions but
+    the frame under way, :func:`hex_digits` of each. Counters run over all sessions but
     ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
     asked last to take the session up.
     """
@@ -90,8 +95,10 @@ class Receiver:
         self.instance = instance
         self.record = record
         self.deframer = Deframer(rules.size)
-        for digit in chunks + record.partial:
-            self.deframer.push(int(digit, 16))
+        self._digits = hex_digits(rules.size)
+        kept = chunks + record.partial
+        for i in range(0, len(kept), self._digits):
+            self.deframer.push(int(kept[i : i + self._digits], 16))
         self._met = _Acquaintance()
         self._anyone = not record.transitions
         self._known = record.transitions > 0 or record.sessions > 1
@@ -242,10 +249,10 @@ class Receiver:
             frame = self.deframer.push(recovered)
             if not self.deframer.symbols:
                 partial = ""
-            elif len(partial) < CHUNK - 1:
-                partial += f"{recovered:x}"
             else:
-                partial, chunk = "", f"{partial}{recovered:x}"
+                partial += f"{recovered:0{self._digits}x}"
+                if len(partial) >= CHUNK * self._digits:
+                    partial, chunk = "", partial
         agreed = after.key != NO_SYMBOL
         p = record.p + (0 if tested else 1)
         transition = Transition(

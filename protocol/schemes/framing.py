@@ -2,11 +2,17 @@
 
 The automata carry a stream of symbols in range(M). While nothing is queued the stream is idle (0).
 A frame is the start symbol 1 and then bytes: length (2, big-endian), payload, CRC-32 of both (4,
-big-endian). A byte is the fixed number of base-M digits that hold it, most significant first; for
-M = 2 its eight bits. The format is public, as everything but the keys is.
+big-endian). The length is one block; what follows is cut into blocks of :func:`block_bytes` bytes,
+of which the last one may be shorter. A block is one number, in as few base-M digits as hold it,
+most significant first: for M = 2 eight bits a byte, for M = 3 eleven bytes in 56 digits. So no M
+wastes more than one digit in a hundred. The format is public, as everything but the keys is.
 """
 
+import math
 import zlib
+from collections.abc import Iterator
+from functools import cache
+from itertools import repeat
 from typing import Final, NamedTuple
 
 IDLE: Final = 0
@@ -14,19 +20,41 @@ START: Final = 1
 LENGTH_BYTES: Final = 2
 CHECK_BYTES: Final = 4
 MAX_PAYLOAD: Final = 2 ** (8 * LENGTH_BYTES) - 1
+WASTE: Final = 0.01
 
 
-def digits_per_byte(size: int) -> int:
-    """The number of base-``size`` digits that hold a byte: 8 for 2, 6 for 3, 4 for 4."""
-    digits = 1
-    while size**digits < 256:
+def digits_of(count: int, size: int) -> int:
+    """The fewest base-``size`` digits that hold ``count`` bytes: of one, 8 for 2 and 6 for 3."""
+    digits = max(1, math.floor(8 * count / math.log2(size)) - 1)
+    while size**digits < 256**count:
         digits += 1
     return digits
 
 
+@cache
+def block_bytes(size: int) -> int:
+    """Bytes in a block: the fewest of which the digits hold at most 1 % more than the bytes."""
+    count = 1
+    while 8 * count < (1 - WASTE) * digits_of(count, size) * math.log2(size):
+        count += 1
+    return count
+
+
+def blocks(body_bytes: int, size: int) -> Iterator[int]:
+    """Bytes of each block of a frame whose payload and check are ``body_bytes`` long."""
+    yield LENGTH_BYTES
+    whole, rest = divmod(body_bytes, block_bytes(size))
+    yield from repeat(block_bytes(size), whole)
+    if rest:
+        yield rest
+
+
 def frame_length(payload_bytes: int, size: int) -> int:
     """Symbols in the frame of a payload of ``payload_bytes`` bytes."""
-    return 1 + (LENGTH_BYTES + payload_bytes + CHECK_BYTES) * digits_per_byte(size)
+    body, count = payload_bytes + CHECK_BYTES, block_bytes(size)
+    whole, rest = divmod(body, count)
+    symbols = 1 + digits_of(LENGTH_BYTES, size) + whole * digits_of(count, size)
+    return symbols + (digits_of(rest, size) if rest else 0)
 
 
 def encode_frame(payload: bytes, size: int) -> bytes:
@@ -43,8 +71,15 @@ def encode_frame(payload: bytes, size: int) -> bytes:
         )
     body = len(payload).to_bytes(LENGTH_BYTES, "big") + payload
     body += zlib.crc32(body).to_bytes(CHECK_BYTES, "big")
-    places = range(digits_per_byte(size) - 1, -1, -1)
-    return bytes((START, *(byte // size**place % size for byte in body for place in places)))
+    out, place = bytearray((START,)), 0
+    for count in blocks(len(payload) + CHECK_BYTES, size):
+        value = int.from_bytes(body[place : place + count], "big")
+        digits = bytearray(digits_of(count, size))
+        for i in reversed(range(len(digits))):
+            value, digits[i] = divmod(value, size)
+        out += digits
+        place += count
+    return bytes(out)
 
 
 class Frame(NamedTuple):
@@ -65,7 +100,8 @@ class Deframer:
         self.size = size
         self.symbols = bytearray()
         self._bytes = bytearray()
-        self._digits = digits_per_byte(size)
+        self._block = LENGTH_BYTES
+        self._digits = digits_of(LENGTH_BYTES, size)
         self._value = 0
         self._count = 0
 
@@ -89,7 +125,7 @@ class Deframer:
     def push(self, symbol: int) -> Frame | None:
         """Take the next message symbol; a frame when this one completed it.
 
-        Outside a frame anything but the start symbol is idle. A byte whose digits exceed 255
+        Outside a frame anything but the start symbol is idle. A block whose digits exceed its bytes
         (possible where M is no power of two) refuses the frame.
         """
         if not self.symbols:
@@ -101,27 +137,28 @@ class Deframer:
         self._count += 1
         if self._count < self._digits:
             return None
-        if self._value > 255:
+        if self._value >= 256**self._block:
             self.reset()
             return Frame(b"", False)
-        self._bytes.append(self._value)
-        self._value = 0
-        self._count = 0
-        if len(self._bytes) < LENGTH_BYTES:
-            return None
-        if len(self._bytes) < LENGTH_BYTES + self._payload_length() + CHECK_BYTES:
+        self._bytes += self._value.to_bytes(self._block, "big")
+        missing = LENGTH_BYTES + self._payload_length() + CHECK_BYTES - len(self._bytes)
+        if missing:
+            self._begin(min(missing, block_bytes(self.size)))
             return None
         body, check = self._bytes[:-CHECK_BYTES], self._bytes[-CHECK_BYTES:]
         frame = Frame(bytes(body[LENGTH_BYTES:]), zlib.crc32(body) == int.from_bytes(check, "big"))
         self.reset()
         return frame
 
+    def _begin(self, block: int) -> None:
+        self._block, self._digits = block, digits_of(block, self.size)
+        self._value = self._count = 0
+
     def reset(self) -> None:
         """Forget the frame under way."""
         self.symbols = bytearray()
         self._bytes = bytearray()
-        self._value = 0
-        self._count = 0
+        self._begin(LENGTH_BYTES)
 
 
 def readable(payload: bytes) -> str:

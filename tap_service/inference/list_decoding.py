@@ -19,7 +19,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES, START, Deframer, digits_per_byte
+from protocol.schemes.framing import (
+    CHECK_BYTES,
+    LENGTH_BYTES,
+    START,
+    Deframer,
+    block_bytes,
+    digits_of,
+)
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, NO_SYMBOL
 from tap_service.inference.language_model import OTHER, class_of, table
 
@@ -109,8 +116,13 @@ class Beam:
         self._cap = cap
         self._held = False
         self._passed = 0
-        self._digits = digits_per_byte(size)
+        self._digits = digits_of(1, size)
         self._powers = size ** np.arange(self._digits)
+        # Where the digits of a byte hold nothing else, every digit is judged as it comes; a block
+        # of several bytes only when it is whole.
+        self._block = block_bytes(size) if framed else 1
+        longest = max(self._block, LENGTH_BYTES)
+        self._block_digits = np.array([0, *(digits_of(n, size) for n in range(1, longest + 1))])
         self._ratios = table()
         self._rows = np.zeros(2 * cap + 64, dtype=_ROW)
         self._n = 1
@@ -302,6 +314,9 @@ class Beam:
             which, values = which[~idle], values[~idle]
             if not len(which):
                 return
+        if self._block > 1:
+            self._push_block(which)
+            return
         if self.framed:
             which, values = self._check_digits(which, values)
         rows["value"][which] = rows["value"][which] * self.size + values
@@ -319,6 +334,67 @@ class Beam:
         if excess.any():
             self._refuse(which[excess])
             which, values = which[~excess], values[~excess]
+        self._take(which, values)
+
+    def _push_block(self, which: Indices) -> None:
+        """Count a digit of a block of bytes; where it was the last, take the bytes in turn."""
+        rows = self._rows
+        rows["count"][which] += 1
+        position = rows["bytes"][which]
+        left = LENGTH_BYTES + rows["length"][which] + CHECK_BYTES - position
+        size = np.where(position == 0, LENGTH_BYTES, np.minimum(left, self._block))
+        digits = self._block_digits[size]
+        full = rows["count"][which] == digits
+        for count in np.unique(size[full]).tolist():
+            group = which[full & (size == count)]
+            numbers = [
+                self._last_digits(int(node), int(digits_of(count, self.size)))
+                for node in rows["node"][group]
+            ]
+            rows["count"][group] = 0
+            fits = np.array([number < 256**count for number in numbers])
+            self._refuse(group[~fits])
+            group = group[fits]
+            whole = [n.to_bytes(count, "big") for n in numbers if n < 256**count]
+            table_of_bytes = np.frombuffer(b"".join(whole), dtype=np.uint8).reshape(-1, count)
+            for place in range(count):
+                going = rows["phase"][group] == 1
+                group, table_of_bytes = group[going], table_of_bytes[going]
+                if not len(group):
+                    break
+                right = self._check_bytes(group, table_of_bytes[:, place])
+                group, table_of_bytes = group[right], table_of_bytes[right]
+                self._take(group, table_of_bytes[:, place].astype(np.int32))
+
+    def _last_digits(self, node: int, count: int) -> int:
+        """The number that the last ``count`` symbols of a path write."""
+        number, power = 0, 1
+        while count and node >= 0:
+            number += self._symbol[node] * power
+            power, count, node = power * self.size, count - 1, self._parent[node]
+        for symbol in reversed(self._settled[len(self._settled) - count :] if count else b""):
+            number += symbol * power
+            power *= self.size
+        return number
+
+    def _check_bytes(self, which: Indices, values: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Compare bytes of a frame's check with what they must be; refuse the wrong ones."""
+        rows = self._rows
+        place = rows["bytes"][which] - LENGTH_BYTES - rows["length"][which]
+        tail = (rows["bytes"][which] >= LENGTH_BYTES) & (place >= 0)
+        check = rows["crc"][which] ^ np.uint32(0xFFFFFFFF)
+        shift = 8 * np.clip(CHECK_BYTES - 1 - place, 0, CHECK_BYTES - 1)
+        byte = check >> shift.astype(np.uint32) & 0xFF
+        begun = which[tail & (place == 0)]
+        rows["mark"][begun] = rows["score"][begun]
+        right: NDArray[np.bool_] = ~tail | (byte == values)
+        rows["score"][which[tail & right]] += np.log(256)
+        self._refuse(which[~right])
+        return right
+
+    def _take(self, which: Indices, values: NDArray[np.integer]) -> None:
+        """The next byte of each row."""
+        rows = self._rows
         position = rows["bytes"][which]
         rows["bytes"][which] += 1
         if not self.framed:
@@ -553,7 +629,7 @@ class Beam:
 
 def bytes_of(symbols: Iterable[int], size: int) -> bytes:
     """Symbols as bytes, most significant digit first; what exceeds 255 becomes 255."""
-    digits = digits_per_byte(size)
+    digits = digits_of(1, size)
     out, value, count = bytearray(), 0, 0
     for symbol in symbols:
         value, count = value * size + symbol, count + 1

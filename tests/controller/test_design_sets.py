@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 
 from benchmarks.exact_sets import exact_sets
 from benchmarks.sets import relative_errors
+from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
 from controller_service.sets.design import (
     Design,
     SynthesisError,
@@ -18,6 +19,7 @@ from controller_service.sets.design import (
     synthesise,
 )
 from controller_service.sets.design_cache import design_path
+from controller_service.sets.terminal import feedback_gain, terminal_set
 from protocol.convex import corners
 from protocol.scenario import Scenario, load_scenario
 
@@ -74,6 +76,21 @@ def test_the_terminal_bound_holds(design: Design) -> None:
         assert smallest <= outer
         # T_0 is made for a D_c larger by 1e-4, hence the second term.
         assert outer - smallest <= 2 * (design.terminal.bound + 1e-4 * smallest)
+
+
+@pytest.mark.parametrize("weight", [0.31622776601683794, 0.0014677992676220691])
+def test_nearly_parallel_facets_are_kept(paper: Scenario, weight: float) -> None:
+    """Weights of which two late terms' normals are 1e-12 apart; T_0 was 1 to 3 percent too wide."""
+    regulator = {"next_state": [1.0, 1.0], "input": [weight]}
+    scenario = changed(paper, gain=None, regulator=regulator)
+    Ac = np.array(paper.A) + np.array(paper.B) @ feedback_gain(scenario)
+    inputs, D_c = paper.control.inputs, paper.defender.disturbance
+    offsets = choose_alphabet(paper.B, D_c, inputs, alpha=8, size=4).offsets
+    for D in (D_c, larger_disturbance(D_c, paper.B, offsets)):
+        T0, _ = terminal_set(Ac, D.scaled(1.0001), None)
+        V, DV = corners(T0.H, T0.h), set_corners(D)
+        reach = ((V @ Ac.T @ T0.H.T).max(axis=0) + (DV @ T0.H.T).max(axis=0)) / T0.h
+        assert reach.max() <= 1 - 1e-9
 
 
 def test_the_order_can_be_stated(paper: Scenario) -> None:

@@ -1,6 +1,8 @@
 """Framing: what goes in comes out, damage is refused, a restart loses nothing."""
 
+import math
 import random
+import zlib
 from itertools import pairwise
 
 import pytest
@@ -12,13 +14,14 @@ from protocol.schemes.framing import (
     MAX_PAYLOAD,
     Deframer,
     Frame,
-    digits_per_byte,
+    block_bytes,
+    digits_of,
     encode_frame,
     frame_length,
     readable,
 )
 
-sizes = st.integers(2, 16)
+sizes = st.one_of(st.integers(2, 16), st.integers(17, 256))
 payloads = st.binary(max_size=40)
 
 
@@ -50,9 +53,36 @@ def test_a_frame_is_as_long_as_it_says(size: int, payload: bytes) -> None:
     assert lengths == {0, len(symbols)}
 
 
-@pytest.mark.parametrize(("size", "digits"), [(2, 8), (3, 6), (4, 4), (6, 4), (7, 3), (16, 2)])
-def test_digits_per_byte(size: int, digits: int) -> None:
-    assert digits_per_byte(size) == digits
+@pytest.mark.parametrize(
+    ("size", "count", "digits"),
+    [
+        (2, 1, 8), (3, 11, 56), (4, 1, 4), (5, 11, 38), (6, 8, 25), (7, 7, 20), (8, 3, 8),
+        (9, 11, 28), (10, 7, 17), (12, 4, 9), (15, 15, 31), (16, 1, 2), (25, 11, 19), (256, 1, 1),
+    ],
+)  # fmt: skip
+def test_blocks(size: int, count: int, digits: int) -> None:
+    assert (block_bytes(size), digits_of(count, size)) == (count, digits)
+
+
+def test_no_alphabet_wastes_more_than_one_part_in_a_hundred() -> None:
+    for size in range(2, 257):
+        payload = random.Random(size).randbytes(2000)
+        symbols = encode_frame(payload, size)
+        assert len(symbols) == frame_length(2000, size)
+        assert len(symbols) * math.log2(size) <= 8 * 2006 / 0.99 + 3 * math.log2(size)
+        assert push_all(Deframer(size), symbols) == [Frame(payload, True)]
+
+
+@pytest.mark.parametrize(("size", "bits"), [(2, 1), (4, 2), (16, 4)])
+@given(payload=payloads)
+def test_sizes_that_divide_a_byte_write_its_bits_in_order(
+    size: int, bits: int, payload: bytes
+) -> None:
+    body = len(payload).to_bytes(2, "big") + payload
+    body += zlib.crc32(body).to_bytes(4, "big")
+    text = "".join(f"{byte:08b}" for byte in body)
+    digits = [int(text[i : i + bits], 2) for i in range(0, len(text), bits)]
+    assert encode_frame(payload, size) == bytes([1, *digits])
 
 
 def test_bits_of_a_byte_are_most_significant_first() -> None:
@@ -83,7 +113,7 @@ def test_every_single_damaged_bit_is_refused() -> None:
         assert [f.intact for f in push_all(Deframer(2), bytes(damaged))] == [False]
 
 
-@given(st.integers(3, 16), payloads, st.data())
+@given(st.integers(3, 256), payloads, st.data())
 def test_anything_but_the_start_symbol_is_idle_between_frames(
     size: int, payload: bytes, data: st.DataObject
 ) -> None:
@@ -97,7 +127,7 @@ def test_anything_but_the_start_symbol_is_idle_between_frames(
 
 def test_digits_beyond_a_byte_are_refused_at_once() -> None:
     deframer = Deframer(3)
-    assert push_all(deframer, bytes([1, 2, 2, 2, 2, 2])) == []
+    assert push_all(deframer, bytes([1, *[2] * 10])) == []  # eleven digits hold a length
     assert deframer.push(2) == Frame(b"", False)
     assert not deframer.symbols
     assert push_all(deframer, encode_frame(b"next", 3)) == [Frame(b"next", True)]

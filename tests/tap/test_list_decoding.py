@@ -206,3 +206,29 @@ def test_english_is_more_plausible_than_noise_at_any_length() -> None:
         assert plausibility(text) > len(text)
         assert plausibility(rng.randbytes(len(text))) < 0
     assert plausibility(b"") == 0
+
+
+@pytest.mark.parametrize("size", [3, 5, 6, 25])
+def test_a_message_in_blocks_of_several_bytes_is_read(size: int) -> None:
+    """Every other transition agrees; she searches t_c and t_e."""
+    message = b"The old mill, at nine."
+    rng = random.Random(size)
+    stream = bytes(5) + encode_frame(message, size) + bytes(5)
+    beam = Beam(size)
+    for j, symbol in enumerate(stream):
+        key = rng.randrange(size)
+        gauges = [0.6 if r == key else 2.5 + 0.1 * r for r in range(size)]
+        beam.step(2 * j, gauges, rng.randrange(size))
+        beam.step(2 * j + 1, gauges, (symbol + key) % size)
+    assert beam.whole[-1:] == [message]
+
+
+def test_a_block_larger_than_its_bytes_is_refused() -> None:
+    beam = Beam(3, edge=9.0)
+    before = beam.confidence()
+    for j, symbol in enumerate([1, *[2] * 11]):
+        beam.step(2 * j, [0.5, 2.5, 2.6], 0)
+        beam.step(2 * j + 1, [0.5, 2.5, 2.6], symbol)
+    assert before == 1.0
+    assert beam.whole == []
+    assert beam.under_way() == b""

@@ -1,0 +1,239 @@
+"""Packed alphabets against rational arithmetic, brute force and published bounds."""
+
+import itertools
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller_service.sets.alphabet import (
+    ceilings,
+    choose_alphabet,
+    control_allows,
+    line_offsets,
+    line_size,
+    smaller_inputs,
+)
+from controller_service.sets.clique import adjacency, largest_clique
+from controller_service.sets.polygon_alphabet import balls, plane_bound, plane_points
+from controller_service.sets.separation import AlphabetError, Separation
+from protocol.scenario import ConvexSet
+
+PAPER_B = ((0.0246,), (0.4877,))
+PAPER_D = ConvexSet(half_widths=(0.12, 0.12))
+PAPER_U = ConvexSet(half_widths=(6.0,))
+TANK_B = ((0.400086, 0.022762), (0.01209, 0.305529), (0.0, 0.215905), (0.143777, 0.0))
+TANK_D = ConvexSet(half_widths=(0.03,) * 4)
+
+
+def polygon(sides: int) -> ConvexSet:
+    angles = 2 * np.pi * np.arange(sides) / sides
+    H = np.stack([np.cos(angles), np.sin(angles)], axis=1).round(15)
+    half = H[: sides // 2]
+    return ConvexSet(H=tuple(map(tuple, np.vstack([half, -half]).tolist())), h=(1.0,) * sides)
+
+
+def exact_gauges(offsets: list[Fraction], alpha: Fraction) -> tuple[Fraction, Fraction]:
+    """Least gauge of another candidate, and largest, over all corners of the paper's D_c."""
+    b = [Fraction(row[0]) for row in PAPER_B]
+    w = [Fraction(c) for c in PAPER_D.half_widths or ()]
+    gauges = [
+        max(abs(s * wi + bi * (p - q)) / wi for s, wi, bi in zip(signs, w, b, strict=True))
+        for signs in itertools.product((-1, 1), repeat=2)
+        for p, q in itertools.permutations(offsets, 2)
+    ]
+    return min(gauges), max(gauges)
+
+
+@pytest.mark.parametrize("alpha", [3.01, 5.0, 5.01, 7.0, 8.0, 9.01, 10.0])
+def test_paper_alphabet_is_certain_at_every_corner_in_rationals(alpha: float) -> None:
+    sep = Separation.of(PAPER_B, PAPER_D)
+    size = line_size(sep, alpha)
+    assert size == math.ceil((alpha - 1) / 2)
+    chosen = choose_alphabet(PAPER_B, PAPER_D, PAPER_U, alpha=alpha, size=size)
+    least, largest = exact_gauges(
+        [Fraction(v) for v in chosen.offsets[:, 0].tolist()], Fraction(alpha)
+    )
+    assert least > 1 + Fraction(1, 10**9)
+    assert largest <= Fraction(alpha)
+    # One more input has no place: its span would be more than D_e allows.
+    assert size * sep.sigma() >= sep.omega(alpha) * (1 - 1e-8)
+
+
+def test_odd_alphas_lose_a_symbol_to_the_strict_gap() -> None:
+    sep = Separation.of(PAPER_B, PAPER_D)
+    assert [line_size(sep, a) for a in (1.0, 3.0, 5.0, 7.0)] == [1, 1, 2, 3]
+    assert [line_size(sep, a) for a in (3.01, 5.01, 7.01, 9.01)] == [2, 3, 4, 5]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 9), st.integers(1, 60), st.integers(1, 80))
+def test_largest_progression_is_the_largest_set(sigma: int, omega: int, length: int) -> None:
+    """Brute force: on a line the greedy set is largest; a thousandth stands for the open gap."""
+    span = min(omega, length)
+    points, at = 1, sigma * 1000 + 1
+    while at <= span * 1000:
+        points, at = points + 1, at + sigma * 1000 + 1
+    sep = Separation(np.array([[1 / sigma]]), np.array([[7 / omega]]))
+    assert line_size(sep, 8.0, float(length)) == points == math.ceil(Fraction(span, sigma))
+
+
+def test_box_and_its_rows_give_the_same_alphabet() -> None:
+    rows = ConvexSet(H=((1, 0), (-1, 0), (0, 1), (0, -1)), h=(0.12,) * 4)
+    assert Separation.of(PAPER_B, rows).sigma() == Separation.of(PAPER_B, PAPER_D).sigma()
+
+
+def test_unsymmetric_polytope_by_its_longest_chord() -> None:
+    """A triangle: differences fill a hexagon, and both signs must be within alpha D_c."""
+    triangle = ConvexSet(H=((-1, 0), (0, -1), (1, 1)), h=(1.0, 1.0, 1.0))
+    sep = Separation.of(((1.0,), (0.0,)), triangle)
+    assert sep.sigma() == pytest.approx(3.0, rel=1e-12)  # the chord from (-1, -1) to (2, -1)
+    assert sep.omega(8.0) == pytest.approx(7.0, rel=1e-12)
+
+
+def test_an_interval_that_is_not_centred() -> None:
+    D = ConvexSet(H=((1.0,), (-1.0,)), h=(2.0, 1.0))
+    sep = Separation.of(((0.5,),), D)
+    assert sep.sigma() == pytest.approx(6.0)
+    assert sep.omega(8.0) == pytest.approx(14.0)
+
+
+def test_refusals_name_the_largest_that_fits() -> None:
+    with pytest.raises(AlphabetError, match=r"secrecy.candidates: got 5, expected at most 4"):
+        choose_alphabet(PAPER_B, PAPER_D, PAPER_U, alpha=8, size=5)
+    tight = ConvexSet(half_widths=(0.4,))
+    with pytest.raises(AlphabetError, match=r"got 4, expected at most 2: control.inputs"):
+        choose_alphabet(PAPER_B, PAPER_D, tight, alpha=8, size=4)
+    with pytest.raises(AlphabetError, match=r"moves no state"):
+        line_offsets(Separation.of(((0.0,), (0.0,)), PAPER_D), 2)
+    with pytest.raises(AlphabetError, match=r"along one line"):
+        choose_alphabet(
+            ((1, 2), (1, 2)), PAPER_D, ConvexSet(half_widths=(9.0, 9.0)), alpha=8, size=4
+        )
+    # A bet is not held against alpha.
+    assert choose_alphabet(PAPER_B, PAPER_D, PAPER_U, alpha=4, size=3, spacing=1.5).size == 3
+
+
+@pytest.mark.parametrize(("alpha", "size"), [(3.0, 1), (3.5, 4), (5.5, 9), (8.0, 16), (10.0, 25)])
+def test_two_inputs_on_a_box_fill_a_grid(alpha: float, size: int) -> None:
+    sep = Separation.of(TANK_B, TANK_D)
+    points = plane_points(sep, alpha)
+    assert len(points) == plane_bound(sep, alpha) == size
+    inputs = ConvexSet(half_widths=(3.0, 3.0))
+    chosen = choose_alphabet(TANK_B, TANK_D, inputs, alpha=alpha, size=size).offsets
+    if size > 1:
+        d = chosen[:, None] - chosen[None]
+        apart, together = sep.distances(d[~np.eye(size, dtype=bool)])
+        assert apart.min() > 1 + 5e-7
+        assert together.max() <= alpha - 1
+    assert np.allclose(chosen.min(axis=0), -chosen.max(axis=0))
+
+
+def test_fewer_candidates_take_the_closest_points() -> None:
+    inputs = ConvexSet(half_widths=(3.0, 3.0))
+    spreads = [
+        choose_alphabet(TANK_B, TANK_D, inputs, alpha=8, size=size).offsets.var(axis=0).sum()
+        for size in range(2, 17)
+    ]
+    assert spreads == sorted(spreads)
+
+
+@pytest.mark.parametrize(
+    ("sides", "t", "found"),
+    [
+        (6, 1.01, 3), (6, 1.5001, 4), (6, 2.01, 7), (6, 2.5001, 9), (6, 3.01, 13),
+        (8, 1.01, 3), (8, 1.5001, 4), (8, 2.01, 7), (8, 3.01, 12),
+        (12, 1.5001, 3), (12, 2.01, 7), (12, 3.01, 12), (12, 3.5001, 16),
+    ],
+)  # fmt: skip
+def test_polygons_reach_the_known_sizes_below_the_bound(sides: int, t: float, found: int) -> None:
+    sep = Separation.of(np.eye(2), polygon(sides))
+    points = plane_points(sep, 1 + 2 * t)
+    apart, together = sep.distances(
+        (points[:, None] - points[None])[~np.eye(len(points), dtype=bool)]
+    )
+    assert apart.min() > 1
+    assert together.max() <= 2 * t
+    assert len(points) >= found
+    assert len(points) <= plane_bound(sep, 1 + 2 * t)
+
+
+def test_a_change_of_inputs_changes_no_size() -> None:
+    shear = np.array([[2.0, 0.3], [-0.4, 0.7]])
+    plain, turned = (Separation.of(G, polygon(8)) for G in (np.eye(2), shear))
+    for t in (1.5001, 2.01, 3.01):
+        assert len(plane_points(plain, 1 + 2 * t)) == len(plane_points(turned, 1 + 2 * t))
+        assert plane_bound(plain, 1 + 2 * t) == plane_bound(turned, 1 + 2 * t)
+
+
+def test_clique_search_equals_an_integer_program() -> None:
+    """The same graph, the octagon's half lattice, by HiGHS: an independent exact answer."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    apart, together = balls(Separation.of(np.eye(2), polygon(8)), 1 + 2 * 1.6)
+    side = np.linspace(-3.2, 3.2, 11)
+    points = np.array([(x, y) for x in side for y in side if (x, y) > (0, 0)])
+    points = points[(apart.norm(points) >= 1) & (together.norm(points) <= 1)]
+    d = points[:, None] - points[None]
+    joined = (apart.norm(d) >= 1) & (together.norm(d) <= 1)
+    rows = [
+        [float(k in (i, j)) for k in range(len(points))]
+        for i, j in itertools.combinations(range(len(points)), 2)
+        if not joined[i, j]
+    ]
+    best = milp(
+        -np.ones(len(points)),
+        constraints=LinearConstraint(np.array(rows), -np.inf, 1),
+        integrality=np.ones(len(points), dtype=int),
+        bounds=Bounds(0, 1),
+    )
+    clique = largest_clique(adjacency(joined))
+    assert clique.proved
+    assert best.fun is not None
+    assert len(clique.vertices) == round(-best.fun)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 9), st.randoms(use_true_random=False))
+def test_cliques_of_small_graphs(size: int, random: object) -> None:
+    draw = random.random  # type: ignore[attr-defined]
+    joined = np.zeros((size, size), dtype=bool)
+    for i, j in itertools.combinations(range(size), 2):
+        joined[i, j] = joined[j, i] = draw() < 0.6
+    largest = max(
+        k
+        for k in range(1, size + 1)
+        for chosen in itertools.combinations(range(size), k)
+        if all(joined[i, j] for i, j in itertools.combinations(chosen, 2))
+    )
+    found = largest_clique(adjacency(joined)).vertices
+    assert len(found) == largest
+    assert all(joined[i, j] for i, j in itertools.combinations(found, 2))
+
+
+def test_smaller_inputs_keep_their_form() -> None:
+    offsets = np.array([[-1.0], [1.0]])
+    box = smaller_inputs(ConvexSet(half_widths=(3.0,)), offsets)
+    assert box is not None
+    assert box.half_widths == (2.0,)
+    rows = smaller_inputs(ConvexSet(H=((1.0,), (-1.0,)), h=(2.0, 3.0)), offsets)
+    assert rows is not None
+    assert rows.h == (1.0, 2.0)
+    assert smaller_inputs(ConvexSet(half_widths=(1.0,)), offsets) is None
+
+
+def test_control_ceiling_of_the_double_integrator() -> None:
+    A, B = ((1.0, 1.0), (0.0, 1.0)), ((0.5,), (1.0,))
+    D, U = ConvexSet(half_widths=(0.12, 0.12)), ConvexSet(half_widths=(1.0,))
+    limits = ceilings(A, B, D, U)
+    assert limits[0].room == pytest.approx(0.44)  # (1 - 0.12) / 2
+    sep = Separation.of(B, D)
+    assert control_allows(limits, B, line_offsets(sep, 4))
+    assert not control_allows(limits, B, line_offsets(sep, 5))
+
+
+def test_a_stable_plant_has_no_ceiling() -> None:
+    assert ceilings(((0.5, 0.2), (0.0, 0.3)), PAPER_B, PAPER_D, PAPER_U) == ()
