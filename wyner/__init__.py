@@ -1,1 +1,21 @@
-"""The ``wyner`` command: one module a subcommand, found in :mod:`wyner.cli`."""
+"""A secret message inside a control loop: the command ``wyner``, and the library of the same name.
+
+``from wyner import design, run`` loads :mod:`wyner.api` on first use; the command, which
+imports this package too, never does.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from wyner.api import *  # noqa: F403
+
+
+def __getattr__(name: str) -> object:
+    """What the library exports, loaded when it is asked for (PEP 562)."""
+    if not name.startswith("_"):
+        from importlib import import_module
+
+        api = import_module("wyner.api")
+        if name in api.__all__:
+            return getattr(api, name)
+    raise AttributeError(f"module 'wyner' has no attribute {name!r}")

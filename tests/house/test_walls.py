@@ -107,7 +107,7 @@ def test_the_main_modules_only_call_the_command() -> None:
     [
         ("zenoh", {"protocol.runtime.zenoh_bus"}),
         ("rich", {"wyner", "tools"}),
-        ("matplotlib", {"wyner.studies.figures*", "wyner.cli.figures"}),
+        ("matplotlib", {"wyner.studies.figures*", "wyner.cli.figures", "wyner.api"}),
         ("osqp", {"controller_service", "benchmarks"}),
         ("daqp", {"controller_service", "benchmarks"}),
     ],

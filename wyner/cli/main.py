@@ -20,6 +20,7 @@ COMMANDS: Final = {
     "send": "hand a running controller a message to deliver",
     "design": "compute and show a scenario's sets, gains and expected rate",
     "check": "replay a run's traces and say whether they obey the paper",
+    "report": "write a run's page: one file of HTML with figures, scores and clauses",
     "replay": "decode a recorded capture",
     "secrecy": "report what each eavesdropper got, beside what the scheme claims",
     "export": "write a capture as MCAP, CSV or Parquet",

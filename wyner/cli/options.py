@@ -12,13 +12,7 @@ from protocol.runtime.process import Pace, UsageError, write_atomically
 from protocol.runtime.trace import SCENARIO
 from protocol.scenario import Scenario, ScenarioError, load_scenario
 from protocol.schemes.framing import MAX_PAYLOAD
-from wyner.shipped import SCENARIOS
-
-
-def scenario_file_of(text: str) -> Path:
-    """The file itself, or the shipped scenario of that name."""
-    shipped = SCENARIOS / f"{text}.toml"
-    return shipped if not Path(text).is_file() and shipped.is_file() else Path(text)
+from wyner.shipped import scenario_file_of
 
 
 def scenario_of(text: str) -> Scenario:

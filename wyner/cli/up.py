@@ -24,9 +24,9 @@ from wyner.cli.options import (
     message_of,
     pace_of,
     run_dir_of,
-    scenario_file_of,
     scenario_of,
 )
+from wyner.shipped import scenario_file_of
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario

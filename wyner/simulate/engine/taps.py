@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.framing import Deframer
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, named
+from tap_service.eavesdroppers import ORACLE, Eavesdropper, named
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.loop import Runs
 
@@ -50,7 +50,9 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
         yield Transition("simulated", j, x[j], candidates, cipher, x[j + 1], start=j == 0)
 
 
-def listen(runs: Runs, link: Transfer, names: Sequence[str], place: int) -> list[Heard]:
+def listen(
+    runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
+) -> list[Heard]:
     """Let each named eavesdropper hear run ``place``, and score her against the truth.
 
     Parameters
@@ -59,14 +61,15 @@ def listen(runs: Runs, link: Transfer, names: Sequence[str], place: int) -> list
         With a record.
     link : Transfer
         Of the same runs.
-    names : sequence of str
-        As ``wyner tap --eavesdropper`` takes them.
+    names : sequence of str or class
+        As ``wyner tap --eavesdropper`` takes them, or classes of one's own.
     place : int
     """
     scenario = runs.scenario
+    classes = [named(name) if isinstance(name, str) else name for name in names]
     taps = [
-        named(name)(scenario.oracle_knowledge() if name == ORACLE else scenario.knowledge())
-        for name in names
+        c(scenario.oracle_knowledge() if c.name == ORACLE else scenario.knowledge())
+        for c in classes
     ]
     keys = link.key[:, place].tolist()
     right = [0] * len(taps)

@@ -1,0 +1,229 @@
+"""The library: its arrays are the engine's, its names are lazy, its errors are lines."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wyner
+from wyner import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    KnowledgeError,
+    OutsideError,
+    ScenarioError,
+    Simulated,
+    SimulationError,
+    System,
+    Transition,
+    build,
+    design,
+    eavesdrop,
+    load,
+    rate_against_alpha,
+    run,
+    scenarios,
+    vary,
+)
+
+MESSAGE = b"Hi"
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    return design("sustained")
+
+
+@pytest.fixture(scope="module")
+def runs(system: System) -> Simulated:
+    return run(system, steps=900, runs=3, seed=5, message=MESSAGE)
+
+
+def test_the_package_alone_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, wyner; assert 'numpy' not in sys.modules; wyner.design; "
+        "assert 'numpy' in sys.modules; assert 'matplotlib' not in sys.modules; "
+        "assert 'pandas' not in sys.modules; assert 'zenoh' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_every_name_is_there_and_has_words() -> None:
+    from wyner import api
+
+    for name in api.__all__:
+        assert getattr(wyner, name) is getattr(api, name)
+        assert getattr(api, name).__doc__
+    with pytest.raises(AttributeError, match="module 'wyner' has no attribute 'desing'"):
+        wyner.desing  # noqa: B018
+    with pytest.raises(ImportError):
+        from wyner import np  # type: ignore[attr-defined] # noqa: F401
+
+
+def test_shipped_scenarios_load_by_name_and_by_path() -> None:
+    assert "paper" in scenarios()
+    from wyner.shipped import SCENARIOS
+
+    assert load("paper") == load(SCENARIOS / "paper.toml")
+    with pytest.raises(ScenarioError, match="nowhere: cannot be read: No such file"):
+        load("nowhere")
+
+
+def test_a_scenario_is_built_from_tables_and_wrong_ones_are_named() -> None:
+    tables = load("double-integrator").model_dump(exclude_none=True)
+    assert build(tables) == load("double-integrator")
+    tables["secrecy"]["alpha"] = 0.5
+    with pytest.raises(ScenarioError, match=r"^mine: secrecy.alpha: got 0.5, input should be"):
+        build(tables, "mine")
+
+
+def test_fields_are_varied_by_their_path() -> None:
+    s = load("sustained")
+    changed = vary(s, {"secrecy.alpha": 3.0, "control.costs.1.input": 2.0})
+    assert changed.secrecy.alpha == 3.0
+    assert changed.control.costs[1].input == 2.0
+    assert vary(changed, {"secrecy.alpha": 8.0, "control.costs.1.input": 1.0}) == s
+    for path in ("secrecy.alfa", "control.costs.9.input", "name.first"):
+        with pytest.raises(ScenarioError, match=path.split(".")[0]):
+            vary(s, {path: 1.0})
+
+
+def test_a_design_answers_for_states_and_sets(system: System) -> None:
+    assert system.index((0.0, 0.0)) == 0
+    assert system.gain.shape == (1, 2)
+    assert system.candidates((0.1, 0.2)).shape == (2, 1)
+    ring = system.corners(2)
+    middle = ring.mean(axis=0)
+    assert system.index(middle + 0.99 * (ring[0] - middle)) <= 2
+    assert system.index(middle + 1.01 * (ring[0] - middle)) > 2
+    with pytest.raises(OutsideError, match="is outside T_"):
+        system.index((1e6, 0.0))
+
+
+def test_arrays_fit_together(system: System, runs: Simulated) -> None:
+    s = system.scenario
+    assert (runs.count, runs.steps) == (3, 900)
+    assert runs.x.shape == (3, 901, 2)
+    assert runs.candidates.shape == (3, 900, 2, 1)
+    assert runs.u.shape == (3, 900, 1)
+    A, B = np.array(s.A), np.array(s.B)
+    d = runs.x[:, 1:] - runs.x[:, :-1] @ A.T - runs.u @ B.T
+    assert (np.abs(d) <= np.array(s.plant.disturbance.half_widths) + 1e-12).all()
+    agreed = runs.key >= 0
+    assert (runs.key[agreed] == runs.coin[agreed]).all()
+    assert (runs.agreements == agreed.sum(axis=1)).all()
+    assert runs.agreements.min() > 50
+    inside = np.take_along_axis(runs.gauges, runs.coin[:, :, None].astype(int), axis=2)
+    assert inside.max() <= 1.0
+
+
+def test_the_message_arrives_and_its_rate_is_what_was_carried(runs: Simulated) -> None:
+    assert all(MESSAGE in messages for messages in runs.messages)
+    carried = (runs.message_symbol >= 0).sum()
+    assert runs.rate.value == pytest.approx(carried / (3 * 900 * 0.1))
+    assert runs.rate.low <= runs.rate.value <= runs.rate.high
+    (same,) = rate_against_alpha(runs, 8.0)
+    assert same == runs.rate
+    low, high = rate_against_alpha(runs, [1.5, 8.0])
+    assert low.value < high.value
+
+
+def test_a_run_is_the_same_however_many_others_there_are(system: System, runs: Simulated) -> None:
+    alone = run(system, steps=900, seed=5, message=MESSAGE)
+    assert (alone.x[0] == runs.x[0]).all()
+    assert (alone.cipher[0] == runs.cipher[0]).all()
+
+
+def test_a_frame_has_a_row_a_step(runs: Simulated) -> None:
+    pytest.importorskip("pandas")
+    frame = runs.frame()
+    assert len(frame) == 2700
+    one = runs.frame(1)
+    assert (one["run"] == 1).all()
+    assert (frame[frame["run"] == 1]["x_2"].to_numpy() == one["x_2"].to_numpy()).all()
+    assert list(one.columns) == [
+        *("run", "k", "x_1", "x_2", "u_1", "coin", "gauge_0", "gauge_1"),
+        *("key", "cipher", "message_symbol"),
+    ]
+    assert (one["key"].to_numpy() == runs.key[1]).all()
+
+
+class Stubborn(Eavesdropper):
+    """Always guesses candidate 1."""
+
+    name = "stubborn"
+
+    def observe(self, transition: Transition) -> Guess:
+        return Guess(transition.k, (0.0, 1.0), 1.0)
+
+    def belief(self) -> Belief:
+        return Belief()
+
+
+def test_eavesdroppers_of_the_ladder_and_of_ones_own_are_scored(runs: Simulated) -> None:
+    nearest, mine = eavesdrop(runs, ["nearest-centre", Stubborn])
+    assert (nearest.name, mine.name) == ("nearest-centre", "stubborn")
+    assert nearest.agreements == mine.agreements == runs.agreements.sum()
+    assert nearest.keys.value > 0.95
+    assert mine.right == (runs.key == 1).sum()
+    assert mine.keys.low < 0.5 < mine.keys.high
+    assert nearest.delivered == sum(map(len, runs.messages)) > 0
+    with pytest.raises(KnowledgeError, match="got 'nobody', expected set-membership"):
+        eavesdrop(runs, ["nobody"])
+
+
+def test_a_state_outside_every_set_stops_the_runs() -> None:
+    far = vary(load("sustained"), {"plant.initial_state": [1e6, 0.0]})
+    with pytest.raises(SimulationError, match=r"step 0: the state .* is outside T_"):
+        run(far)
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+
+def test_figures_are_drawn_on_the_users_axes(system: System, runs: Simulated) -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+
+    from wyner import draw_agreement, draw_rate, draw_sets, draw_states
+
+    axes = Figure().subplots(2, 2)
+    draw_sets(system, axes[0, 0], [0, 1], runs)
+    assert len(axes[0, 0].lines) == 2 + runs.count
+    draw_agreement(runs, axes[0, 1])
+    star = axes[0, 1].lines[-1]
+    k = int(np.flatnonzero(runs.key[0] >= 0)[0])
+    assert star.get_xydata().tolist() == [runs.x[0, k + 1].tolist()]
+    draw_states(runs, axes[1, 0], run=1)
+    assert axes[1, 0].lines[0].get_ydata().tolist() == runs.x[1, :, 0].tolist()
+    draw_rate(runs, axes[1, 1], [2.0, 4.0, 8.0])
+    assert axes[1, 1].lines[0].get_ydata()[-1] == pytest.approx(runs.rate.value)
+
+
+def test_sets_in_four_dimensions_cannot_be_drawn() -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+
+    from wyner.studies.figures.axes import draw_sets
+
+    with pytest.raises(ValueError, match="T_0: got 4 states, expected 2 to draw"):
+        draw_sets(Figure().subplots(), {0: np.zeros((5, 4))})
+
+
+# --- runs of the services -------------------------------------------------------------------------
+
+
+def test_a_runs_folder_is_checked(tmp_path: Path) -> None:
+    from tests.support.small_run import SmallRun
+
+    small = SmallRun(tmp_path / "run")
+    small.steps(40)
+    small.close()
+    results = {f.clause.name: f.result for f in wyner.check(tmp_path / "run")}
+    assert results["agreement"] == "PASS"
+    assert "FAIL" not in results.values()
+    with pytest.raises(FileNotFoundError, match="no run here"):
+        wyner.check(tmp_path)

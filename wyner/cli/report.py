@@ -1,0 +1,37 @@
+"""``wyner report``: a run on one page of HTML."""
+
+import argparse
+from pathlib import Path
+
+from protocol.runtime.process import DONE, UsageError
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "report",
+        help="write a run's page: one file of HTML with figures, scores and clauses",
+        description="Write one self-contained HTML page of a run: what was sent and recovered, "
+        "states and inputs, one agreed step, keys against taps over time, claimed against true, "
+        "and the clauses of the check. The page's path goes to standard output.",
+    )
+    parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
+    parser.add_argument(
+        "--output", "-o", type=Path, metavar="FILE", help="the page (default: RUN_DIR/report.html)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    from protocol.runtime.trace import TraceError
+    from protocol.scenario import ScenarioError
+    from wyner.run_report import write_report
+
+    try:
+        print(write_report(args.run_dir, args.output))
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+    except (TraceError, OSError) as error:
+        raise UsageError(str(error)) from None
+    return DONE

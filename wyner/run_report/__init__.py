@@ -1,0 +1,5 @@
+"""``wyner report``: a run on one page of HTML that needs no network, no script, no library."""
+
+from wyner.run_report.page import write_report
+
+__all__ = ["write_report"]

@@ -1,0 +1,114 @@
+"""The closed loop of any plant, one run after the other, with what the engine keeps of a run.
+
+For plants that the engine cannot step: a function, an object, an FMU, an environment. The numbers
+drawn are those of the engine and of the services with a seed, so that a linear plant gives the same
+run here, there and on the network.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from plant_service.adapters import Operated, PlantError
+from plant_service.disturbance import disturbance
+from protocol.agreement import INSIDE, NO_SYMBOL
+from protocol.link.session import rules_of
+from protocol.scenario import Scenario
+from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
+from wyner.simulate.engine.loop import Runs, SimulationError
+
+Vector = tuple[float, ...]
+
+
+class Law(Protocol):
+    """What the loop needs of a control law."""
+
+    def candidates(self, x: Vector, /) -> tuple[Vector, ...]:
+        """The M candidate inputs at ``x``."""
+
+
+def simulate_plant(
+    scenario: Scenario,
+    law: Law,
+    open_plant: Callable[[], Operated],
+    *,
+    seed: int,
+    runs: range,
+    steps: int,
+    enters: str = "state",
+) -> Runs:
+    """Simulate ``runs`` of a plant, with a record.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its agreement rule, candidates and disturbance.
+    law : Law
+    open_plant : callable
+        A new plant for each run; it is closed when the run ends.
+    seed : int
+    runs : range
+        Numbers of the runs, each with its own streams.
+    steps : int
+    enters : {"state", "input", "none"}
+        Where the scenario's disturbance enters.
+
+    Raises
+    ------
+    SimulationError
+        When a state leaves every set, or the plant fails; the message names run and step.
+    """
+    n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
+    R = len(runs)
+    if R < 1 or steps < 1:
+        raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
+    verdict_of = rules_of(scenario).agreement.verdict
+    coin = np.empty((steps, R), dtype=np.int8)
+    symbol = np.empty((steps, R), dtype=np.int8)
+    xs = np.empty((steps + 1, n, R))
+    us = np.empty((steps, M, m, R))
+    gs = np.empty((steps, M, R))
+    for place, run in enumerate(runs):
+        coins = SeededSymbols(seed, COIN, run=run)
+        noise = Stream(seed, DISTURBANCE, width=n, run=run)
+        plant = open_plant()
+        try:
+            x = plant.start(seed + run)
+            xs[0, :, place] = x
+            for k in range(steps):
+                try:
+                    candidates = law.candidates(x)
+                    b = coins.symbol(k, M)
+                    d = disturbance(scenario.plant.disturbance, k, noise.at(k))
+                    u = candidates[b]
+                    if enters == "input":
+                        u = tuple([v + e for v, e in zip(u, d, strict=False)])
+                    plant.apply(u)
+                    x_next = plant.sample(d if enters == "state" else None)
+                except (LookupError, PlantError) as error:
+                    raise SimulationError(f"run {run}, step {k}: {error}") from None
+                verdict = verdict_of(x, candidates, x_next)
+                inside = [i for i, g in enumerate(verdict.gauges) if g <= INSIDE]
+                coin[k, place] = b
+                symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
+                xs[k + 1, :, place] = x_next
+                us[k, :, :, place] = candidates
+                gs[k, :, place] = verdict.gauges
+                x = x_next
+        finally:
+            plant.close()
+    applied = np.take_along_axis(us, coin[:, None, None, :].astype(np.intp), axis=1)[:, 0]
+    return Runs(
+        scenario=scenario,
+        seed=seed,
+        runs=runs,
+        coin=coin,
+        symbol=symbol,
+        largest=gs.max(axis=1),
+        state_cost=(xs[1:] ** 2).sum(axis=(0, 1)),
+        input_effort=(applied**2).sum(axis=(0, 1)),
+        x=xs,
+        candidates=us,
+        gauges=gs,
+    )

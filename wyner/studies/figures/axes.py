@@ -1,0 +1,96 @@
+"""Drawings on axes of the user's own: data come as arrays, the rest of the figure is theirs."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from wyner.scoring.statistics import Interval
+
+Array = NDArray[np.float64]
+
+
+def _closed(points: Array) -> Array:
+    """A convex ring in order of angle about its middle, the first point again at the end."""
+    plane = points[:, :2]
+    middle = plane.mean(axis=0)
+    order = np.arctan2(plane[:, 1] - middle[1], plane[:, 0] - middle[0]).argsort()
+    return np.concatenate([plane[order], plane[order[:1]]])
+
+
+def draw_sets(axes: Axes, sets: Mapping[int, Array], x: Array | None = None) -> None:
+    """Outlines of sets T_i, corners of shape (corners, 2), and trajectories (R, steps + 1, 2).
+
+    Raises
+    ------
+    ValueError
+        When the sets are not in the plane.
+    """
+    for i, points in sets.items():
+        if points.shape[1] != 2:
+            raise ValueError(f"T_{i}: got {points.shape[1]} states, expected 2 to draw")
+        ring = _closed(points)
+        axes.plot(ring[:, 0], ring[:, 1], color="0.6", lw=0.8)
+        top = ring[ring[:, 1].argmax()]
+        axes.annotate(f"$T_{{{i}}}$", (top[0], top[1]), color="0.3", fontsize="small")
+    for track in () if x is None else x:
+        axes.plot(track[:, 0], track[:, 1], marker=".", ms=3, lw=0.8)
+    axes.set_xlabel("$x_1$")
+    axes.set_ylabel("$x_2$")
+
+
+def draw_agreement(axes: Axes, centres: Array, x_next: Array, D_c: Array, alpha: float) -> None:
+    """Reach^c and Reach^e about each candidate's centre, and x(k+1).
+
+    Parameters
+    ----------
+    axes : Axes
+    centres : array, shape (M, n)
+    x_next : array, shape (n,)
+    D_c : array, shape (corners, n)
+    alpha : float
+    """
+    if D_c.shape[1] < 2:
+        raise ValueError("got 1 state, expected at least 2 to draw")
+    ring = _hull(D_c[:, :2])
+    for i, c in enumerate(centres):
+        (line,) = axes.plot(c[0], c[1], marker="+", ms=8, ls="none")
+        for scale, style, who in ((1.0, "-", "c"), (alpha, "--", "e")):
+            at = c[:2] + scale * ring
+            label = f"Reach$^{who}(x, u_{i})$"
+            axes.plot(at[:, 0], at[:, 1], style, color=line.get_color(), lw=1, label=label)
+    axes.plot(x_next[0], x_next[1], "k*", ms=9, label="x(k+1)")
+    axes.set_xlabel("$x_1$")
+    axes.set_ylabel("$x_2$")
+    axes.legend(fontsize="small")
+
+
+def _hull(points: Array) -> Array:
+    """The outline of the points' shadow in the plane, closed."""
+    from scipy.spatial import ConvexHull
+
+    return _closed(points[ConvexHull(points).vertices])
+
+
+def draw_states(axes: Axes, x: Array, period_s: float, agreed: NDArray[np.intp]) -> None:
+    """States of shape (steps + 1, n) over time; ``agreed`` has the steps to mark."""
+    time_s = period_s * np.arange(len(x))
+    for i in range(x.shape[1]):
+        axes.plot(time_s, x[:, i], lw=1, label=f"$x_{i + 1}$")
+    axes.plot(time_s[agreed + 1], np.zeros(len(agreed)), "|", color="k", ms=8, label="key agreed")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("state")
+    axes.legend(fontsize="small")
+
+
+def draw_rate(axes: Axes, alphas: Array, rates: Sequence[Interval], label: str) -> None:
+    """A rate with its band against alpha."""
+    (line,) = axes.plot(alphas, [r.value for r in rates], lw=1.4, label=label)
+    axes.fill_between(
+        alphas, [r.low for r in rates], [r.high for r in rates], color=line.get_color(), alpha=0.2
+    )
+    axes.set_xlabel(r"$\alpha$")
+    axes.set_ylabel("message rate (bit/s)")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")
