@@ -60,7 +60,7 @@ def test_every_name_is_there_and_has_words() -> None:
     with pytest.raises(AttributeError, match="module 'wyner' has no attribute 'desing'"):
         wyner.desing  # noqa: B018
     with pytest.raises(ImportError):
-        from wyner import np  # type: ignore[attr-defined] # noqa: F401
+        from wyner import np  # noqa: F401
 
 
 def test_shipped_scenarios_load_by_name_and_by_path() -> None:
