@@ -1,1 +1,5 @@
-"""The control side: sets computed offline, the two laws evaluated online, and the service."""
+"""The control side: sets computed offline, the laws evaluated online, and the service."""
+
+from protocol.registry import provide
+
+provide("law", "controller_service.laws.registry")

@@ -4,8 +4,6 @@ The tap imports this and never :mod:`protocol.scenario`, so that nothing in it c
 message or a key. Every optional field left out is something she does not know.
 """
 
-from typing import Literal
-
 from pydantic import BaseModel, ConfigDict
 
 Vector = tuple[float, ...]
@@ -35,7 +33,7 @@ class Policy(BaseModel):
     Parameters
     ----------
     law : str
-        ``paper`` or ``sustained``.
+        The law's name.
     costs : tuple of PolicyCost, length M
         J_0, J_1, ..., one for each candidate.
     gain : tuple of tuple of float, shape (m, n), optional
@@ -44,7 +42,7 @@ class Policy(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    law: Literal["paper", "sustained"]
+    law: str
     costs: tuple[PolicyCost, ...]
     gain: Matrix | None = None
 

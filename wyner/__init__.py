@@ -6,6 +6,11 @@ imports this package too, never does.
 
 from typing import TYPE_CHECKING
 
+# Each says which laws, services and plants it brings; none of them loads more than that.
+import controller_service as _controller_service  # noqa: F401
+import plant_service as _plant_service  # noqa: F401
+import tap_service as _tap_service  # noqa: F401
+
 if TYPE_CHECKING:
     from wyner.api import *  # noqa: F403
 

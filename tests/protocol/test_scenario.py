@@ -1,13 +1,25 @@
 """Scenario files: one line for each wrong field, fingerprints of what is shared, those we ship."""
 
+import json
+import pickle
+import subprocess
+import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from protocol.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+from protocol.scenario import (
+    LAWS,
+    Control,
+    Part,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    parse_scenario,
+)
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
 SHIPPED = sorted(SCENARIOS.glob("*.toml"))
@@ -71,7 +83,7 @@ def problems(data: Table) -> tuple[str, ...]:
         ("defender.disturbance.half_widths", [0.12] * 3, "got shape 3, expected 2"),
         ("defender.disturbance", {"H": [[1.0, 0.0]]}, "expected half_widths = [...], or H"),
         ("defender.disturbance.H", [[1.0, 0.0]], "and not both"),
-        ("control.law", "fastest", "input should be 'paper' or 'sustained'"),
+        ("control.law", "fastest", "expected a known law: 'paper', 'sustained'"),
         ("control.horizon", 0, "greater than or equal to 1"),
         ("control.horizon", 2.5, "valid integer"),
         ("control.gain", DELETE, "expected gain = [[...]] or a table regulator"),
@@ -109,6 +121,69 @@ def test_a_wrong_field_is_one_line_with_its_path(path: str, value: object, expec
 def test_one_wrong_field_is_exactly_one_line_that_shows_the_value(path: str) -> None:
     (line,) = problems(with_value(path, "wrong"))
     assert line.startswith(f'mine.toml: {path}: got "wrong", ')
+
+
+class Spacing(Part):
+    spacing: float = 2.0
+
+
+class ToyControl(Control):
+    """A law's table with a table of its own, and a rule of its own for the costs."""
+
+    alphabet: Spacing = Spacing()
+
+    def count_problems(self, candidates: int) -> Iterator[str]:
+        if len(self.costs) != 1:
+            yield f"control.costs: got {len(self.costs)} costs, expected exactly one"
+
+
+def test_a_law_reads_the_table_that_it_registered() -> None:
+    data = with_value("control.law", "toy")
+    data["control"]["alphabet"] = {"spacing": 3.0}
+    assert "expected a known law" in problems(data)[0]
+    with LAWS.registered("toy", ToyControl):
+        assert problems(data) == ("mine.toml: control.costs: got 2 costs, expected exactly one",)
+        del data["control"]["costs"][0]
+        scenario = parse_scenario(data, "mine.toml")
+        assert isinstance(scenario.control, ToyControl)
+        assert scenario.control.alphabet.spacing == 3.0
+        dumped = scenario.model_dump(mode="json", exclude_none=True)
+        assert dumped["control"]["alphabet"] == {"spacing": 3.0}
+        assert parse_scenario(dumped, "again") == scenario
+        assert hash(scenario) == hash(parse_scenario(data, "mine.toml"))
+        assert pickle.loads(pickle.dumps(scenario)) == scenario
+        data["control"]["alphabet"]["spacing"] = "wide"
+        (line,) = problems(data)
+        assert line.startswith('mine.toml: control.alphabet.spacing: got "wide", ')
+    with pytest.raises(ValueError, match="law 'paper' stands there already"):
+        LAWS.register("paper", ToyControl)
+
+
+def test_a_table_of_another_law_is_one_line() -> None:
+    (line,) = problems(with_value("control.alphabet", {"spacing": 2.0}))
+    assert line.startswith("mine.toml: control.alphabet: got ")
+    assert "extra inputs are not permitted" in line
+
+
+def test_who_knows_no_law_keeps_its_table_as_it_stands() -> None:
+    """The plant's process: it loads nothing of the controller, whoever registers a law."""
+    code = (
+        "import json, sys\n"
+        "from protocol.scenario import parse_scenario\n"
+        "control = parse_scenario(json.loads(sys.argv[1]), 'mine.toml').control\n"
+        "assert not [name for name in sys.modules if name.startswith('controller_service')]\n"
+        "print(control.law, control.model_dump()['alphabet'])"
+    )
+    data = with_value("control.law", "toy") | {"description": ""}
+    data["control"]["alphabet"] = {"spacing": 3.0}
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(data)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout == "toy {'spacing': 3.0}\n", done.stderr
 
 
 def test_each_wrong_field_has_its_line() -> None:

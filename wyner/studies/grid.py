@@ -285,7 +285,7 @@ SOURCES: Final = (
     "protocol/schemes/switched.py",
     "protocol/streams.py",
     "protocol/schemes/framing.py",
-    "protocol/scenario.py",
+    "protocol/scenario/*.py",
     "protocol/convex.py",
 )
 """Where the numbers come from."""

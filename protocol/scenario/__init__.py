@@ -1,0 +1,46 @@
+"""Scenario files: a plant, its sets, its control law and what the defender shares, in TOML.
+
+A table is a file of this package; a table whose fields depend on a kind asks a registry
+(:mod:`protocol.scenario.kinds`). The paper's numbers stand once, in ``paper.toml``. Everything
+here is the defender's knowledge; an eavesdropper is handed a :class:`protocol.knowledge.Knowledge`
+made from it, and never this.
+"""
+
+from protocol.scenario.control import Control, Cost, Regulator
+from protocol.scenario.defender import Defender
+from protocol.scenario.kinds import LAWS
+from protocol.scenario.link import Link
+from protocol.scenario.parts import Part
+from protocol.scenario.plant import Disturbance, Plant
+from protocol.scenario.reading import (
+    ScenarioError,
+    describe_errors,
+    load_scenario,
+    parse_scenario,
+)
+from protocol.scenario.secrecy import Secrecy
+from protocol.scenario.sets import ConvexSet
+from protocol.scenario.system import DESIGN_VERSION, RULES_VERSION, Scenario
+from protocol.scenario.tap import TapView
+
+__all__ = [
+    "DESIGN_VERSION",
+    "LAWS",
+    "RULES_VERSION",
+    "Control",
+    "ConvexSet",
+    "Cost",
+    "Defender",
+    "Disturbance",
+    "Link",
+    "Part",
+    "Plant",
+    "Regulator",
+    "Scenario",
+    "ScenarioError",
+    "Secrecy",
+    "TapView",
+    "describe_errors",
+    "load_scenario",
+    "parse_scenario",
+]

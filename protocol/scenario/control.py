@@ -1,0 +1,108 @@
+"""``[control]``: what every control law of (27) is told; a law of its own adds its own table."""
+
+from collections.abc import Iterator
+from typing import Annotated, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from protocol.knowledge import Policy, PolicyCost
+from protocol.scenario.parts import (
+    Matrix,
+    NotNegative,
+    Part,
+    Positive,
+    check_matrix,
+    shape,
+    shape_problem,
+)
+from protocol.scenario.sets import ConvexSet
+
+
+def _form(value: object) -> str:
+    return "entries" if isinstance(value, list | tuple) else "number"
+
+
+Weights = Annotated[
+    Annotated[NotNegative, Tag("number")] | Annotated[tuple[NotNegative, ...], Tag("entries")],
+    Discriminator(_form),
+]
+"""One weight for all components, or one for each; a wrong one is one error, not one a form."""
+
+
+class Cost(Part):
+    """J(u) = (A x + B u)' diag(next_state) (A x + B u) + u' diag(input) u."""
+
+    next_state: Weights = 0.0
+    input: Weights = 0.0
+
+
+class Regulator(Part):
+    """Weights of the linear quadratic regulator that gives K where no gain is stated."""
+
+    next_state: tuple[Annotated[float, Field(ge=0)], ...]
+    input: tuple[Positive, ...]
+
+
+class Control(Part):
+    """The control law (27): sets, terminal gain, horizon and the costs.
+
+    A law with fields of its own reads a subclass, :data:`protocol.scenario.kinds.LAWS`.
+    """
+
+    law: str = "sustained"
+    horizon: Annotated[int, Field(ge=1, le=10000)]
+    inputs: ConvexSet
+    states: ConvexSet | None = None
+    gain: Matrix | None = None
+    regulator: Regulator | None = None
+    terminal_order: Annotated[int, Field(ge=1, le=200)] | None = None
+    costs: tuple[Cost, ...] = (Cost(next_state=1.0), Cost(input=1.0))
+
+    @model_validator(mode="after")
+    def _one_gain(self) -> Self:
+        if (self.gain is None) == (self.regulator is None):
+            raise ValueError("expected gain = [[...]] or a table regulator, and one of them only")
+        if self.gain is not None:
+            check_matrix(self.gain)
+        return self
+
+    def problems(self, n: int, m: int, candidates: int) -> Iterator[str]:
+        """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""
+        yield from shape_problem("control.inputs", self.inputs.dimension, m)
+        if self.states is not None:
+            yield from shape_problem("control.states", self.states.dimension, n)
+        if self.gain is not None:
+            yield from shape_problem("control.gain", shape(self.gain), (m, n))
+        if self.regulator is not None:
+            yield from shape_problem(
+                "control.regulator.next_state", len(self.regulator.next_state), n
+            )
+            yield from shape_problem("control.regulator.input", len(self.regulator.input), m)
+        yield from self.count_problems(candidates)
+        for i, cost in enumerate(self.costs):
+            for name, weights, size in (
+                ("next_state", cost.next_state, n),
+                ("input", cost.input, m),
+            ):
+                if isinstance(weights, tuple):
+                    yield from shape_problem(f"control.costs.{i}.{name}", len(weights), size)
+
+    def count_problems(self, candidates: int) -> Iterator[str]:
+        """Whether the law makes as many candidates as ``secrecy.candidates`` says."""
+        if len(self.costs) != candidates:
+            yield (
+                f"control.costs: got {len(self.costs)} costs, expected one for each of the "
+                f"{candidates} candidates (secrecy.candidates)"
+            )
+
+    def policy(self, n: int, m: int) -> Policy | None:
+        """The control policy (15) that Kerckhoffs grants the tap, without what depends on D_c."""
+        costs = tuple(
+            PolicyCost(next_state=_spread(cost.next_state, n), input=_spread(cost.input, m))
+            for cost in self.costs
+        )
+        return Policy(law=self.law, costs=costs, gain=self.gain)
+
+
+def _spread(weights: float | tuple[float, ...], size: int) -> tuple[float, ...]:
+    return weights if isinstance(weights, tuple) else (weights,) * size

@@ -1,0 +1,55 @@
+"""Tables whose fields depend on a kind: the registries that know the kinds, and the choice.
+
+A control law brings the table that it reads: a subclass of the common one. Where a process knows
+no kind at all, as the plant's process knows no law, the fields of a kind are kept as they stand:
+whoever serves the kind checks them.
+"""
+
+from typing import Any, TypeVar
+
+from pydantic import ValidatorFunctionWrapHandler, WrapValidator
+from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
+
+from protocol.registry import Registry
+from protocol.scenario.control import Control
+from protocol.scenario.parts import Part
+
+LAWS: Registry[type[Control]] = Registry("law")
+"""For each name of ``control.law`` the table ``[control]`` that this law reads."""
+
+P = TypeVar("P", bound=Part)
+
+
+class UncheckedControl(Control, extra="allow"):
+    """``[control]`` of a law that this process does not know."""
+
+
+def by_kind(
+    registry: Registry[type[P]], common: type[P], unchecked: type[P], field: str
+) -> WrapValidator:
+    """A validator that reads a table by the model registered for the kind that it names.
+
+    Parameters
+    ----------
+    registry : Registry
+        Subclasses of ``common`` by kind.
+    common, unchecked : type
+        The fields that every kind has; the same, with any others besides.
+    field : str
+        The field of the table that names the kind.
+    """
+
+    def read(table: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        if not isinstance(table, dict):
+            return handler(table)
+        if not registry:
+            return unchecked.model_validate(table)
+        kind = table.get(field, common.model_fields[field].default)
+        if not isinstance(kind, str) or kind not in registry:
+            names = ", ".join(f"'{name}'" for name in registry)
+            wrong = PydanticCustomError("kind", f"expected a known {registry.what}: {names}")
+            problem = InitErrorDetails(type=wrong, loc=(field,), input=kind)
+            raise ValidationError.from_exception_data(common.__name__, [problem])
+        return registry[kind].model_validate(table)
+
+    return WrapValidator(read)

@@ -1,0 +1,37 @@
+"""What every table of a scenario file is made of: its base class and the forms of its values."""
+
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+Vector = tuple[FiniteFloat, ...]
+Matrix = tuple[Vector, ...]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Part(BaseModel):
+    """A table of a scenario file: unknown fields are errors, values cannot change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def check_matrix(matrix: Matrix) -> Matrix:
+    """The matrix, or ValueError where it is empty or ragged."""
+    if not matrix or not matrix[0]:
+        raise ValueError("expected at least one row and one column")
+    if len({len(row) for row in matrix}) != 1:
+        raise ValueError("expected rows of one length")
+    return matrix
+
+
+def shape(matrix: Matrix) -> tuple[int, int]:
+    """Rows and columns."""
+    return len(matrix), len(matrix[0])
+
+
+def shape_problem(path: str, got: object, expected: object) -> Iterator[str]:
+    """One line when two shapes differ."""
+    if got != expected:
+        yield f"{path}: got shape {got}, expected {expected}"

@@ -1,0 +1,72 @@
+"""Scenario files read: each wrong field in one line."""
+
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from protocol.scenario.system import Scenario
+
+
+class ScenarioError(Exception):
+    """A scenario that cannot be used; ``problems`` holds one line for each wrong field."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = tuple(problems)
+
+
+def describe_errors(error: ValidationError, source: str) -> list[str]:
+    """One line for each wrong field: the file, the field's path, the value, what was expected."""
+    lines = []
+    for item in error.errors(include_url=False):
+        path = ".".join(str(part) for part in item["loc"] if part not in ("number", "entries"))
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "value_error" and not path:
+            lines += [f"{source}: {part}" for part in message.split("; ")]
+            continue
+        try:
+            value = json.dumps(item["input"], default=str)
+        except ValueError:  # 0x... may be longer than Python writes out
+            value = "an endless number"
+        shown = value if len(value) <= 60 else value[:57] + "..."
+        got = "" if item["type"] == "missing" else f" got {shown},"
+        lines.append(f"{source}: {path}:{got} {message[0].lower()}{message[1:]}")
+    return lines
+
+
+def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
+    """Build a scenario from parsed TOML.
+
+    Raises
+    ------
+    ScenarioError
+        With one line for each wrong field; shapes are compared once every field by itself is right.
+    """
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(describe_errors(error, source)) from None
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario file.
+
+    Raises
+    ------
+    ScenarioError
+        When the file cannot be read, is not TOML, or has a wrong field.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
+        raise ScenarioError([f"{path}: not TOML: {error}"]) from None
+    return parse_scenario(data, str(path))

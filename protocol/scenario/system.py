@@ -1,0 +1,129 @@
+"""A whole scenario: its tables, the model f_c and its fingerprints."""
+
+import hashlib
+import json
+from typing import Annotated, Self
+
+from pydantic import Field, SerializeAsAny, model_validator
+
+from protocol.knowledge import Knowledge
+from protocol.scenario.control import Control
+from protocol.scenario.defender import Defender
+from protocol.scenario.kinds import LAWS, UncheckedControl, by_kind
+from protocol.scenario.link import Link
+from protocol.scenario.parts import Matrix, Part
+from protocol.scenario.plant import Plant
+from protocol.scenario.secrecy import Secrecy
+from protocol.scenario.tap import TapView
+
+RULES_VERSION = 2
+"""Version of agreement, automata and framing together; part of the fingerprint."""
+
+DESIGN_VERSION = 1
+"""Version of the synthesis; part of the key of a cached design."""
+
+
+class Scenario(Part):
+    """One system: plant, defender's model, law, agreement rule, link and tap."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+    description: str = ""
+    source: str = ""
+    plant: Plant
+    defender: Defender
+    control: SerializeAsAny[Annotated[Control, by_kind(LAWS, Control, UncheckedControl, "law")]]
+    secrecy: Secrecy
+    link: Link = Link()
+    tap: TapView = TapView()
+
+    @property
+    def A(self) -> Matrix:
+        """State matrix of the defender's model f_c, shape (n, n)."""
+        return self.defender.A or self.plant.A
+
+    @property
+    def B(self) -> Matrix:
+        """Input matrix of the defender's model f_c, shape (n, m)."""
+        return self.defender.B or self.plant.B
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.plant.A)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return len(self.plant.B[0])
+
+    @model_validator(mode="after")
+    def _shapes_fit(self) -> Self:
+        problems = [
+            *self.plant.problems(),
+            *self.defender.problems(self.n, self.m),
+            *self.control.problems(self.n, self.m, self.secrecy.candidates),
+        ]
+        d = self.plant.disturbance
+        may_leave = d.may_leave_defender_set or d.kind == "gaussian"
+        if not problems and not may_leave and not self.defender.covers(d):
+            problems.append(
+                f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
+                "defender.disturbance (D within D_c), or may_leave_defender_set = true"
+            )
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def fingerprint(self) -> str:
+        """SHA-256 (hex) over what both ends must share for their verdicts to be the same.
+
+        Compared over ops only: on the field bus it would let an eavesdropper test her guesses.
+        """
+        return _digest(
+            {
+                "rules": RULES_VERSION,
+                "A": self.A,
+                "B": self.B,
+                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "U": self.control.inputs.model_dump(exclude_none=True),
+                "alpha": self.secrecy.alpha,
+                "candidates": self.secrecy.candidates,
+                "period_s": self.plant.period_s,
+            }
+        )
+
+    def design_fingerprint(self) -> str:
+        """SHA-256 (hex) over what the synthesis depends on; the key of a cached design."""
+        control = self.control.model_dump(exclude={"law", "costs"}, exclude_none=True)
+        return _digest(
+            {
+                "design": DESIGN_VERSION,
+                "A": self.A,
+                "B": self.B,
+                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "control": control,
+            }
+        )
+
+    def knowledge(self) -> Knowledge:
+        """What the paper's eavesdropper knows: f_c, D_e and the control policy, not D_c."""
+        H, h = self.defender.disturbance.scaled(self.secrecy.alpha).rows()
+        return Knowledge(
+            scenario=self.name,
+            period_s=self.plant.period_s,
+            candidates=self.secrecy.candidates,
+            A=self.A,
+            B=self.B,
+            disturbance_H=H,
+            disturbance_h=h,
+            policy=self.control.policy(self.n, self.m),
+        )
+
+    def oracle_knowledge(self) -> Knowledge:
+        """What the defender knows, in the form a tap reads: the control of the measurement."""
+        return self.knowledge().model_copy(update={"alpha": self.secrecy.alpha})
+
+
+def _digest(value: object) -> str:
+    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
