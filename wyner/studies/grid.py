@@ -285,6 +285,7 @@ SOURCES: Final = (
     "protocol/schemes/switched.py",
     "protocol/streams.py",
     "protocol/schemes/framing.py",
+    "protocol/registry.py",
     "protocol/scenario/*.py",
     "protocol/convex.py",
 )
