@@ -284,9 +284,9 @@ class PlantService:
             self._journal.stage(record)
         self._news.tail.append(step)
         if frame is not None:
-            self._frame_ended(frame.payload, frame.intact)
+            self._frame_ended(frame.payload, frame.intact, effects.transition.k)
 
-    def _frame_ended(self, payload: bytes, intact: bool) -> None:
+    def _frame_ended(self, payload: bytes, intact: bool, k: int) -> None:
         if not intact:
             self._trace.write(
                 {
@@ -299,7 +299,8 @@ class PlantService:
             return
         self._trace.write({"event": "recovered", "payload": base64.b64encode(payload).decode()})
         self._news.last_message = readable(payload)
-        self._log.info("message recovered: %d bytes", len(payload))
+        self._news.message_k = k
+        self._log.info("message recovered at step %d: %d bytes", k, len(payload))
         self._publish_status(force=True)
 
     def _miss(self) -> None:

@@ -24,7 +24,8 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class News:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``last_message`` and ``tail`` are the service's to set.
+    ``phase``, ``detail``, ``late``, ``last_message``, ``message_k`` and ``tail`` are set by the
+    service.
     """
 
     def __init__(self, scenario: Scenario, pace: str, *, seeded: bool) -> None:
@@ -32,6 +33,7 @@ class News:
         self.detail = ""
         self.late = 0
         self.last_message = ""
+        self.message_k = -1
         self.tail: deque[Step] = deque(maxlen=TAIL)
         self._scenario = scenario
         self._pace = pace
@@ -82,6 +84,7 @@ class News:
             recovered_symbols=record.p,
             messages=record.messages,
             last_message=self.last_message,
+            message_k=self.message_k,
             partial=readable(receiver.deframer.partial),
             frame_symbols=len(receiver.deframer.symbols),
             frame_length=receiver.deframer.expected_length,

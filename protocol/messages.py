@@ -121,7 +121,8 @@ class PlantStatus(Message):
     The ``tail_*`` lists are parallel and hold the last transitions, oldest first; ``tail_role`` is
     ``test`` (s = 1) or ``message`` (s = 2), ``tail_symbol`` the key symbol of an agreement and -1
     where none was agreed, ``tail_coin`` the candidate b_r that was applied.
-    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4.
+    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4. ``message_k`` is
+    the step at which ``last_message`` was whole (-1: none yet, or before this process began).
     """
 
     topic: ClassVar[str] = "ops/plant/status"
@@ -154,6 +155,7 @@ class PlantStatus(Message):
     recovered_symbols: Count
     messages: Count
     last_message: str
+    message_k: Annotated[int, Field(ge=-1)] = -1
     partial: str
     frame_symbols: Count
     frame_length: Count

@@ -87,7 +87,9 @@ def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
         *("--run-dir", str(tmp_path / "run"), "--scenario", "paper"),
     )
     assert done.returncode == 0, done.stderr
-    assert "steps      300" in done.stdout
+    assert "loop       300 steps" in done.stdout
+    last = done.stdout.splitlines()[-3:]
+    assert [line.split()[0] for line in last] == ["The", "Eve", "Secret"]
     assert "\x1b" not in done.stdout
     undelivered = wyner(
         *("up", "--pace", "fast", "--steps", "50", "--until-delivered", "--json"),
@@ -280,3 +282,46 @@ def test_send_without_a_controller_says_so() -> None:
     done = wyner("send", "hello", "--timeout", "0.5", "--connect", f"ops={free_endpoints(1)[0]}")
     assert done.returncode == 1
     assert "no controller" in done.stderr
+
+
+def test_a_run_can_be_joined_without_an_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the background of a script, where SIGINT is ignored until the run takes it back."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    message = "first\nline\tand more of it"
+    command = [sys.executable, "-m", "wyner", "up", "--pace", "x10", "--json", "--message", message]
+    with subprocess.Popen(
+        [
+            "sh",
+            "-c",
+            'trap "" INT; exec "$@"',
+            "sh",
+            *command,
+            "--run-dir",
+            str(tmp_path / "joined"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            wait_for(lambda: status(tmp_path / "joined", "plant").get("k", 0) > 0)
+            sent = wyner("send", "second")
+            assert sent.returncode == 0, sent.stderr
+            assert "2 not delivered yet" in sent.stdout
+            watched = subprocess.run(
+                ["timeout", "-s", "INT", "3", sys.executable, "-m", "wyner", "dashboard"],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert "joining the run joined (sustained)" in watched.stderr
+            assert "plant running" in watched.stdout
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 130, err
+    summary = json.loads(out.splitlines()[-1])
+    assert summary["sent"] == message

@@ -1,9 +1,18 @@
 """``wyner dashboard``: watch a running system, on a live screen or in lines."""
 
 import argparse
+import sys
 from pathlib import Path
 
-from wyner.cli.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from wyner.cli.endpoints import (
+    CONTROLLER_OPS,
+    PLANT_OPS,
+    add_endpoint_arguments,
+    add_run_argument,
+    endpoints_of,
+    joined,
+    loop_of,
+)
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -18,6 +27,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--run-dir", type=Path, metavar="D", help="folder for saved screens (default: this one)"
     )
+    add_run_argument(parser)
     add_endpoint_arguments(parser, "dashboard")
     parser.set_defaults(run=run)
 
@@ -29,9 +39,23 @@ def run(args: argparse.Namespace) -> int:
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
+    from wyner.deployment.running import listens
 
     if args.run_dir is not None and not args.run_dir.is_dir():
         raise UsageError(f"--run-dir: got {str(args.run_dir)!r}, expected an existing folder")
+    run = joined(args, "dashboard")
+    if run is not None:
+        print(f"wyner: joining the run {run.name} ({run.scenario})", file=sys.stderr)
+    elif (
+        not args.connect
+        and not args.scouting
+        and not any(map(listens, (PLANT_OPS, CONTROLLER_OPS)))
+    ):
+        print(
+            f"wyner: no loop runs on this machine; waiting at {PLANT_OPS} for services started by "
+            "hand. Start `wyner up` first, or say --connect",
+            file=sys.stderr,
+        )
     loop = loop_of(args)
     ops, intel = (endpoints_of(args, "dashboard", bus) for bus in ("ops", "intel"))
     try:

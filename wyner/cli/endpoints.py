@@ -10,6 +10,7 @@ from protocol.topics import DEFAULT_LOOP, check_loop
 
 if TYPE_CHECKING:
     from protocol.runtime.zenoh_bus import Endpoints
+    from wyner.deployment.running import RunningLoop
 
 Bus = Literal["field", "ops", "intel"]
 BUSES: Final[tuple[Bus, ...]] = ("field", "ops", "intel")
@@ -66,6 +67,39 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
     group.add_argument(
         "--scouting", action="store_true", help="let peers find one another by multicast"
     )
+
+
+def add_run_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--run``, for those who join a loop that runs already."""
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        metavar="NAME",
+        help="the run of `wyner up` to join, where several go on: its folder's name",
+    )
+
+
+def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
+    """The loop on this machine that is meant where no option says where to connect.
+
+    Its endpoints take the place of the defaults in ``args``.
+
+    Raises
+    ------
+    UsageError
+        When several run and none was named, or the one named does not run.
+    """
+    from wyner.deployment.running import chosen
+
+    told = args.connect or args.listen or args.client or args.scouting
+    if told and args.run_name is None:
+        return None
+    loop = chosen(args.run_name, CONTROLLER_OPS)
+    if loop is not None:
+        args.loop = loop.loop
+        ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
+        args.connect = [f"{bus}={end}" for bus in DEFAULTS[service] for end in ends.get(bus, ())]
+    return loop
 
 
 def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:

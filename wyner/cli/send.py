@@ -9,7 +9,13 @@ from protocol.messages import SendCommand, SendReply
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import Failure, UsageError, new_id
 from protocol.topics import key_of
-from wyner.cli.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from wyner.cli.endpoints import (
+    add_endpoint_arguments,
+    add_run_argument,
+    endpoints_of,
+    joined,
+    loop_of,
+)
 from wyner.cli.options import message_of
 
 REPEAT_S: Final = 0.1
@@ -22,6 +28,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--file", metavar="F", help="a file that holds the message")
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="seconds to wait")
+    add_run_argument(parser)
     add_endpoint_arguments(parser, "send")
     parser.set_defaults(run=run)
 
@@ -44,10 +51,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
+    joined(args, "send")
     loop = loop_of(args)
+    ends = endpoints_of(args, "send", "ops")
     answers: Inbox[bytes] = Inbox()
     try:
-        with open_bus(endpoints_of(args, "send", "ops")) as ops:
+        with open_bus(ends) as ops:
             ops.subscribe(key_of(SendReply, loop), lambda _key, reply, _t_ns: answers.put(reply))
             publisher = ops.publisher(key_of(SendCommand, loop))
             until = time.monotonic() + args.timeout
@@ -67,4 +76,8 @@ def run(args: argparse.Namespace) -> int:
                 return 0
     except TransportError as error:
         raise UsageError(str(error)) from None
-    raise Failure(f"no controller of loop {loop!r} answered within {args.timeout:g} s")
+    at = ", ".join((*ends.connect, *ends.listen))
+    raise Failure(
+        f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
+        "start one (wyner up), or say where it is (--connect ops=tcp/HOST:PORT, --loop ID)"
+    )

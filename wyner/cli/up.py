@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import sys
 import time
 from pathlib import Path
@@ -30,6 +31,7 @@ from wyner.shipped import scenario_file_of
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
+    from wyner.deployment.running import RunningLoop
     from wyner.deployment.supervisor import Supervisor
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
@@ -50,7 +52,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("--steps", type=int, metavar="N", help="end at step N")
     parser.add_argument(
-        "--until-delivered", action="store_true", help="end when the plant has the message"
+        "--until-delivered",
+        action="store_true",
+        help="end when the plant has the message, and each that was sent meanwhile",
     )
     parser.add_argument(
         "--eavesdropper", metavar="NAME[,NAME...]", help="as for the tap (default: the scenario's)"
@@ -68,12 +72,14 @@ def run(args: argparse.Namespace) -> int:
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
+    from wyner.deployment.running import announced
     from wyner.scoring.summary import render, summarise
 
     for option, least in (("steps", 1), ("seed", 0)):
         value = getattr(args, option)
         if value is not None and value < least:
             raise UsageError(f"--{option}: got {value}, expected at least {least}")
+    _take_signals()
     pace_of(args.pace)
     scenario = scenario_of(args.scenario)
     payload = message_of(args.message, args.message_file) or DEFAULT_MESSAGE.encode()
@@ -84,16 +90,21 @@ def run(args: argparse.Namespace) -> int:
     if any((run_dir / path).exists() for path in traces_of_a_run):
         raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
     try:
-        supervisor, ops_connect, intel = _children(args, scenario, eavesdroppers, run_dir, payload)
+        supervisor, loop = _children(args, scenario, eavesdroppers, run_dir, payload)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)
     screen = not args.headless and not args.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
+    ops_ends = [loop.plant_ops, loop.controller_ops]
     try:
         supervisor.start()
-        with ZenohBus(connect=ops_connect) as ops, ZenohBus(connect=[intel]) as intel_bus:
+        with (
+            announced(loop),
+            ZenohBus(connect=ops_ends) as ops,
+            ZenohBus(connect=[loop.intel]) as intel_bus,
+        ):
             ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(ops, intel_bus, DEFAULT_LOOP)
@@ -121,6 +132,15 @@ def run(args: argparse.Namespace) -> int:
     if ending is Ending.INTERRUPTED:
         return INTERRUPTED
     return FAILED if args.until_delivered and not summary["delivered"] else DONE
+
+
+def _take_signals() -> None:
+    """Let SIGINT and SIGTERM both end the run with its summary.
+
+    A shell starts what it puts in the background with SIGINT ignored; here it is taken back.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 def _design(scenario: "Scenario") -> None:
@@ -160,11 +180,12 @@ def _children(
     eavesdroppers: tuple[str, ...],
     run_dir: Path,
     payload: bytes,
-) -> "tuple[Supervisor, list[str], str]":
+) -> "tuple[Supervisor, RunningLoop]":
     """Lay out the run's folder and name its processes; nothing is started yet."""
     from importlib.metadata import version
 
     from protocol.runtime.zenoh_bus import free_endpoints
+    from wyner.deployment.running import RunningLoop
     from wyner.deployment.supervisor import Child, Supervisor
 
     scenario_file = run_dir / SCENARIO
@@ -233,8 +254,14 @@ def _children(
     ]
     return (
         Supervisor(children, first="tap", first_endpoint=tap_field),
-        [plant_ops, controller_ops],
-        intel,
+        RunningLoop(
+            run_dir=str(run_dir.absolute()),
+            scenario=scenario.name,
+            loop=DEFAULT_LOOP,
+            plant_ops=plant_ops,
+            controller_ops=controller_ops,
+            intel=intel,
+        ),
     )
 
 
@@ -244,19 +271,22 @@ class _Progress:
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
-        self._received = False
-        self._delivered = False
+        self._received = 0
+        self._delivered = 0
+        self._waiting = True
         self._over_at: float | None = None
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
-        """The plant has a whole message (called on the transport's thread)."""
-        if not self._received:
-            self._received = PlantStatus.model_validate_json(payload).messages > 0
+        """How many messages the plant has (called on the transport's thread)."""
+        if self._until_delivered:
+            self._received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
-        """The controller has counted its last symbol (called on the transport's thread)."""
-        if not self._delivered:
-            self._delivered = ControllerStatus.model_validate_json(payload).delivered > 0
+        """What the controller has delivered, and whether more is waiting (the same thread)."""
+        if self._until_delivered:
+            status = ControllerStatus.model_validate_json(payload)
+            self._delivered = status.delivered
+            self._waiting = status.queue > 0 or status.frame_symbols < status.frame_length
 
     def over(self) -> bool:
         """Whether there is nothing more to watch.
@@ -269,7 +299,7 @@ class _Progress:
         self._supervisor.poll()
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
-        arrived = self._until_delivered and self._received and self._delivered
+        arrived = 0 < self._delivered <= self._received and not self._waiting
         if self._over_at is None and (ended or arrived):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at

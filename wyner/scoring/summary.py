@@ -1,4 +1,4 @@
-"""What a run came to, from its traces: for the last line of ``wyner up`` and for people."""
+"""What a run came to, from its traces, for people and machines: the end of ``wyner up``."""
 
 import base64
 import math
@@ -8,82 +8,144 @@ from typing import Any, Final
 from protocol.runtime.trace import PLANT_TRACE, SCENARIO, TraceError, TraceReader
 from protocol.scenario import load_scenario
 from protocol.schemes.framing import readable
-from wyner.scoring.score import ScoreError, score_run, summary_of
+from wyner.scoring.report import report
+from wyner.scoring.score import RunScore, ScoreError, score_run, summary_of
 
 GUESS_LENGTH: Final = 72
 """Characters of an eavesdropper's guess that are shown to people."""
+
+NAME_WIDTH: Final = 16
 
 
 def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
     """What a run came to, from its traces.
 
+    ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
+    ``delivered_k`` is the step at which the plant had ``payload`` whole, -1 never.
     ``bits_per_second`` counts message bits over plant time, missed steps included.
+    ``claimed_bits`` is what the paper's rule counts, ``true_bits`` what the strongest eavesdropper
+    of this run leaves of it (None: nobody was scored).
     """
     scenario = load_scenario(run_dir / SCENARIO)
     size = scenario.secrecy.candidates
     steps: set[int] = set()
     transitions: dict[tuple[str, int], dict[str, Any]] = {}
     recovered: list[bytes] = []
+    delivered_k = last_k = -1
     try:
         for event in TraceReader(run_dir / PLANT_TRACE):
             if event["event"] in ("transition", "missed"):
                 steps.add(event["k"])
             if event["event"] == "transition":
                 transitions[event["session"], event["j"]] = event
+                last_k = event["k"]
             elif event["event"] == "recovered":
                 recovered.append(base64.b64decode(event["payload"]))
+                if recovered[-1] == payload and delivered_k < 0:
+                    delivered_k = last_k
     except TraceError:
         pass
     agreed = [t for t in transitions.values() if t["symbol"] >= 0]
     symbols = sum(t["message_symbol"] >= 0 for t in transitions.values())
     bits = symbols * math.log2(size)
     seconds = len(steps) * scenario.plant.period_s
-    try:
-        taps = summary_of(score_run(run_dir))
-    except ScoreError:
-        taps = {}
+    last = recovered[-1] if recovered else b""
     return {
         "delivered": payload in recovered,
-        "sent": readable(payload),
-        "recovered": readable(recovered[-1]) if recovered else "",
+        "delivered_k": delivered_k,
+        "sent": _text(payload),
+        "sent_base64": base64.b64encode(payload).decode(),
+        "recovered": _text(last),
+        "recovered_base64": base64.b64encode(last).decode(),
+        "messages": len(recovered),
         "steps": len(steps),
+        "seconds": seconds,
         "transitions": len(transitions),
         "missed": len(steps) - len({t["k"] for t in transitions.values()}),
         "agreements": len(agreed),
         "symbol_errors": sum(t["symbol"] != t["coin"] for t in agreed),
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
-        "taps": taps,
+        **_secrecy(run_dir, len(agreed) * math.log2(size)),
         "run_dir": str(run_dir),
     }
 
 
+def _secrecy(run_dir: Path, claimed: float) -> dict[str, Any]:
+    """What is claimed, what is true of it by the strongest eavesdropper, and each one's score."""
+    try:
+        score: RunScore = score_run(run_dir)
+    except ScoreError:
+        return {"claimed_bits": claimed, "true_bits": None, "strongest": "", "taps": {}}
+    strongest = report([score]).strongest
+    return {
+        "claimed_bits": score.truth.claimed_bits,
+        "true_bits": None if strongest is None else strongest.left_bits,
+        "strongest": "" if strongest is None else strongest.name,
+        "taps": summary_of(score),
+    }
+
+
+def _text(payload: bytes) -> str:
+    return payload.decode("utf-8", errors="replace")
+
+
 def render(summary: dict[str, Any]) -> str:
-    """The summary for people."""
+    """The summary for people; its last lines are the verdict."""
+    recovered = base64.b64decode(summary["recovered_base64"])
+    got = readable(recovered) if recovered else "(the run ended before the message was whole)"
+    errors = summary["symbol_errors"]
     lines = [
-        f"sent       {summary['sent']}",
-        f"recovered  {summary['recovered'] or '(nothing whole)'}",
-        f"steps      {summary['steps']} ({summary['missed']} missed), "
-        f"{summary['agreements']} keys agreed, {summary['symbol_errors']} unlike the plant's coin",
-        f"carried    {summary['bits']:.0f} bits, "
-        f"{summary['bits_per_second']:.2f} bits per second of plant time",
+        f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
+        f"recovered  {got}",
+        f"loop       {summary['steps']} steps ({summary['missed']} missed) in "
+        f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed"
+        + (f", {errors} of them WRONG at the plant" if errors else ", none wrong at the plant"),
+        f"carried    {summary['bits']:.0f} message bits, "
+        f"{summary['bits_per_second']:.2f} a second of plant time",
     ]
-    for name, tap in summary["taps"].items():
-        lines.append(f"tap        {name}: {_describe(tap)}")
+    lines += [
+        f"Eve        {name:<{NAME_WIDTH}}{_got(tap)}" for name, tap in summary["taps"].items()
+    ]
     lines.append(f"run        {summary['run_dir']}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *verdict_lines(summary)])
 
 
-def _describe(tap: dict[str, Any]) -> str:
+def verdict_lines(summary: dict[str, Any]) -> list[str]:
+    """The point of a run in three lines: who had the message when, and claimed against true."""
+    if summary["delivered"]:
+        plant = f"had the message at step {summary['delivered_k']}"
+    else:
+        plant = f"has not got the message in {summary['steps']} steps"
+    lines = [f"The plant  {plant}."]
+    had = {name: tap["solved_k"] for name, tap in summary["taps"].items() if tap["messages_exact"]}
+    if had:
+        name = min(had, key=lambda n: (had[n] < 0, had[n]))
+        when = f"at step {had[name]}" if had[name] >= 0 else "too, without being sure of it"
+        lines.append(f"Eve        had it {when}, from what everyone can read ({name}).")
+    elif summary["taps"]:
+        lines.append("Eve        has not got it whole.")
+    else:
+        lines.append("Eve        was not there.")
+    true = summary["true_bits"]
+    shown = "unknown, no eavesdropper was scored" if true is None else f"{true:.0f}, measured"
+    lines.append(
+        f"Secret     claimed: {summary['claimed_bits']:.0f} bits of key. True: {shown}"
+        + (f" ({summary['strongest']})." if true is not None else ".")
+    )
+    return lines
+
+
+def _got(tap: dict[str, Any]) -> str:
     """What one eavesdropper got, in a line."""
 
     def share(value: float | None) -> str:
-        return "none to score" if value is None else f"{100 * value:.1f} %"
+        return "    -  " if value is None else f"{100 * value:5.1f} %"
 
+    whole = "the message whole" if tap["messages_exact"] else "no whole message"
     return (
-        f"{share(tap['symbol_accuracy'])} of agreed keys, "
-        f"{share(tap['message_bit_accuracy'])} of message bits, "
-        f"guessed {in_short(tap['guessed_text'])}"
+        f"{share(tap['symbol_accuracy'])} of the keys, "
+        f"{share(tap['message_bit_accuracy'])} of the message bits, {whole}"
     )
 
 

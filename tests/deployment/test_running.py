@@ -1,0 +1,105 @@
+"""Notes of the loops that run on this machine: found, told apart, and gone with their process."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.process import UsageError
+from wyner.deployment.running import (
+    RunningLoop,
+    announced,
+    chosen,
+    listens,
+    notes_folder,
+    running_loops,
+)
+
+NOBODY = "tcp/127.0.0.1:9"
+
+
+def loop_named(name: str) -> RunningLoop:
+    ends = [f"tcp/127.0.0.1:{port}" for port in (1, 2, 3)]
+    return RunningLoop(f"/runs/{name}", "sustained", "loop", *ends)
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def another() -> Iterator[None]:
+    """A second process that announces the run ``b``."""
+    code = (
+        "import sys; from wyner.deployment.running import RunningLoop, announced;"
+        f"loop = RunningLoop(**{asdict(loop_named('b'))!r})\n"
+        "with announced(loop): print(flush=True); sys.stdin.read()"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield
+        process.kill()
+
+
+def test_a_note_stands_as_long_as_its_run(runtime: Path) -> None:
+    assert running_loops() == []
+    with announced(loop_named("a")):
+        assert running_loops() == [loop_named("a")]
+        assert chosen(None, NOBODY) == loop_named("a")
+        assert chosen("a", NOBODY) == chosen("/runs/a", NOBODY) == loop_named("a")
+    assert running_loops() == []
+    assert chosen(None, NOBODY) is None
+    assert (runtime / "wyner").stat().st_mode & 0o77 == 0
+
+
+def test_a_note_whose_process_was_killed_is_taken_away(another: None, runtime: Path) -> None:
+    (note,) = (runtime / "wyner").glob("*.json")
+    assert running_loops() == [loop_named("b")]
+    os.kill(int(note.stem), 9)
+    while running_loops():
+        pass
+    assert not note.exists()
+
+
+def test_of_several_runs_one_must_be_named(another: None) -> None:
+    with announced(loop_named("a")):
+        with pytest.raises(UsageError, match="2 runs on this machine, expected --run with one"):
+            chosen(None, NOBODY)
+        assert chosen("b", NOBODY) == loop_named("b")
+        with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a, b"):
+            chosen("c", NOBODY)
+
+
+def test_a_run_beside_services_started_by_hand_must_be_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, announced(loop_named("a")):
+        by_hand = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert listens(by_hand)
+        with pytest.raises(UsageError, match="two loops on this machine: run a, and services at"):
+            chosen(None, by_hand)
+
+
+def test_notes_that_are_no_notes_are_passed_over(runtime: Path) -> None:
+    folder = notes_folder()
+    (folder / "1.json").write_text("{")
+    (folder / "2.json").write_text(json.dumps({"run_dir": 1}))
+    assert running_loops() == []
+
+
+def test_a_folder_that_is_somebody_elses_is_not_used(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (runtime / "wyner").symlink_to(runtime)
+    with pytest.raises(OSError, match="not a folder of this user"):
+        notes_folder()
+    with announced(loop_named("a")):
+        assert running_loops() == []

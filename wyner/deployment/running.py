@@ -1,0 +1,157 @@
+"""The loops that run on this machine, so that others can join them without being told where.
+
+``wyner up`` listens on ports of its own, so that two runs never meet. Each leaves a note with its
+endpoints in a folder of the user's, and holds a lock on it for as long as it lives: a note that
+nobody holds is of a run that ended, however it ended, and goes.
+"""
+
+import fcntl
+import json
+import os
+import socket
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from protocol.runtime.process import UsageError
+
+KNOCK_S: Final = 0.2
+"""Seconds to wait for a listener on this machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunningLoop:
+    """One loop that can be joined.
+
+    Parameters
+    ----------
+    run_dir : str
+        The run's folder; also its name.
+    scenario : str
+    loop : str
+        Its id on the buses.
+    plant_ops, controller_ops, intel : str
+        Where its services listen.
+    """
+
+    run_dir: str
+    scenario: str
+    loop: str
+    plant_ops: str
+    controller_ops: str
+    intel: str
+
+    @property
+    def name(self) -> str:
+        """The last part of the folder, by which ``--run`` finds it."""
+        return Path(self.run_dir).name
+
+
+def notes_folder() -> Path:
+    """The user's own folder for notes: below ``XDG_RUNTIME_DIR``, else below the temporary one.
+
+    Raises
+    ------
+    OSError
+        When it cannot be made, or is somebody else's.
+    """
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    parent = Path(runtime) if runtime and os.access(runtime, os.W_OK) else None
+    folder = parent / "wyner" if parent else Path(tempfile.gettempdir()) / f"wyner-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        raise OSError(f"{folder} is not a folder of this user")
+    return folder
+
+
+@contextmanager
+def announced(loop: RunningLoop) -> Iterator[None]:
+    """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
+    try:
+        path = notes_folder() / f"{os.getpid()}.json"
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError:
+        yield
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        os.truncate(descriptor, 0)
+        os.write(descriptor, json.dumps(asdict(loop)).encode())
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        os.close(descriptor)
+
+
+def running_loops() -> list[RunningLoop]:
+    """The loops that run now, in the order of their folders' names; stale notes are taken away."""
+    try:
+        notes = sorted(notes_folder().glob("*.json"))
+    except OSError:
+        return []
+    found = [loop for note in notes if (loop := _read(note)) is not None]
+    return sorted(found, key=lambda loop: loop.run_dir)
+
+
+def _read(note: Path) -> RunningLoop | None:
+    try:
+        with note.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return RunningLoop(**json.load(file))
+            note.unlink(missing_ok=True)
+    except (OSError, ValueError, TypeError):
+        pass  # being written, or somebody's own file
+    return None
+
+
+def listens(endpoint: str) -> bool:
+    """Whether something listens at a TCP endpoint of this machine."""
+    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=KNOCK_S).close()
+    except OSError:
+        return False
+    return True
+
+
+def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
+    """The loop to join: the one named, the only one, or None for services started by hand.
+
+    Parameters
+    ----------
+    name : str, optional
+        What ``--run`` says: a run's folder, or the last part of it.
+    by_hand : str
+        An endpoint at which services that were started by hand listen.
+
+    Raises
+    ------
+    UsageError
+        When none is named so, or several run and none was named.
+    """
+    loops = running_loops()
+    names = ", ".join(loop.name for loop in loops) or "none"
+    if name is not None:
+        wanted = str(Path(name).absolute())
+        for loop in loops:
+            if name == loop.name or wanted == loop.run_dir:
+                return loop
+        raise UsageError(f"--run: no run {name!r} on this machine, running now: {names}")
+    if not loops:
+        return None
+    if len(loops) > 1:
+        raise UsageError(f"{len(loops)} runs on this machine, expected --run with one of: {names}")
+    if listens(by_hand):
+        raise UsageError(
+            f"two loops on this machine: run {names}, and services at {by_hand}; "
+            f"expected --run {names}, or --connect for the other"
+        )
+    return loops[0]
