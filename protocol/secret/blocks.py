@@ -1,0 +1,279 @@
+"""Blocks: which transitions make one key block, and how both ends come to hold the same.
+
+A block is ``open``, then closed by its last transition, ``stored`` once its keys are on disk, and
+``confirmed`` once the partner has shown the same tag for it. A side announces a block only when it
+has confirmed the one before; so the partner is at the same block or at the next, and a tag of the
+next one that holds confirms both. Blocks too poor for a key are announced by nobody.
+
+The session's first transition only fixes where block 0 begins: counted, it would be the one that a
+jammer chose. Block b is the N_b transitions after that, N_b = min(N, N_0 2^b), and everything
+about it follows from the transitions' numbers, which both ends count alike.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, Literal, NamedTuple
+
+from protocol.secret.bound import Assumption, least
+from protocol.secret.nonces import Raw
+
+LARGEST: Final = 16384
+"""Transitions of a block: two nonces of each and the rows fit the field."""
+
+ROWS_ENOUGH: Final = 64
+"""A block that yields as many rows is long enough: longer ones gain less and wait more."""
+
+TAG_DIGITS: Final = 32
+NO_TAG: Final = "0" * TAG_DIGITS
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Where blocks begin, from the assumption alone.
+
+    Parameters
+    ----------
+    assumption : Assumption
+    first : int
+        N_0, the least number of transitions that makes a key where nothing is lost.
+    largest : int
+        N, the least power of two that makes 64 rows.
+    """
+
+    assumption: Assumption
+    first: int
+    largest: int
+
+    def length(self, number: int) -> int:
+        """N_b: transitions of block ``number``."""
+        return min(self.largest, self.first << min(number, 32))
+
+    def begins(self, number: int) -> int:
+        """The first transition of block ``number``."""
+        total, b = 1, 0
+        while b < number and self.length(b) < self.largest:
+            total += self.length(b)
+            b += 1
+        return total + (number - b) * self.largest
+
+    def block_of(self, j: int) -> int:
+        """The block of transition ``j``; -1 for the session's first."""
+        if j < 1:
+            return -1
+        b = 0
+        while self.length(b) < self.largest and j >= self.begins(b + 1):
+            b += 1
+        return b + max(0, j - self.begins(b)) // self.length(b)
+
+
+@cache
+def schedule_of(assumption: Assumption) -> Schedule | None:
+    """The schedule, or None where the assumption makes no key in any block."""
+
+    def enough(rows: int, n: int) -> bool:
+        return assumption.misses(assumption.copies * n) >= rows
+
+    first = least(lambda n: enough(2, n), LARGEST)
+    if first is None:
+        return None
+    largest = 1
+    while largest < LARGEST and not enough(ROWS_ENOUGH, largest):
+        largest *= 2
+    return Schedule(assumption, first, max(largest, first))
+
+
+class Closed(NamedTuple):
+    """A block whose last transition has been counted: all that its keys are made of.
+
+    Parameters
+    ----------
+    session, number
+        Whose block it is, and which.
+    transitions, steps, counted : int
+        N, K and C; L = copies K - C.
+    rows : int
+        R; below 2 it makes no key.
+    pattern : str
+        For each transition 0, 1, 2 or 3: no copy counts, the offer's, the measurement's, both.
+    nonces : tuple of bytes
+        The counted copies in the order of the transitions, an offer's before its measurement's.
+    last : int
+        Number of the block's last transition.
+    """
+
+    session: str
+    number: int
+    transitions: int
+    steps: int
+    counted: int
+    rows: int
+    pattern: str
+    nonces: tuple[bytes, ...]
+    last: int
+
+    @property
+    def makes_keys(self) -> bool:
+        """Whether the rows are enough for a tag and a key."""
+        return self.rows >= 2
+
+    @property
+    def name(self) -> str:
+        """SESSION/NUMBER, the block's name in ids and ledgers."""
+        return f"{self.session}/{self.number}"
+
+    def message(self) -> bytes:
+        """Everything that the two ends must agree on, as bytes that say it in one way only."""
+        head = f"{self.session}/{self.number}/{self.transitions}/{self.steps}/{self.pattern}/"
+        return head.encode() + b"".join(self.nonces)
+
+
+def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) -> Closed:
+    """The block ``number`` from the rows of all its transitions, in order."""
+    directions = schedule.assumption.directions
+    use_offers, use_measurements = directions != "measurements", directions != "offers"
+    nonces: list[bytes] = []
+    pattern = []
+    for raw in raws:
+        kind = 0
+        if use_offers and raw.offer is not None:
+            nonces.append(raw.offer)
+            kind += 1
+        if use_measurements and raw.measurement is not None:
+            nonces.append(raw.measurement)
+            kind += 2
+        pattern.append(str(kind))
+    steps = sum(raw.steps for raw in raws)
+    rows = schedule.assumption.rows(len(raws), steps, len(nonces))
+    return Closed(
+        session,
+        number,
+        len(raws),
+        steps,
+        len(nonces),
+        rows,
+        "".join(pattern),
+        tuple(nonces),
+        raws[-1].j,
+    )
+
+
+class Stored(NamedTuple):
+    """A block is on disk: its own tag, and those of the partner that would confirm it.
+
+    No tag: the block made no key, and nobody announces it. ``confirmed`` says that it was confirmed
+    before this process began.
+    """
+
+    session: str
+    number: int
+    tag: str
+    accepted: frozenset[str] = frozenset()
+    confirmed: bool = False
+
+
+class Judgement(NamedTuple):
+    """What the partner's word says of a stored block."""
+
+    number: int
+    what: Literal["confirmed", "unequal"]
+    tag: str
+
+
+class Blocks:
+    """One end's view of its session's blocks, sans I/O.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    session : str
+    block, tag
+        What this end has announced last, as read back.
+    raws : iterable of Raw
+        Rows of transitions whose block is open or not settled, as read back.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        session: str,
+        block: int = -1,
+        tag: str = NO_TAG,
+        raws: Iterable[Raw] = (),
+    ) -> None:
+        self.schedule = schedule
+        self.session = session
+        self.block = block
+        self.tag = tag
+        self._open: list[Raw] = []
+        self._stored: dict[int, Stored] = {}
+        self._settled: set[int] = set()
+        self._confirmed = block
+        self._unequal = False
+        self.unfinished: tuple[Closed, ...] = tuple(
+            closed for raw in raws if (closed := self.count(raw)) is not None
+        )
+        """Blocks that were closed before a start and not settled: to be stored once more."""
+        for closed in self.unfinished:
+            if closed.makes_keys:
+                self._confirmed = min(self._confirmed, closed.number - 1)
+
+    def count(self, raw: Raw) -> Closed | None:
+        """Take the row of the next transition; the block, if it was its last."""
+        if raw.j == 0:
+            return None
+        self._open.append(raw)
+        number = self.schedule.block_of(raw.j)
+        if raw.j + 1 < self.schedule.begins(number + 1):
+            return None
+        raws, self._open = self._open, []
+        assert len(raws) == self.schedule.length(number), "a row of the block is missing"
+        return close(self.schedule, self.session, number, raws)
+
+    def stored(self, block: Stored) -> None:
+        """A block is on disk; those of a session that is over are of no concern."""
+        if block.session != self.session:
+            return
+        if not block.tag:
+            self._settled.add(block.number)
+            return
+        self._stored[block.number] = block
+        if block.confirmed:
+            self._confirmed = max(self._confirmed, block.number)
+
+    def word(self) -> tuple[int, str]:
+        """The block to announce in the next new message, with its tag."""
+        if self._confirmed >= self.block:
+            following = min((n for n in self._stored if n > self.block), default=None)
+            if following is not None:
+                self.block, self.tag = following, self._stored[following].tag
+        return self.block, self.tag
+
+    def heard(self, block: int, tag: str) -> tuple[Judgement, ...]:
+        """Judge the partner's word: which blocks it confirms, or that it differs."""
+        mine = self._stored.get(block)
+        if mine is None or block <= self._confirmed or self._unequal:
+            return ()
+        if tag not in mine.accepted:
+            self._unequal = True
+            return (Judgement(block, "unequal", tag),)
+        done = sorted(n for n in self._stored if self._confirmed < n <= block)
+        self._confirmed = block
+        return tuple(Judgement(n, "confirmed", tag if n == block else "") for n in done)
+
+    def judged(self, session: str, number: int) -> None:
+        """A judgement of :meth:`heard` is on disk."""
+        if session == self.session:
+            self._settled.add(number)
+
+    def settled(self) -> tuple[range, ...]:
+        """Transitions whose rows nobody needs any more; they are named once.
+
+        A block's are kept until it is confirmed on disk and this end has announced it.
+        """
+        over = {n for n in self._settled if n <= self.block or n not in self._stored}
+        self._settled -= over
+        for number in over:
+            self._stored.pop(number, None)
+        begins = self.schedule.begins
+        return tuple(range(begins(n), begins(n + 1)) for n in sorted(over))

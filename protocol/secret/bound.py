@@ -1,0 +1,250 @@
+"""How many copies the tap misses at least, and how many rows of key that leaves.
+
+For N = 256 transitions with two copies each, eps_E = 0.3 and eps_sec = 1e-12 the tap misses at
+least Q = 85 of 512, and each copy that was sent but not counted takes one row away.
+
+Tails are summed from logarithms of factorials, so both ends need no library for it and come to the
+same number; a guard of 1e-9, relative, covers their rounding on the safe side.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+GUARD: Final = 1 + 1e-9
+"""Factor on a computed tail before it is compared: rounding must never gain a row."""
+
+Directions = Literal["both", "offers", "measurements"]
+
+
+def tail(n: int, e: float, m: int) -> float:
+    """P[Bin(n, e) < m].
+
+    Parameters
+    ----------
+    n : int
+        Trials.
+    e : float
+        Probability of one, in [0, 1].
+    m : int
+
+    Returns
+    -------
+    float
+        To some 1e-11, relative.
+    """
+    if m <= 0:
+        return 0.0
+    if m > n:
+        return 1.0
+    if e in (0.0, 1.0):
+        return 1.0 - e
+    return min(1.0, math.fsum(_term(n, e, k) for k in range(m)))
+
+
+def _term(n: int, e: float, k: int) -> float:
+    choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+    return math.exp(choices + k * math.log(e) + (n - k) * math.log1p(-e))
+
+
+def quantile(n: int, e: float, eps: float) -> int:
+    """Q(n, e, eps) = max { m : P[Bin(n, e) < m] <= eps }, exact tails.
+
+    Parameters
+    ----------
+    n : int
+        Copies.
+    e : float
+        Least probability that one is missed, given all before it.
+    eps : float
+        Probability with which fewer may be missed.
+
+    Raises
+    ------
+    ValueError
+        When ``e`` is not in [0, 1] or ``eps`` not in (0, 1).
+    """
+    _check("e", e, 0 <= e <= 1, "0 to 1")
+    _check("eps", eps, 0 < eps < 1, "between 0 and 1")
+    if e == 1:
+        return n
+    if e == 0:
+        return 0
+    total, m = 0.0, 0
+    while m < n:
+        total += _term(n, e, m)
+        if total * GUARD > eps:
+            break
+        m += 1
+    return m
+
+
+def _check(name: str, value: float, holds: bool, expected: str) -> None:
+    if not holds:
+        raise ValueError(f"{name}: got {value:g}, expected {expected}")
+
+
+@dataclass(frozen=True, slots=True)
+class GilbertElliott:
+    """A channel of two states, good and bad, each with its own probability of a miss.
+
+    Parameters
+    ----------
+    loss_good, loss_bad : float
+        e_G and e_B, the probabilities that a copy is missed.
+    to_bad, to_good : float
+        g and b, the probabilities of a change of state between two copies.
+    """
+
+    loss_good: float
+    loss_bad: float
+    to_bad: float
+    to_good: float
+
+    @property
+    def mean(self) -> float:
+        """The share missed in the long run."""
+        bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
+        return (1 - bad) * self.loss_good + bad * self.loss_bad
+
+    @property
+    def eps_inf(self) -> float:
+        """The least probability of a miss given any past: what assumption T asks for."""
+        g, b = self.to_bad, self.to_good
+        return min(
+            (1 - g) * self.loss_good + g * self.loss_bad,
+            b * self.loss_good + (1 - b) * self.loss_bad,
+        )
+
+    def tails(self, n: int, most: int) -> list[float]:
+        """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
+
+        Exact by transfer matrix, O(n most).
+        """
+        import numpy as np
+
+        worst = np.zeros(most + 1)
+        for start in (0, 1):
+            counts = np.zeros((2, most + 1))  # counts[state, misses so far]
+            counts[start, 0] = 1.0
+            for _ in range(n):
+                good = (1 - self.to_bad) * counts[0] + self.to_good * counts[1]
+                bad = self.to_bad * counts[0] + (1 - self.to_good) * counts[1]
+                for state, mass, loss in ((0, good, self.loss_good), (1, bad, self.loss_bad)):
+                    counts[state] = (1 - loss) * mass
+                    counts[state, 1:] += loss * mass[:-1]
+            total = counts.sum(axis=0)
+            worst = np.maximum(worst, np.concatenate(([0.0], np.cumsum(total)))[: most + 1])
+        return [float(value) for value in worst]
+
+    def quantile(self, n: int, eps: float) -> int:
+        """The largest m with P[fewer than m of n are missed] <= eps, from either state before."""
+        # it is below the mean, or the mean is below one
+        tails = self.tails(n, min(n, int(n * self.mean) + 1))
+        return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
+
+
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """What the operator claims of every tap, and the chance that the claim may leave.
+
+    Parameters
+    ----------
+    eps_E : float
+        Least probability, given everything that happened before, that the tap misses the next
+        copy 0 entirely. 0 claims nothing, and makes no key.
+    eps_sec : float
+        Distance from a perfect key that a block may have.
+    directions : {"both", "offers", "measurements"}
+        In which directions the tap misses; the other one's nonces are left out.
+    independent : bool
+        Claim besides that her misses do not depend on the link's own losses: then a copy that the
+        link lost costs nothing but itself. A jammer breaks it.
+    bursts : GilbertElliott, optional
+        All four parameters of her channel, for its exact quantile in place of eps_E's.
+    """
+
+    eps_E: float
+    eps_sec: float = 1e-12
+    directions: Directions = "both"
+    independent: bool = False
+    bursts: GilbertElliott | None = None
+
+    @property
+    def copies(self) -> int:
+        """Copies of a step that count: 2, or 1 where one direction is left out."""
+        return 2 if self.directions == "both" else 1
+
+    def misses(self, n: int) -> int:
+        """How many of ``n`` copies she misses at least, but for eps_sec."""
+        if self.eps_E == 0:
+            return 0
+        if self.bursts is not None:
+            return self.bursts.quantile(n, self.eps_sec)
+        return quantile(n, self.eps_E, self.eps_sec)
+
+    def rows(self, transitions: int, steps: int, counted: int) -> int:
+        """Rows R that a block may have; below 2 it makes no key.
+
+        Parameters
+        ----------
+        transitions : int
+            N, transitions of the block.
+        steps : int
+            K, steps from the block before to this one's last transition, missed ones included.
+        counted : int
+            C, copies counted.
+        """
+        if self.independent:
+            return self.misses(counted)
+        lost = self.copies * steps - counted
+        return max(0, self.misses(self.copies * transitions) - lost)
+
+    def sentence(self) -> str:
+        """The claim in words, as it is printed with every key."""
+        where = {
+            "both": "copies 0",
+            "offers": "offers' copies 0",
+            "measurements": "measurements' copies 0",
+        }[self.directions]
+        share = f"{self.eps_E:g} of {where}"
+        if self.bursts is not None:
+            share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
+        beside = ", whatever the link itself loses" if self.independent else ""
+        return f"secret only from a tap that misses at least {share}{beside}"
+
+
+def least(holds: Callable[[int], bool], most: int) -> int | None:
+    """The least number in 1 ... ``most`` for which ``holds``, a test that stays true once true."""
+    if not holds(most):
+        return None
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        if holds(middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
+    """One-sided bounds on a probability of which ``k`` of ``n`` trials came true.
+
+    Parameters
+    ----------
+    k, n : int
+    alpha : float
+        Probability that one of the two bounds does not hold; 1e-6 is usual here.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper bound (Clopper and Pearson 1934).
+    """
+    from scipy.special import betaincinv
+
+    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, alpha))
+    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - alpha))
+    return lower, upper

@@ -1,0 +1,101 @@
+"""GF(2^16) in numpy: sums are exclusive or, products go through logarithms.
+
+The polynomial is x^16 + x^12 + x^3 + x + 1 (0x1100B), of which x is a generator. Log of 0 points
+behind both periods of the table, where all entries are 0, so that no product needs a branch.
+"""
+
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Words = NDArray[np.uint16]
+
+POLYNOMIAL: Final = 0x1100B
+ORDER: Final = 65535
+"""Order of the multiplicative group."""
+
+_ZERO: Final = 2 * ORDER
+
+
+class Tables(NamedTuple):
+    """``exp``: powers of the generator, twice over and then zeros; ``log``: its inverse."""
+
+    exp: Words
+    log: NDArray[np.int32]
+
+
+@cache
+def tables() -> Tables:
+    """The field's tables, made once."""
+    powers = np.empty(ORDER, np.uint16)
+    value = 1
+    for i in range(ORDER):
+        powers[i] = value
+        value <<= 1
+        if value > ORDER:
+            value ^= POLYNOMIAL
+    exp = np.zeros(2 * _ZERO + 1, np.uint16)
+    exp[:ORDER] = exp[ORDER:_ZERO] = powers
+    log = np.full(ORDER + 1, _ZERO, np.int32)
+    log[powers] = np.arange(ORDER, dtype=np.int32)
+    return Tables(exp, log)
+
+
+def multiply(a: Words, b: Words) -> Words:
+    """The products of two arrays, shapes as numpy broadcasts them."""
+    exp, log = tables()
+    out: Words = exp[log[a] + log[b]]
+    return out
+
+
+def inverse(a: Words) -> Words:
+    """The inverses of numbers other than 0."""
+    exp, log = tables()
+    return exp[ORDER - log[a]]
+
+
+def product(a: Words, b: Words) -> Words:
+    """The matrix product, shapes (r, c) and (c, w)."""
+    exp, log = tables()
+    log_a, log_b = log[a], log[b]
+    out = np.zeros((a.shape[0], b.shape[1]), np.uint16)
+    chunk = max(1, 1 << 15 >> (a.shape[0] * b.shape[1]).bit_length())
+    for j in range(0, a.shape[1], chunk):
+        logs = log_a[:, j : j + chunk, None] + log_b[None, j : j + chunk, :]
+        out ^= np.bitwise_xor.reduce(exp[logs], axis=1)
+    return out
+
+
+def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
+    """Reduced row echelon form over the first ``columns`` columns, and its rank.
+
+    Parameters
+    ----------
+    matrix : array, shape (r, c)
+    columns : int, optional
+        Where to look for pivots; all by default. Columns behind them are carried along.
+
+    Returns
+    -------
+    tuple
+        The reduced matrix; from row ``rank`` on its first ``columns`` entries are 0.
+    """
+    rows = matrix.copy()
+    rank = 0
+    for j in range(rows.shape[1] if columns is None else columns):
+        places = np.flatnonzero(rows[rank:, j])
+        if not len(places):
+            continue
+        pivot = rank + int(places[0])
+        if pivot != rank:
+            rows[[rank, pivot]] = rows[[pivot, rank]]
+        rows[rank] = multiply(rows[rank], inverse(rows[rank, j]))
+        factors = rows[:, j].copy()
+        factors[rank] = 0
+        rows ^= multiply(factors[:, None], rows[rank][None, :])
+        rank += 1
+        if rank == rows.shape[0]:
+            break
+    return rows, rank

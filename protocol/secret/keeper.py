@@ -1,0 +1,89 @@
+"""From a closed block to stored keys: extract, tag, insert. The slow half, off the loop's path.
+
+A keeper belongs to one store. It may work in a thread of its own: whatever it is given again, after
+a death at any instant, it does again to the same rows, ids and tags.
+"""
+
+import time
+from typing import Final
+
+from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.ledger import Authentication, pads_of
+from protocol.secret.records import BlockRow
+from protocol.secret.store import KeyStore
+
+PUBLIC_TAG_BYTES: Final = 16
+"""Of row 0 shown to the partner: chance faults pass with 2^-128, forgers are another matter."""
+
+
+class Keeper:
+    """Makes keys of blocks and keeps them.
+
+    Parameters
+    ----------
+    store : KeyStore
+    authentication : Authentication, optional
+        With it blocks carry secret tags; without, public ones that no forger need fear.
+    """
+
+    def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
+        self.store = store
+        self.authentication = authentication
+        self._messages: dict[str, bytes] = {}
+
+    def keep(self, closed: Closed) -> Stored:
+        """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
+
+        Where no pad is left for its tag the block is stored without keys.
+        """
+        session, number = closed.session, closed.number
+        known = self.store.block_tag(session, number)
+        if known is not None and known.state != "stored":
+            return Stored(session, number, known.tag, confirmed=known.state == "confirmed")
+        rows: list[bytes] = []
+        tag, accepted = "", frozenset[str]()
+        if closed.makes_keys:
+            from protocol.secret.extractor import extract
+
+            rows = extract(closed.nonces, closed.rows)
+            tag, accepted = self._tags(closed, rows[0])
+            if not tag:
+                rows = []
+        if known is None:
+            pads = pads_of(rows[0]) if rows and self.authentication is not None else ()
+            row = BlockRow(
+                session=session,
+                number=number,
+                transitions=closed.transitions,
+                steps=closed.steps,
+                counted=closed.counted,
+                rows=closed.rows,
+                keys=max(0, len(rows) - 1),
+                state="stored" if rows else "empty",
+                t_ns=time.time_ns(),
+            )
+            self.store.add(row, rows[1:], tag=tag, pads=pads)
+        return Stored(session, number, tag, accepted)
+
+    def _tags(self, closed: Closed, row: bytes) -> tuple[str, frozenset[str]]:
+        if self.authentication is None:
+            tag = row[:PUBLIC_TAG_BYTES].hex()
+            return tag, frozenset((tag,))
+        message = self._messages[closed.name] = closed.message()
+        own = self.authentication.tag(closed.name, message)
+        if own is None:
+            return "", frozenset()
+        return own, self.authentication.accepted(closed.name, message)
+
+    def judge(self, session: str, judgement: Judgement) -> None:
+        """Confirm a block or erase it, as the partner's word has it."""
+        name = f"{session}/{judgement.number}"
+        message = self._messages.pop(name, None)
+        if judgement.what == "unequal":
+            self.store.drop(session, judgement.number)
+            return
+        self.store.confirm(session, judgement.number)
+        if self.authentication is not None:
+            if message is not None and judgement.tag:
+                self.authentication.spend(name, message, judgement.tag)
+            self.authentication.settle(name)

@@ -1,0 +1,425 @@
+"""The key store: one SQLite file a side, confirmed before delivered, delivered once.
+
+A key is ``stored`` when its block has closed here, ``confirmed`` once the partner has shown the
+same tag, and ``delivered`` when it was handed out: its bytes are erased in that same transaction,
+before anyone sees them, and its row stays as a tombstone. A process that dies in between loses a
+key, and never gives one twice. ``dropped`` are keys whose block differed, or that nobody fetched
+until the store was full.
+
+The two ends own disjoint halves, odd rows the controller and even rows the plant, so each hands out
+its own half without asking (`KeyStore.deliver`) and the partner finds the same key by its id
+(`KeyStore.deliver_named`). Ids follow from session, block and row; both ends order alike.
+
+Apart from the journal, because other processes open it too: a service that adds blocks, and a key
+server that delivers.
+"""
+
+import os
+import sqlite3
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Self
+
+from protocol.secret.records import (
+    BlockRow,
+    BlockTag,
+    Counts,
+    Key,
+    KeysRefused,
+    Side,
+    State,
+    StoreError,
+    TooFewKeys,
+    UnknownKeys,
+    key_id,
+)
+
+STORE_VERSION: Final = 1
+
+CONTROLLER_KEYS: Final = Path("controller/keys.sqlite3")
+PLANT_KEYS: Final = Path("plant/keys.sqlite3")
+"""Where the two stores lie below a run's directory."""
+
+MOST_KEYS: Final = 100_000
+"""Undelivered keys that a side keeps of its own half, the oldest dropped first. Of the partner's
+half it keeps twice as many, so that none the partner still gives out is missing here."""
+
+TOMBSTONES: Final = 1_000_000
+
+_TABLES: Final = """
+CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE IF NOT EXISTS block (
+    place INTEGER PRIMARY KEY, session TEXT NOT NULL, number INTEGER NOT NULL,
+    transitions INTEGER NOT NULL, steps INTEGER NOT NULL, counted INTEGER NOT NULL,
+    rows INTEGER NOT NULL, keys INTEGER NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL,
+    tag TEXT NOT NULL, UNIQUE (session, number));
+CREATE TABLE IF NOT EXISTS key (
+    place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
+    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB,
+    t_ns INTEGER, who TEXT);
+CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
+CREATE INDEX IF NOT EXISTS key_block ON key (block);
+CREATE TABLE IF NOT EXISTS pad (
+    place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
+    used_for TEXT, body BLOB, UNIQUE (side, origin));
+"""
+
+
+class KeyStore:
+    """The keys of one side.
+
+    Parameters
+    ----------
+    path : Path
+        Made with mode 0600, and its folder, where ``create`` says so.
+    side : {"controller", "plant"}
+        Whose half is this side's own.
+    create : bool
+        Make the file where it is not there.
+
+    Raises
+    ------
+    StoreError
+        When the file is not there, cannot be opened, or is another side's or version's.
+    """
+
+    def __init__(self, path: Path, side: Side, *, create: bool = False) -> None:
+        self.path = path
+        self.side: Side = side
+        self._lock = threading.RLock()
+        try:
+            if create:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+            elif not path.is_file():
+                raise StoreError(f"{path}: no key store is there: no key was ever made here")
+            path.chmod(0o600)
+            # autocommit: transactions are begun by hand
+            self._db = sqlite3.connect(
+                path, isolation_level=None, timeout=10.0, check_same_thread=False
+            )
+        except (OSError, sqlite3.Error) as error:
+            raise StoreError(f"{path}: cannot be opened: {error}") from None
+        try:
+            self._open()
+        except sqlite3.Error as error:
+            self._db.close()
+            raise StoreError(f"{path}: not a key store: {error}") from None
+        except StoreError:
+            self._db.close()
+            raise
+
+    def _open(self) -> None:
+        db = self._db
+        # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
+        # at each commit, and it has the database's own mode.
+        db.execute("PRAGMA journal_mode=TRUNCATE")
+        db.execute("PRAGMA synchronous=FULL")
+        db.execute("PRAGMA secure_delete=ON")
+        db.execute("PRAGMA temp_store=MEMORY")
+        with self.transaction():
+            for statement in _TABLES.split(";"):
+                db.execute(statement)
+            for name, value in (("version", str(STORE_VERSION)), ("side", self.side)):
+                found = self.note(name)
+                if found is None:
+                    self.set_note(name, value)
+                elif found != value:
+                    raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All or nothing, on disk when it ends; one at a time, in this process and beside others.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read or written.
+        """
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                try:
+                    yield self._db
+                except BaseException:
+                    self._db.execute("ROLLBACK")
+                    raise
+                self._db.execute("COMMIT")
+            except sqlite3.Error as error:
+                raise StoreError(f"{self.path}: {error}") from None
+
+    # --- notes ------------------------------------------------------------------------------------
+
+    def note(self, name: str) -> str | None:
+        """A line of text kept with the store, or None."""
+        with self._lock:
+            row = self._db.execute("SELECT value FROM meta WHERE name = ?", (name,)).fetchone()
+        return None if row is None else str(row[0])
+
+    def set_note(self, name: str, value: str) -> None:
+        """Keep a line of text with the store."""
+        with self._lock:
+            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+
+    @property
+    def refused(self) -> str | None:
+        """Why nobody gets a key of this store, or None: the run is seeded, or claims nothing."""
+        return self.note("refused")
+
+    def refuse(self, reason: str) -> None:
+        """From here on, and after every start, no key of this store is handed out."""
+        if self.refused is None:
+            self.set_note("refused", reason)
+
+    @property
+    def assumption(self) -> str:
+        """Under which claim the keys are secret, in words."""
+        return self.note("assumption") or ""
+
+    # --- the service's side -----------------------------------------------------------------------
+
+    def add(
+        self,
+        block: BlockRow,
+        keys: Sequence[bytes],
+        *,
+        tag: str = "",
+        pads: Sequence[tuple[Side, bytes]] = (),
+    ) -> bool:
+        """Keep a block with its keys, rows 1, 2, ...; on return it survives a power failure.
+
+        Ids are what they must be, so that a block that is added again is found to be there.
+
+        Parameters
+        ----------
+        block : BlockRow
+            Its ``state`` says whether there is anything to confirm.
+        keys : sequence of bytes
+        tag : str
+            This side's tag of the block.
+        pads : sequence of (side, bytes)
+            One-time pads that the block yields, for tags of blocks to come.
+
+        Returns
+        -------
+        bool
+            False when the block was there already; nothing has changed.
+        """
+        with self.transaction() as db:
+            cursor = db.execute(
+                "INSERT OR IGNORE INTO block VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (*block, tag),
+            )
+            if cursor.rowcount == 0:
+                return False
+            place = cursor.lastrowid
+            odd_is_own = self.side == "controller"
+            db.executemany(
+                "INSERT INTO key VALUES (NULL, ?, ?, ?, ?, 'stored', ?, NULL, NULL)",
+                (
+                    (
+                        key_id(block.session, block.number, row),
+                        place,
+                        row,
+                        (row % 2 == 1) == odd_is_own,
+                        key,
+                    )
+                    for row, key in enumerate(keys, 1)
+                ),
+            )
+            db.executemany(
+                "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', NULL, ?)",
+                ((side, f"{block.session}/{block.number}", body) for side, body in pads),
+            )
+            self._make_room(db)
+        return True
+
+    def block_tag(self, session: str, number: int) -> BlockTag | None:
+        """What was kept of a block, or None."""
+        with self._lock:
+            row = self._db.execute(
+                "SELECT state, tag FROM block WHERE session = ? AND number = ?", (session, number)
+            ).fetchone()
+        return None if row is None else BlockTag(*row)
+
+    @staticmethod
+    def _make_room(db: sqlite3.Connection) -> None:
+        for own, most in ((1, MOST_KEYS), (0, 2 * MOST_KEYS)):
+            db.execute(
+                "UPDATE key SET state = 'dropped', body = NULL WHERE place IN (SELECT place FROM "
+                "key WHERE own = ? AND state IN ('stored', 'confirmed') "
+                "ORDER BY place DESC LIMIT -1 OFFSET ?)",
+                (own, most),
+            )
+        db.execute("DELETE FROM key WHERE place <= (SELECT MAX(place) FROM key) - ?", (TOMBSTONES,))
+
+    def confirm(self, session: str, number: int) -> None:
+        """The partner holds the same block: its keys may be delivered, its pads used."""
+        with self.transaction() as db:
+            self._change(db, session, number, "stored", "confirmed")
+            db.execute(
+                "UPDATE pad SET state = 'ready' WHERE origin = ? AND state = 'held'",
+                (f"{session}/{number}",),
+            )
+
+    def drop(self, session: str, number: int) -> None:
+        """The partner holds another block: erase it here."""
+        with self.transaction() as db:
+            self._change(db, session, number, "stored", "dropped")
+            db.execute(
+                "UPDATE key SET body = NULL WHERE state = 'dropped' AND body IS NOT NULL",
+            )
+            db.execute(
+                "UPDATE pad SET state = 'spent', body = NULL WHERE origin = ? AND state = 'held'",
+                (f"{session}/{number}",),
+            )
+
+    @staticmethod
+    def _change(
+        db: sqlite3.Connection, session: str, number: int, before: State, after: State
+    ) -> None:
+        found = db.execute(
+            "SELECT place FROM block WHERE session = ? AND number = ?", (session, number)
+        ).fetchone()
+        if found is not None:
+            db.execute("UPDATE block SET state = ? WHERE place = ?", (after, found[0]))
+            db.execute(
+                "UPDATE key SET state = ? WHERE block = ? AND state = ?", (after, found[0], before)
+            )
+
+    # --- delivery ---------------------------------------------------------------------------------
+
+    def available(self) -> int:
+        """Keys of this side's half that are confirmed, not delivered, not refused."""
+        if self.refused is not None:
+            return 0
+        with self._lock:
+            row = self._db.execute(
+                "SELECT COUNT(*) FROM key WHERE own = 1 AND state = 'confirmed'"
+            ).fetchone()
+        return int(row[0])
+
+    def deliver(self, number: int = 1, who: str = "") -> tuple[Key, ...]:
+        """The oldest confirmed keys of this side's half, erased here before they are returned.
+
+        Parameters
+        ----------
+        number : int
+            How many; all or none.
+        who : str
+            Kept in their tombstones.
+
+        Raises
+        ------
+        TooFewKeys
+            When there are not so many.
+        KeysRefused
+            When nobody gets this store's keys.
+        """
+        self._check_refused()
+        with self.transaction() as db:
+            rows = db.execute(
+                "SELECT place, id, body FROM key WHERE own = 1 AND state = 'confirmed' "
+                "ORDER BY place LIMIT ?",
+                (number,),
+            ).fetchall()
+            if len(rows) < number:
+                raise TooFewKeys(number, len(rows))
+            self._bury(db, [place for place, _, _ in rows], who)
+        return tuple(Key(name, bytes(body)) for _, name, body in rows)
+
+    def deliver_named(self, ids: Sequence[str], who: str = "") -> tuple[Key, ...]:
+        """Keys of the partner's half by their ids, erased here before they are returned.
+
+        ``stored`` is enough: whoever knows an id has it from the partner, which gives keys only
+        once it has seen that they are stored here.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            All or none; an id that is named twice is one key.
+        who : str
+            Kept in their tombstones.
+
+        Raises
+        ------
+        UnknownKeys
+            When some are not here, were delivered before, or belong to this side's own half.
+        KeysRefused
+            When nobody gets this store's keys.
+        """
+        self._check_refused()
+        wanted = list(dict.fromkeys(ids))
+        found: dict[str, tuple[int, bytes]] = {}
+        with self.transaction() as db:
+            for name in wanted:
+                row = db.execute(
+                    "SELECT place, body FROM key WHERE id = ? AND own = 0 "
+                    "AND state IN ('stored', 'confirmed')",
+                    (name,),
+                ).fetchone()
+                if row is not None:
+                    found[name] = (row[0], bytes(row[1]))
+            missing = [name for name in wanted if name not in found]
+            if missing:
+                raise UnknownKeys(missing)
+            self._bury(db, [place for place, _ in found.values()], who)
+        return tuple(Key(name, body) for name, (_, body) in found.items())
+
+    def _check_refused(self) -> None:
+        reason = self.refused
+        if reason is not None:
+            raise KeysRefused(reason)
+
+    @staticmethod
+    def _bury(db: sqlite3.Connection, places: Sequence[int], who: str) -> None:
+        now = time.time_ns()
+        db.executemany(
+            "UPDATE key SET state = 'delivered', body = NULL, t_ns = ?, who = ? WHERE place = ?",
+            ((now, who, place) for place in places),
+        )
+
+    # --- telling ----------------------------------------------------------------------------------
+
+    def counts(self) -> Counts:
+        """How many keys are in which state."""
+        with self._lock:
+            rows = self._db.execute("SELECT state, COUNT(*) FROM key GROUP BY state").fetchall()
+        by = {str(state): int(count) for state, count in rows}
+        return Counts(
+            by.get("stored", 0),
+            by.get("confirmed", 0),
+            by.get("delivered", 0),
+            by.get("dropped", 0),
+            self.available(),
+        )
+
+    def blocks(self, last: int | None = None) -> list[BlockRow]:
+        """The blocks, oldest first; the ``last`` ones only where that is given."""
+        with self._lock:
+            rows = self._db.execute(
+                "SELECT session, number, transitions, steps, counted, rows, keys, state, t_ns "
+                "FROM block ORDER BY place DESC LIMIT ?",
+                (-1 if last is None else last,),
+            ).fetchall()
+        return [BlockRow(*row) for row in reversed(rows)]
+
+    def ids(self) -> list[tuple[str, State]]:
+        """Every key's id and state, in the order that both ends share."""
+        with self._lock:
+            rows = self._db.execute("SELECT id, state FROM key ORDER BY place").fetchall()
+        return [(name, state) for name, state in rows]
+
+    def close(self) -> None:
+        """Close the file; it can be opened again."""
+        with self._lock:
+            self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
