@@ -14,8 +14,9 @@ TAG_BYTES: Final = 16
 WORD_BYTES: Final = 15
 """A word is below 2^120 and so below the prime, whatever its bytes are."""
 
-RESERVE: Final = 3
-"""Pads that a first secret holds for each direction: an aborted block burns one of each."""
+RESERVE: Final = 16
+"""Pads that a first secret holds for each direction: a block that a session's end cuts off burns
+one of each, and up to two are under way."""
 
 SECRET_BYTES: Final = TAG_BYTES * (1 + 2 * RESERVE)
 
@@ -37,9 +38,14 @@ def number(raw: bytes) -> int:
     return int.from_bytes(raw) & PRIME
 
 
+def under(pad: int, value: int) -> str:
+    """A polynomial's value under its pad: the tag, 32 hexadecimal digits."""
+    return f"{(value + pad) % PRIME:032x}"
+
+
 def tag(point: int, pad: int, data: bytes) -> str:
-    """The tag of ``data``, 32 hexadecimal digits."""
-    return f"{(polynomial(point, data) + pad) % PRIME:032x}"
+    """The tag of ``data``."""
+    return under(pad, polynomial(point, data))
 
 
 class Secret(NamedTuple):

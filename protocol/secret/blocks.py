@@ -24,6 +24,10 @@ LARGEST: Final = 16384
 ROWS_ENOUGH: Final = 64
 """A block that yields as many rows is long enough: longer ones gain less and wait more."""
 
+UNCONFIRMED: Final = 2
+"""Blocks that are stored and not confirmed: the one announced, and the next, by whose tag a partner
+that is further on is judged. Each holds a pad; no more are spent on a partner that is away."""
+
 TAG_DIGITS: Final = 32
 NO_TAG: Final = "0" * TAG_DIGITS
 
@@ -210,25 +214,32 @@ class Blocks:
         self._settled: set[int] = set()
         self._confirmed = block
         self._unequal = False
-        self.unfinished: tuple[Closed, ...] = tuple(
-            closed for raw in raws if (closed := self.count(raw)) is not None
-        )
-        """Blocks that were closed before a start and not settled: to be stored once more."""
-        for closed in self.unfinished:
+        self._closed: list[Closed] = []
+        self._kept: set[int] = set()
+        for raw in raws:
+            self.count(raw)
+        for closed in self._closed:  # not settled before a start: to be stored once more
             if closed.makes_keys:
                 self._confirmed = min(self._confirmed, closed.number - 1)
 
-    def count(self, raw: Raw) -> Closed | None:
-        """Take the row of the next transition; the block, if it was its last."""
+    def count(self, raw: Raw) -> None:
+        """Take the row of the next transition."""
         if raw.j == 0:
-            return None
+            return
         self._open.append(raw)
         number = self.schedule.block_of(raw.j)
-        if raw.j + 1 < self.schedule.begins(number + 1):
+        if raw.j + 1 == self.schedule.begins(number + 1):
+            raws, self._open = self._open, []
+            assert len(raws) == self.schedule.length(number), "a row of the block is missing"
+            self._closed.append(close(self.schedule, self.session, number, raws))
+
+    def to_keep(self) -> Closed | None:
+        """The next block to be stored, once; None while there is none, or two are unconfirmed."""
+        if not self._closed or sum(n > self._confirmed for n in self._kept) >= UNCONFIRMED:
             return None
-        raws, self._open = self._open, []
-        assert len(raws) == self.schedule.length(number), "a row of the block is missing"
-        return close(self.schedule, self.session, number, raws)
+        block = self._closed.pop(0)
+        self._kept.add(block.number)
+        return block
 
     def stored(self, block: Stored) -> None:
         """A block is on disk; those of a session that is over are of no concern."""
@@ -236,10 +247,12 @@ class Blocks:
             return
         if not block.tag:
             self._settled.add(block.number)
+            self._kept.discard(block.number)
             return
         self._stored[block.number] = block
         if block.confirmed:
             self._confirmed = max(self._confirmed, block.number)
+            self._settled.add(block.number)
 
     def word(self) -> tuple[int, str]:
         """The block to announce in the next new message, with its tag."""
@@ -275,5 +288,6 @@ class Blocks:
         self._settled -= over
         for number in over:
             self._stored.pop(number, None)
+            self._kept.discard(number)
         begins = self.schedule.begins
         return tuple(range(begins(n), begins(n + 1)) for n in sorted(over))

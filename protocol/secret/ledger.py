@@ -14,9 +14,10 @@ from protocol.secret.authentication import (
     Secret,
     SecretError,
     number,
+    polynomial,
     read_secret,
     spend_secret,
-    tag,
+    under,
 )
 from protocol.secret.records import PadCounts, Side
 from protocol.secret.store import KeyStore
@@ -58,7 +59,7 @@ class Authentication:
             db.execute(
                 "UPDATE pad SET state = 'spent', used_for = ? WHERE place = ?", (block, row[0])
             )
-        return self._tag(self._own, bytes(row[1]), message)
+        return under(number(row[1]), self._value(self._own, message))
 
     def accepted(self, block: str, message: bytes) -> frozenset[str]:
         """Every tag that the partner may show for a block."""
@@ -68,10 +69,12 @@ class Authentication:
                 "(used_for = ? OR used_for IS NULL) AND origin != ?",
                 (self._partner, block, block),
             ).fetchall()
-        return frozenset(self._tag(self._partner, bytes(body), message) for (body,) in rows)
+        value = self._value(self._partner, message)
+        return frozenset(under(number(body), value) for (body,) in rows)
 
     def spend(self, block: str, message: bytes, shown: str) -> None:
         """The partner has shown ``shown``: its pad, and those before it, are not taken again."""
+        value = self._value(self._partner, message)
         with self._store.transaction() as db:
             rows = db.execute(
                 "SELECT place, body FROM pad WHERE side = ? AND body IS NOT NULL "
@@ -79,7 +82,7 @@ class Authentication:
                 (self._partner,),
             ).fetchall()
             for place, body in rows:
-                if self._tag(self._partner, bytes(body), message) == shown:
+                if under(number(body), value) == shown:
                     db.execute(
                         "UPDATE pad SET state = 'spent', used_for = 'passed over' "
                         "WHERE side = ? AND used_for IS NULL AND place < ?",
@@ -99,8 +102,8 @@ class Authentication:
                 (block,),
             )
 
-    def _tag(self, side: Side, pad: bytes, message: bytes) -> str:
-        return tag(self._point, number(pad), f"{side}/".encode() + message)
+    def _value(self, side: Side, message: bytes) -> int:
+        return polynomial(self._point, f"{side}/".encode() + message)
 
 
 def pads_of(row: bytes) -> tuple[tuple[Side, bytes], tuple[Side, bytes]]:

@@ -8,7 +8,8 @@ without the keys learns more than its length, and a forger changes it unseen wit
 from collections.abc import Sequence
 from typing import Final
 
-from protocol.secret.authentication import PRIME, TAG_BYTES, number, polynomial
+from protocol.secret.authentication import TAG_BYTES, number
+from protocol.secret.authentication import tag as one_time_tag
 from protocol.secret.nonces import NONCE_BYTES
 
 TAG_KEY_BYTES: Final = 2 * TAG_BYTES
@@ -68,4 +69,4 @@ def _split(keys: Sequence[bytes], length: int) -> tuple[bytes, bytes]:
 def _tag(tag_key: bytes, header: bytes, cipher: bytes) -> str:
     point, pad = number(tag_key[:TAG_BYTES]), number(tag_key[TAG_BYTES:])
     text = len(header).to_bytes(8) + header + cipher
-    return f"{(polynomial(point, text) + pad) % PRIME:032x}"
+    return one_time_tag(point, pad, text)

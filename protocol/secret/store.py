@@ -14,14 +14,11 @@ Apart from the journal, because other processes open it too: a service that adds
 server that delivers.
 """
 
-import os
 import sqlite3
-import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 from protocol.secret.records import (
     BlockRow,
@@ -31,13 +28,11 @@ from protocol.secret.records import (
     KeysRefused,
     Side,
     State,
-    StoreError,
     TooFewKeys,
     UnknownKeys,
     key_id,
 )
-
-STORE_VERSION: Final = 1
+from protocol.secret.store_file import StoreFile
 
 CONTROLLER_KEYS: Final = Path("controller/keys.sqlite3")
 PLANT_KEYS: Final = Path("plant/keys.sqlite3")
@@ -49,120 +44,9 @@ half it keeps twice as many, so that none the partner still gives out is missing
 
 TOMBSTONES: Final = 1_000_000
 
-_TABLES: Final = """
-CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT);
-CREATE TABLE IF NOT EXISTS block (
-    place INTEGER PRIMARY KEY, session TEXT NOT NULL, number INTEGER NOT NULL,
-    transitions INTEGER NOT NULL, steps INTEGER NOT NULL, counted INTEGER NOT NULL,
-    rows INTEGER NOT NULL, keys INTEGER NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL,
-    tag TEXT NOT NULL, UNIQUE (session, number));
-CREATE TABLE IF NOT EXISTS key (
-    place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
-    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB,
-    t_ns INTEGER, who TEXT);
-CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
-CREATE INDEX IF NOT EXISTS key_block ON key (block);
-CREATE TABLE IF NOT EXISTS pad (
-    place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
-    used_for TEXT, body BLOB, UNIQUE (side, origin));
-"""
 
-
-class KeyStore:
-    """The keys of one side.
-
-    Parameters
-    ----------
-    path : Path
-        Made with mode 0600, and its folder, where ``create`` says so.
-    side : {"controller", "plant"}
-        Whose half is this side's own.
-    create : bool
-        Make the file where it is not there.
-
-    Raises
-    ------
-    StoreError
-        When the file is not there, cannot be opened, or is another side's or version's.
-    """
-
-    def __init__(self, path: Path, side: Side, *, create: bool = False) -> None:
-        self.path = path
-        self.side: Side = side
-        self._lock = threading.RLock()
-        try:
-            if create:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
-            elif not path.is_file():
-                raise StoreError(f"{path}: no key store is there: no key was ever made here")
-            path.chmod(0o600)
-            # autocommit: transactions are begun by hand
-            self._db = sqlite3.connect(
-                path, isolation_level=None, timeout=10.0, check_same_thread=False
-            )
-        except (OSError, sqlite3.Error) as error:
-            raise StoreError(f"{path}: cannot be opened: {error}") from None
-        try:
-            self._open()
-        except sqlite3.Error as error:
-            self._db.close()
-            raise StoreError(f"{path}: not a key store: {error}") from None
-        except StoreError:
-            self._db.close()
-            raise
-
-    def _open(self) -> None:
-        db = self._db
-        # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
-        # at each commit, and it has the database's own mode.
-        db.execute("PRAGMA journal_mode=TRUNCATE")
-        db.execute("PRAGMA synchronous=FULL")
-        db.execute("PRAGMA secure_delete=ON")
-        db.execute("PRAGMA temp_store=MEMORY")
-        with self.transaction():
-            for statement in _TABLES.split(";"):
-                db.execute(statement)
-            for name, value in (("version", str(STORE_VERSION)), ("side", self.side)):
-                found = self.note(name)
-                if found is None:
-                    self.set_note(name, value)
-                elif found != value:
-                    raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
-
-    @contextmanager
-    def transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing, on disk when it ends; one at a time, in this process and beside others.
-
-        Raises
-        ------
-        StoreError
-            When the file cannot be read or written.
-        """
-        with self._lock:
-            try:
-                self._db.execute("BEGIN IMMEDIATE")
-                try:
-                    yield self._db
-                except BaseException:
-                    self._db.execute("ROLLBACK")
-                    raise
-                self._db.execute("COMMIT")
-            except sqlite3.Error as error:
-                raise StoreError(f"{self.path}: {error}") from None
-
-    # --- notes ------------------------------------------------------------------------------------
-
-    def note(self, name: str) -> str | None:
-        """A line of text kept with the store, or None."""
-        with self._lock:
-            row = self._db.execute("SELECT value FROM meta WHERE name = ?", (name,)).fetchone()
-        return None if row is None else str(row[0])
-
-    def set_note(self, name: str, value: str) -> None:
-        """Keep a line of text with the store."""
-        with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+class KeyStore(StoreFile):
+    """The keys of one side; it is opened as a :class:`StoreFile`."""
 
     @property
     def refused(self) -> str | None:
@@ -259,7 +143,7 @@ class KeyStore:
     def confirm(self, session: str, number: int) -> None:
         """The partner holds the same block: its keys may be delivered, its pads used."""
         with self.transaction() as db:
-            self._change(db, session, number, "stored", "confirmed")
+            self._change(db, session, number, "confirmed")
             db.execute(
                 "UPDATE pad SET state = 'ready' WHERE origin = ? AND state = 'held'",
                 (f"{session}/{number}",),
@@ -268,10 +152,7 @@ class KeyStore:
     def drop(self, session: str, number: int) -> None:
         """The partner holds another block: erase it here."""
         with self.transaction() as db:
-            self._change(db, session, number, "stored", "dropped")
-            db.execute(
-                "UPDATE key SET body = NULL WHERE state = 'dropped' AND body IS NOT NULL",
-            )
+            self._change(db, session, number, "dropped", ", body = NULL")
             db.execute(
                 "UPDATE pad SET state = 'spent', body = NULL WHERE origin = ? AND state = 'held'",
                 (f"{session}/{number}",),
@@ -279,16 +160,14 @@ class KeyStore:
 
     @staticmethod
     def _change(
-        db: sqlite3.Connection, session: str, number: int, before: State, after: State
+        db: sqlite3.Connection, session: str, number: int, state: State, erase: str = ""
     ) -> None:
-        found = db.execute(
-            "SELECT place FROM block WHERE session = ? AND number = ?", (session, number)
-        ).fetchone()
-        if found is not None:
-            db.execute("UPDATE block SET state = ? WHERE place = ?", (after, found[0]))
-            db.execute(
-                "UPDATE key SET state = ? WHERE block = ? AND state = ?", (after, found[0], before)
-            )
+        block = "(SELECT place FROM block WHERE session = ? AND number = ?)"
+        db.execute(
+            f"UPDATE key SET state = ?{erase} WHERE state = 'stored' AND block = {block}",
+            (state, session, number),
+        )
+        db.execute(f"UPDATE block SET state = ? WHERE place = {block}", (state, session, number))
 
     # --- delivery ---------------------------------------------------------------------------------
 
@@ -412,14 +291,3 @@ class KeyStore:
         with self._lock:
             rows = self._db.execute("SELECT id, state FROM key ORDER BY place").fetchall()
         return [(name, state) for name, state in rows]
-
-    def close(self) -> None:
-        """Close the file; it can be opened again."""
-        with self._lock:
-            self._db.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -1,0 +1,139 @@
+"""The file of a key store: SQLite, for its owner only, nothing of what was erased left in it."""
+
+import os
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Self
+
+from protocol.secret.records import Side, StoreError
+
+STORE_VERSION: Final = 1
+
+_TABLES: Final = """
+CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE IF NOT EXISTS block (
+    place INTEGER PRIMARY KEY, session TEXT NOT NULL, number INTEGER NOT NULL,
+    transitions INTEGER NOT NULL, steps INTEGER NOT NULL, counted INTEGER NOT NULL,
+    rows INTEGER NOT NULL, keys INTEGER NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL,
+    tag TEXT NOT NULL, UNIQUE (session, number));
+CREATE TABLE IF NOT EXISTS key (
+    place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
+    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB,
+    t_ns INTEGER, who TEXT);
+CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
+CREATE INDEX IF NOT EXISTS key_block ON key (block);
+CREATE TABLE IF NOT EXISTS pad (
+    place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
+    used_for TEXT, body BLOB, UNIQUE (side, origin));
+"""
+
+
+class StoreFile:
+    """A store's file, its tables, transactions and notes.
+
+    Parameters
+    ----------
+    path : Path
+        Made with mode 0600, and its folder, where ``create`` says so.
+    side : {"controller", "plant"}
+        Whose it is.
+    create : bool
+        Make the file where it is not there.
+
+    Raises
+    ------
+    StoreError
+        When the file is not there, cannot be opened, or is another side's or version's.
+    """
+
+    def __init__(self, path: Path, side: Side, *, create: bool = False) -> None:
+        self.path = path
+        self.side: Side = side
+        self._lock = threading.RLock()
+        try:
+            if create:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+            elif not path.is_file():
+                raise StoreError(f"{path}: no key store is there: no key was ever made here")
+            path.chmod(0o600)
+            # autocommit: transactions are begun by hand
+            self._db = sqlite3.connect(
+                path, isolation_level=None, timeout=10.0, check_same_thread=False
+            )
+        except (OSError, sqlite3.Error) as error:
+            raise StoreError(f"{path}: cannot be opened: {error}") from None
+        try:
+            self._open()
+        except sqlite3.Error as error:
+            self._db.close()
+            raise StoreError(f"{path}: not a key store: {error}") from None
+        except StoreError:
+            self._db.close()
+            raise
+
+    def _open(self) -> None:
+        db = self._db
+        # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
+        # at each commit, and it has the database's own mode.
+        db.execute("PRAGMA journal_mode=TRUNCATE")
+        db.execute("PRAGMA synchronous=FULL")
+        db.execute("PRAGMA secure_delete=ON")
+        db.execute("PRAGMA temp_store=MEMORY")
+        with self.transaction():
+            for statement in _TABLES.split(";"):
+                db.execute(statement)
+            for name, value in (("version", str(STORE_VERSION)), ("side", self.side)):
+                found = self.note(name)
+                if found is None:
+                    self.set_note(name, value)
+                elif found != value:
+                    raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All or nothing, on disk when it ends; one at a time, in this process and beside others.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read or written.
+        """
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                try:
+                    yield self._db
+                except BaseException:
+                    self._db.execute("ROLLBACK")
+                    raise
+                self._db.execute("COMMIT")
+            except sqlite3.Error as error:
+                raise StoreError(f"{self.path}: {error}") from None
+
+    # --- notes ------------------------------------------------------------------------------------
+
+    def note(self, name: str) -> str | None:
+        """A line of text kept with the store, or None."""
+        with self._lock:
+            row = self._db.execute("SELECT value FROM meta WHERE name = ?", (name,)).fetchone()
+        return None if row is None else str(row[0])
+
+    def set_note(self, name: str, value: str) -> None:
+        """Keep a line of text with the store."""
+        with self._lock:
+            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+
+    def close(self) -> None:
+        """Close the file; it can be opened again."""
+        with self._lock:
+            self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

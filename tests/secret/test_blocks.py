@@ -1,0 +1,286 @@
+"""Blocks: where they begin, what is in them, and how two ends come to hold the same keys.
+
+Two keepers with stores of their own exchange words over a network that loses, repeats and delays,
+and die at any instant. What is confirmed must be equal, and nobody may wait for ever.
+"""
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from protocol.secret.authentication import RESERVE, SecretError, make_secret
+from protocol.secret.blocks import (
+    NO_TAG,
+    Blocks,
+    Judgement,
+    Schedule,
+    Stored,
+    close,
+    schedule_of,
+)
+from protocol.secret.bound import Assumption
+from protocol.secret.keeper import Keeper
+from protocol.secret.ledger import pad_counts, take_secret
+from protocol.secret.nonces import Raw, contribution, fresh_nonce
+from protocol.secret.store import KeyStore
+
+SESSION = "0123456789abcdef"
+SMALL = Schedule(Assumption(0.9, eps_sec=1e-2), first=3, largest=6)
+
+
+def test_the_schedule_follows_from_the_claim() -> None:
+    expected = {0.01: (1548, 8192), 0.05: (304, 2048), 0.1: (148, 1024), 0.3: (44, 256)}
+    for eps_E, (first, largest) in expected.items():
+        schedule = schedule_of(Assumption(eps_E))
+        assert schedule is not None
+        assert (schedule.first, schedule.largest) == (first, largest)
+    assert schedule_of(Assumption(0.0)) is None
+    assert schedule_of(Assumption(0.00001)) is None
+
+
+def test_blocks_grow_and_follow_each_other_without_a_gap() -> None:
+    schedule = schedule_of(Assumption(0.3))
+    assert schedule is not None
+    assert [schedule.length(b) for b in range(5)] == [44, 88, 176, 256, 256]
+    assert [schedule.begins(b) for b in range(5)] == [1, 45, 133, 309, 565]
+    assert schedule.begins(1000) == 309 + 997 * 256
+    numbers = [schedule.block_of(j) for j in range(2000)]
+    assert numbers[0] == -1
+    for b in range(6):
+        assert numbers.count(b) == schedule.length(b)
+        assert numbers[schedule.begins(b)] == b
+    # what each makes where nothing is lost
+    rows = [schedule.assumption.rows(n, n, 2 * n) for n in (44, 88, 176, 256)]
+    assert [r - 1 for r in rows] == [1, 14, 48, 84]
+
+
+def test_a_block_is_everything_counted_in_order() -> None:
+    nonce = [bytes([i]) * 32 for i in range(6)]
+    raws = (
+        Raw(1, 1, nonce[0], nonce[1]),
+        Raw(2, 3, None, nonce[2]),
+        Raw(3, 1, nonce[3], None),
+        Raw(4, 2, None, None),
+    )
+    block = close(SMALL, SESSION, 0, raws)
+    assert block.pattern == "3210"
+    assert block.nonces == tuple(nonce[:4])
+    assert (block.transitions, block.steps, block.counted, block.last) == (4, 7, 4, 4)
+    assert block.rows == 0  # ten copies of fourteen were lost
+    assert close(SMALL, SESSION, 0, raws[:1]).message() != block.message()
+
+
+def test_what_does_not_count_leaves_no_nonce() -> None:
+    offer, measurement = fresh_nonce(), fresh_nonce()
+    assert len(offer) == 44
+    kept = contribution(j=1, steps=1, offer=offer, applied_copy=1, measurement=measurement, heard=0)
+    assert kept.offer is None
+    assert kept.measurement is not None
+    assert len(kept.measurement) == 32
+
+
+def test_a_later_block_that_holds_confirms_the_one_before() -> None:
+    blocks = Blocks(SMALL, SESSION)
+    assert blocks.word() == (-1, NO_TAG)
+    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
+    blocks.stored(Stored(SESSION, 2, "c", frozenset("z")))  # block 1 made no key
+    assert blocks.word() == (0, "a")
+    assert blocks.word() == (0, "a")  # not before block 0 is confirmed
+    assert blocks.heard(2, "z") == (Judgement(0, "confirmed", ""), Judgement(2, "confirmed", "z"))
+    assert blocks.heard(0, "never looked at") == ()
+    assert blocks.word() == (2, "c")
+
+
+def test_a_tag_that_differs_is_told_once() -> None:
+    blocks = Blocks(SMALL, SESSION)
+    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
+    assert blocks.heard(0, "y") == (Judgement(0, "unequal", "y"),)
+    assert blocks.heard(0, "y") == ()
+    assert blocks.heard(0, "x") == ()
+
+
+def test_another_sessions_blocks_are_of_no_concern() -> None:
+    blocks = Blocks(SMALL, SESSION)
+    blocks.stored(Stored("f" * 16, 0, "a", frozenset("x")))
+    assert blocks.word() == (-1, NO_TAG)
+
+
+def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
+    blocks = Blocks(SMALL, SESSION)
+    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
+    blocks.heard(0, "x")
+    blocks.judged(SESSION, 0)
+    assert blocks.settled() == ()  # the partner has not been told
+    blocks.word()
+    assert blocks.settled() == (range(1, 4),)
+    assert blocks.settled() == ()
+    blocks.stored(Stored(SESSION, 1, ""))
+    assert blocks.settled() == (range(4, 10),)
+
+
+class End:
+    """One end with its store and what a journal would keep: the word, and the rows."""
+
+    def __init__(self, folder: Path, side: str, raws: list[Raw], secret: Path | None) -> None:
+        self.path, self.side, self.raws, self.secret = folder / f"{side}.db", side, raws, secret
+        self.rows: dict[int, Raw] = {}
+        self.word = (-1, NO_TAG)
+        self.j = 0
+        self.alarms = 0
+        self.start()
+
+    def start(self) -> None:
+        self.store = KeyStore(self.path, self.side, create=True)  # type: ignore[arg-type]
+        self.store._db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
+        guard = take_secret(self.store, self.secret) if self.secret else None
+        self.keeper = Keeper(self.store, guard)
+        self.verdicts: list[Judgement] = []
+        self.blocks = Blocks(SMALL, SESSION, *self.word, raws=self.rows.values())
+
+    def die(self) -> None:
+        self.store.close()
+        self.start()
+
+    def count(self) -> None:
+        if self.j == len(self.raws):
+            return
+        raw = self.raws[self.j]
+        self.j += 1
+        if raw.j:
+            self.rows[raw.j] = raw
+        self.blocks.count(raw)
+
+    def work(self) -> None:
+        if (block := self.blocks.to_keep()) is not None:
+            self.blocks.stored(self.keeper.keep(block))
+        elif self.verdicts:
+            verdict = self.verdicts.pop(0)
+            self.keeper.judge(SESSION, verdict)
+            self.blocks.judged(SESSION, verdict.number)
+
+    def speak(self) -> tuple[int, str]:
+        self.word = self.blocks.word()  # journalled before it is said
+        for over in self.blocks.settled():
+            for j in over:
+                del self.rows[j]
+        return self.word
+
+    def hear(self, word: tuple[int, str]) -> None:
+        for verdict in self.blocks.heard(*word):
+            self.alarms += verdict.what == "unequal"
+            self.verdicts.append(verdict)
+
+
+def rows_of(generator: random.Random, count: int) -> list[Raw]:
+    return [
+        Raw(
+            j,
+            1 + (generator.random() < 0.02),
+            generator.randbytes(32) if generator.random() < 0.98 else None,
+            generator.randbytes(32) if generator.random() < 0.98 else None,
+        )
+        for j in range(count)
+    ]
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_ends_hold_the_same_keys_whatever_dies(
+    tmp_path: Path, seed: int, guarded: bool
+) -> None:
+    generator = random.Random(seed)
+    secrets = {side: tmp_path / side for side in ("controller", "plant")}
+    if guarded:
+        make_secret(secrets["controller"])
+        secrets["plant"].write_bytes(secrets["controller"].read_bytes())
+        secrets["plant"].chmod(0o600)
+    raws = rows_of(generator, 120)
+    ends = [
+        End(tmp_path, side, raws, secrets[side] if guarded else None)
+        for side in ("controller", "plant")
+    ]
+    words: list[tuple[End, tuple[int, str]]] = []
+    deaths = 0
+    for step in range(1500):
+        end, other = generator.sample(ends, 2)
+        action = generator.random()
+        if action < 0.2:
+            end.count()
+        elif action < 0.5:
+            end.work()
+        elif action < 0.7:
+            words.append((other, end.speak()))
+        elif words:
+            to, word = generator.choice(words[-6:])
+            to.hear(word)
+        if generator.random() < 0.03 and step < 1400:
+            end.die()
+            deaths += 1
+    for _ in range(200):  # and then all is well
+        for end, other in (ends, ends[::-1]):
+            end.count()
+            end.work()
+            other.hear(end.speak())
+    assert deaths > 20
+    assert [end.alarms for end in ends] == [0, 0]
+    controller, plant = (end.store for end in ends)
+    assert controller.ids() == plant.ids()
+    assert {state for _, state in controller.ids()} == {"confirmed"}
+    assert len(controller.ids()) > 80
+    assert max(len(end.rows) for end in ends) <= SMALL.largest + 6
+    for giver, taker in ((controller, plant), (plant, controller)):
+        given = giver.deliver(giver.available())
+        assert taker.deliver_named([key.key_id for key in given]) == given
+    if guarded:
+        for store in (controller, plant):
+            assert all(counts.left >= 1 for counts in pad_counts(store).values())
+    for store in (controller, plant):
+        store.close()
+
+
+def test_other_raw_nonces_are_an_alarm_and_no_key(tmp_path: Path) -> None:
+    raws = rows_of(random.Random(1), 10)
+    forged = [*raws[:2], raws[2]._replace(offer=os.urandom(32)), *raws[3:]]
+    ends = [End(tmp_path, "controller", raws, None), End(tmp_path, "plant", forged, None)]
+    for _ in range(30):
+        for end, other in (ends, ends[::-1]):
+            end.count()
+            end.work()
+            other.hear(end.speak())
+    assert [end.alarms for end in ends] == [1, 1]
+    for end in ends:
+        assert end.store.available() == 0
+        assert {state for name, state in end.store.ids() if state != "stored"} == {"dropped"}
+        end.store.close()
+
+
+def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: Path) -> None:
+    make_secret(tmp_path / "secret")
+    with KeyStore(tmp_path / "keys", "plant", create=True) as store:
+        keeper = Keeper(store, take_secret(store, tmp_path / "secret"))
+        raws = rows_of(random.Random(2), 4)[1:]
+        tags = []
+        for number in range(
+            RESERVE + 1
+        ):  # so many sessions that end before their first block is confirmed
+            block = close(SMALL, f"{number:016x}", 0, [raw._replace(steps=1) for raw in raws])
+            tags.append(keeper.keep(block).tag)
+            assert keeper.keep(block).tag == tags[-1]
+        assert len(set(tags[:-1])) == RESERVE
+        assert tags[-1] == ""
+        assert pad_counts(store)["plant"].left == RESERVE  # of blocks that nobody has confirmed
+        assert [block.state for block in store.blocks()] == ["stored"] * RESERVE + ["empty"]
+
+
+def test_a_secret_is_taken_by_one_store(tmp_path: Path) -> None:
+    make_secret(tmp_path / "secret")
+    with KeyStore(tmp_path / "a", "plant", create=True) as store:
+        take_secret(store, tmp_path / "secret")
+        take_secret(store, tmp_path / "secret")
+    with (
+        KeyStore(tmp_path / "b", "plant", create=True) as store,
+        pytest.raises(SecretError, match="taken by another key store"),
+    ):
+        take_secret(store, tmp_path / "secret")

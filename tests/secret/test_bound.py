@@ -1,0 +1,115 @@
+"""How many copies she misses at least: exact tails, bursts, schedules."""
+
+from fractions import Fraction
+from math import comb
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import beta, binom
+
+from protocol.secret.bound import Assumption, GilbertElliott, clopper_pearson, quantile, tail
+
+
+def exact_tail(n: int, e: Fraction, m: int) -> Fraction:
+    return sum((comb(n, k) * e**k * (1 - e) ** (n - k) for k in range(m)), Fraction(0))
+
+
+@pytest.mark.parametrize("e", ["1/100", "1/10", "3/10", "1/2"])
+def test_tails_are_those_of_exact_rationals(e: str) -> None:
+    for m in (1, 5, 20, 60):
+        exact = exact_tail(128, Fraction(e), m)
+        assert tail(128, float(Fraction(e)), m) == pytest.approx(float(exact), rel=1e-11)
+
+
+@given(
+    n=st.integers(1, 3000),
+    e=st.floats(0, 1),
+    eps=st.sampled_from([1e-3, 1e-9, 1e-12]),
+)
+def test_the_quantile_is_where_the_tail_crosses_eps(n: int, e: float, eps: float) -> None:
+    q = quantile(n, e, eps)
+    assert 0 <= q <= n
+    assert binom.cdf(q - 1, n, e) <= eps * (1 + 1e-9)
+    if q < n:
+        assert binom.cdf(q, n, e) >= eps * (1 - 1e-6)
+
+
+@given(n=st.integers(1, 500), e=st.floats(0.01, 0.9))
+def test_the_quantile_is_monotone_and_nothing_claimed_is_nothing(n: int, e: float) -> None:
+    q = quantile(n, e, 1e-9)
+    assert quantile(n, e, 1e-12) <= q <= quantile(n + 1, e, 1e-9)
+    assert q <= quantile(n, min(1.0, e + 0.05), 1e-9)
+    assert quantile(n, 0.0, 1e-12) == 0
+
+
+def test_the_quantile_refuses_what_is_no_probability() -> None:
+    with pytest.raises(ValueError, match=r"^e: got 1\.5, expected 0 to 1$"):
+        quantile(10, 1.5, 1e-12)
+    with pytest.raises(ValueError, match=r"^eps: got 0, expected between 0 and 1$"):
+        quantile(10, 0.5, 0)
+
+
+def test_rows_are_what_is_missed_less_what_was_lost() -> None:
+    claim = Assumption(0.3)
+    assert claim.rows(transitions=256, steps=256, counted=512) == 85
+    assert claim.rows(transitions=256, steps=260, counted=515) == 80
+    assert claim.rows(transitions=256, steps=400, counted=512) == 0
+    one_way = Assumption(0.3, directions="offers")
+    assert one_way.rows(transitions=512, steps=512, counted=512) == 85
+
+
+def test_independence_is_an_assumption_of_its_own() -> None:
+    free = Assumption(0.3, independent=True)
+    assert free.rows(transitions=256, steps=260, counted=515) == quantile(515, 0.3, 1e-12)
+    assert "whatever the link itself loses" in free.sentence()
+
+
+CHAINS = {  # e_G, e_B, mean burst: Q by the chain and by eps_inf, for 512 and 8192 copies
+    (0.0, 1.0, 5): (17, 1774, 7, 531),
+    (0.1, 0.9, 5): (40, 1894, 28, 1032),
+    (0.1, 0.9, 100): (12, 772, 12, 654),
+}
+
+
+def chain(loss_good: float, loss_bad: float, burst: float, mean: float = 0.3) -> GilbertElliott:
+    to_good = 1 / burst
+    bad = (mean - loss_good) / (loss_bad - loss_good)
+    return GilbertElliott(loss_good, loss_bad, to_good * bad / (1 - bad), to_good)
+
+
+@pytest.mark.parametrize("shape", CHAINS)
+def test_bursts_leave_less_than_their_mean(shape: tuple[float, float, int]) -> None:
+    bursts = chain(*shape)
+    assert bursts.mean == pytest.approx(0.3)
+    by_chain, by_chain_long, by_inf, by_inf_long = CHAINS[shape]
+    assert bursts.quantile(512, 1e-12) == by_chain
+    assert quantile(512, bursts.eps_inf, 1e-12) == by_inf
+    assert quantile(8192, bursts.eps_inf, 1e-12) == by_inf_long
+    assert by_inf <= by_chain < quantile(512, 0.3, 1e-12)
+    if shape[2] == 5:
+        assert bursts.quantile(8192, 1e-12) == by_chain_long
+
+
+def test_a_chain_without_bursts_is_the_binomial() -> None:
+    flat = GilbertElliott(0.3, 0.3, 0.2, 0.4)
+    assert flat.eps_inf == pytest.approx(0.3)
+    assert flat.tails(512, 90)[85] == pytest.approx(tail(512, 0.3, 85), rel=1e-9)
+    assert flat.quantile(512, 1e-12) == 85
+
+
+def test_the_claim_of_independent_misses_fails_in_bursts() -> None:
+    assert chain(0.0, 1.0, 5).tails(512, 85)[85] > 1e-3  # claimed: 1e-12
+
+
+@given(n=st.integers(1, 2000), data=st.data())
+def test_the_bounds_on_a_measured_rate_are_clopper_and_pearsons(
+    n: int, data: st.DataObject
+) -> None:
+    k = data.draw(st.integers(0, n))
+    low, high = clopper_pearson(k, n, 1e-6)
+    assert low <= k / n <= high
+    if k > 0:
+        assert low == pytest.approx(beta.ppf(1e-6, k, n - k + 1), rel=1e-6)
+    if k < n:
+        assert high == pytest.approx(beta.ppf(1 - 1e-6, k + 1, n - k), rel=1e-6)

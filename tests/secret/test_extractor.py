@@ -1,0 +1,147 @@
+"""The field, the Cauchy matrix over it, and the Toeplitz matrix that shares nothing with either."""
+
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.secret.extractor import cauchy, extract, words
+from protocol.secret.galois import (
+    ORDER,
+    POLYNOMIAL,
+    eliminate,
+    inverse,
+    multiply,
+    product,
+    tables,
+)
+from protocol.secret.toeplitz import (
+    length_by_hashing,
+    length_by_rank,
+    matrix,
+    rank,
+    seed_bits,
+    toeplitz,
+)
+
+ELEMENT = st.integers(0, ORDER)
+
+
+def school(a: int, b: int) -> int:
+    """Multiplication of polynomials by shifting, and the remainder: no table."""
+    total = 0
+    while b:
+        if b & 1:
+            total ^= a
+        a, b = a << 1, b >> 1
+        if a > ORDER:
+            a ^= POLYNOMIAL
+    return total
+
+
+@given(ELEMENT, ELEMENT)
+def test_products_are_those_of_polynomials(a: int, b: int) -> None:
+    assert int(multiply(np.uint16(a), np.uint16(b))) == school(a, b)  # type: ignore[arg-type]
+
+
+def test_x_generates_the_field() -> None:
+    assert len(set(tables().exp[:ORDER].tolist())) == ORDER
+    everything = np.arange(1, ORDER + 1, dtype=np.uint16)
+    assert (multiply(everything, inverse(everything)) == 1).all()
+
+
+@given(st.integers(1, 40), st.integers(0, 2**32))
+def test_every_square_part_of_the_matrix_can_be_inverted(size: int, seed: int) -> None:
+    chosen = random.Random(seed)
+    G = cauchy(60, 400)
+    part = G[np.ix_(chosen.sample(range(60), size), chosen.sample(range(400), size))]
+    assert eliminate(part)[1] == size
+
+
+def test_the_matrix_ends_where_the_field_does() -> None:
+    assert cauchy(2, 65534).shape == (2, 65534)
+    with pytest.raises(ValueError, match=r"^rows \+ columns: got 3 \+ 65534"):
+        cauchy(3, 65534)
+
+
+def test_the_matrix_product_adds_up_products() -> None:
+    generator = np.random.default_rng(1)
+    a = generator.integers(0, 1 << 16, (5, 700)).astype(np.uint16)
+    b = generator.integers(0, 1 << 16, (700, 3)).astype(np.uint16)
+    a[a < 2000] = 0
+    expected = [[0 for _ in range(3)] for _ in range(5)]
+    for i in range(5):
+        for w in range(3):
+            for j in range(700):
+                expected[i][w] ^= school(int(a[i, j]), int(b[j, w]))
+    assert product(a, b).tolist() == expected
+
+
+def test_rows_depend_on_every_nonce_and_never_outnumber_them() -> None:
+    generator = random.Random(2)
+    nonces = [generator.randbytes(32) for _ in range(12)]
+    rows = extract(nonces, 4)
+    assert len(rows) == 4
+    assert all(len(row) == 32 for row in rows)
+    for place in range(12):
+        changed = list(nonces)
+        changed[place] = generator.randbytes(32)
+        assert all(a != b for a, b in zip(rows, extract(changed, 4), strict=True))
+    with pytest.raises(ValueError, match=r"^rows: got 13, expected at most the 12 nonces"):
+        extract(nonces, 13)
+
+
+@given(st.integers(1, 200), st.integers(1, 60), st.integers(0, 2**32))
+def test_the_fast_toeplitz_product_is_the_matrix_product(n: int, length: int, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    bits = generator.integers(0, 2, n).astype(np.uint8)
+    diagonals = generator.integers(0, 2, seed_bits(n, length)).astype(np.uint8)
+    T = matrix(diagonals, n, length)
+    assert (toeplitz(bits, diagonals, length) == (T @ bits) % 2).all()
+    assert (T[1:, 1:] == T[:-1, :-1]).all()
+
+
+def test_lengths_pay_for_tag_and_distance() -> None:
+    assert length_by_rank(128, 0, 2**-40) == 88
+    assert length_by_rank(128, 64, 2**-40) == 24
+    assert length_by_rank(64, 64, 0.5) == 0
+    assert length_by_hashing(21_760, 64, 2**-41) == 21_760 - 64 - 80
+    assert length_by_rank(21_760, 64, 5e-13) > length_by_hashing(21_760, 64, 5e-13)
+
+
+@pytest.mark.parametrize("over, low, high", [(-4, 0.02, 0.12), (0, 0.60, 0.80), (4, 1.0, 1.0)])
+def test_toeplitz_beyond_what_she_missed_gives_parities_away(
+    over: int, low: float, high: float
+) -> None:
+    """P[she knows a parity] is below 2^(l - h) up to l = h, and certain above it."""
+    generator = np.random.default_rng(3)
+    h, trials = 64, 300
+    length = h + over
+    known = 0
+    for _ in range(trials):
+        seed = generator.integers(0, 2, seed_bits(256, length)).astype(np.uint8)
+        missed = generator.choice(256, h, replace=False)
+        known += rank(matrix(seed, 256, length)[:, missed]) < length
+    assert low <= known / trials <= high
+
+
+def test_half_heard_nonces_are_half_known_keys() -> None:
+    """Every missed nonce is known in its first half: so is every row of the Cauchy matrix."""
+    generator = random.Random(4)
+    nonces = [generator.randbytes(32) for _ in range(40)]
+    halves = [nonce[:16] for nonce in nonces]
+    rows = extract(nonces, 8)
+    assert [row[:16] for row in rows] == extract(halves, 8)
+    # Toeplitz, at the length that counts half of each missed nonce, gives nothing away
+    bits = np.unpackbits(np.frombuffer(b"".join(nonces), np.uint8))
+    missed = np.concatenate([np.arange(256 * j + 128, 256 * (j + 1)) for j in range(10)])
+    length = length_by_rank(len(missed), 0, 2**-20)
+    seed = np.random.default_rng(5).integers(0, 2, seed_bits(len(bits), length)).astype(np.uint8)
+    assert rank(matrix(seed, len(bits), length)[:, missed]) == length
+
+
+def test_words_are_big_endian() -> None:
+    assert words([b"\x01\x02\x03\x04"]).tolist() == [[0x0102, 0x0304]]
+    assert words([]).shape == (0, 16)

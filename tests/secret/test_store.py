@@ -1,0 +1,205 @@
+"""The key store: confirmed before delivered, delivered once, nothing of what was erased left."""
+
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from protocol.secret.records import (
+    BlockRow,
+    Key,
+    KeysRefused,
+    Side,
+    StoreError,
+    TooFewKeys,
+    UnknownKeys,
+    key_id,
+)
+from protocol.secret.store import KeyStore
+
+SESSION = "0123456789abcdef"
+
+
+def row(number: int, keys: int, state: str = "stored") -> BlockRow:
+    return BlockRow(SESSION, number, 44, 44, 88, keys + 1, keys, state, 1)
+
+
+def bodies(number: int, count: int) -> list[bytes]:
+    return [random.Random(f"{number}/{i}").randbytes(32) for i in range(count)]
+
+
+def store(path: Path, side: Side = "controller") -> KeyStore:
+    return KeyStore(path / f"{side}.sqlite3", side, create=True)
+
+
+def test_both_ends_hold_the_same_keys_in_disjoint_halves(tmp_path: Path) -> None:
+    with store(tmp_path) as controller, store(tmp_path, "plant") as plant:
+        for end in (controller, plant):
+            for number, count in ((0, 1), (1, 14)):
+                end.add(row(number, count), bodies(number, count))
+                end.confirm(SESSION, number)
+        assert controller.ids() == plant.ids()
+        assert (controller.available(), plant.available()) == (8, 7)
+        for giver, taker in ((controller, plant), (plant, controller)):
+            given = giver.deliver(giver.available(), "one")
+            assert taker.deliver_named([key.key_id for key in reversed(given)]) == given[::-1]
+        assert controller.counts() == plant.counts() == (0, 0, 15, 0, 0)
+
+
+def test_the_oldest_key_comes_first_and_ids_name_block_and_row(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 3), bodies(0, 3))
+        keys.confirm(SESSION, 0)
+        first, third = keys.deliver(2)
+        assert first == Key(key_id(SESSION, 0, 1), bodies(0, 3)[0])
+        assert third.key_id == key_id(SESSION, 0, 3)
+        assert bodies(0, 3)[0].hex() not in repr(first)
+
+
+def test_an_unconfirmed_key_is_not_given_but_found_by_its_id(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 4), bodies(0, 4))
+        assert keys.available() == 0
+        with pytest.raises(TooFewKeys, match=r"^number: got 1, expected at most the 0 keys"):
+            keys.deliver()
+        (found,) = keys.deliver_named([key_id(SESSION, 0, 2)])
+        assert found.key == bodies(0, 4)[1]
+
+
+def test_all_or_none(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 5), bodies(0, 5))
+        keys.confirm(SESSION, 0)
+        with pytest.raises(TooFewKeys) as few:
+            keys.deliver(4)
+        assert (few.value.asked, few.value.available) == (4, 3)
+        wanted = [key_id(SESSION, 0, 2), key_id(SESSION, 0, 3), "nothing"]
+        with pytest.raises(UnknownKeys) as unknown:
+            keys.deliver_named(wanted)
+        assert unknown.value.ids == (key_id(SESSION, 0, 3), "nothing")  # 3 is of its own half
+        assert len(keys.deliver(3)) == 3
+        assert len(keys.deliver_named([key_id(SESSION, 0, 2)] * 2)) == 1
+        with pytest.raises(UnknownKeys):
+            keys.deliver_named([key_id(SESSION, 0, 2)])
+
+
+def test_a_block_is_added_once_whatever_became_of_it(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        assert keys.add(row(0, 2), bodies(0, 2), tag="ab")
+        keys.confirm(SESSION, 0)
+        keys.deliver(1)
+        before = keys.ids()
+        assert not keys.add(row(0, 2), bodies(0, 2), tag="cd")
+        assert keys.ids() == before
+        assert keys.block_tag(SESSION, 0) == ("confirmed", "ab")
+        assert keys.block_tag(SESSION, 1) is None
+
+
+def test_a_block_that_differs_is_erased(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 2), bodies(0, 2))
+        keys.drop(SESSION, 0)
+        keys.confirm(SESSION, 0)
+        assert keys.counts() == (0, 0, 0, 2, 0)
+        with pytest.raises(UnknownKeys):
+            keys.deliver_named([key_id(SESSION, 0, 2)])
+
+
+def test_no_byte_of_a_delivered_or_dropped_key_stays_in_the_file(tmp_path: Path) -> None:
+    keys = store(tmp_path)
+    for number in range(4):
+        keys.add(row(number, 40), bodies(number, 40))
+        (keys.drop if number == 3 else keys.confirm)(SESSION, number)
+    delivered = keys.deliver(30)
+    whole = b"".join(path.read_bytes() for path in tmp_path.iterdir())
+    assert not any(key.key in whole for key in delivered)
+    assert not any(body in whole for body in bodies(3, 40))
+    assert bodies(2, 40)[39] in whole
+    keys.close()
+
+
+def test_the_file_is_its_owners_only(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        with store(tmp_path / "folder") as keys, keys.transaction():
+            modes = {p.name: p.stat().st_mode & 0o777 for p in (tmp_path / "folder").iterdir()}
+    finally:
+        os.umask(before)
+    assert set(modes.values()) == {0o600}
+
+
+def test_a_refused_store_gives_nothing(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 2), bodies(0, 2))
+        keys.confirm(SESSION, 0)
+        keys.refuse("seed 7: its keys are predictable")
+        keys.refuse("another reason")
+    with store(tmp_path) as keys:
+        assert keys.available() == 0
+        with pytest.raises(KeysRefused, match=r"^seed 7: its keys are predictable$"):
+            keys.deliver(1)
+        with pytest.raises(KeysRefused, match=r"^seed 7"):
+            keys.deliver_named([])
+
+
+def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("protocol.secret.store.MOST_KEYS", 3)
+    with store(tmp_path) as keys:
+        for number in range(5):
+            keys.add(row(number, 4), bodies(number, 4))
+            keys.confirm(SESSION, number)
+        assert keys.available() == 3
+        states = dict(keys.ids())
+        assert [states[key_id(SESSION, 4, r)] for r in (1, 3)] == ["confirmed"] * 2
+        partners = [states[key_id(SESSION, b, r)] for b in range(5) for r in (2, 4)]
+        assert partners == ["dropped"] * 4 + ["confirmed"] * 6
+
+
+def test_what_is_no_store_is_said_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no key store is there"):
+        KeyStore(tmp_path / "none", "plant")
+    (tmp_path / "text").write_text("not a database, but long enough to be looked at as one" * 20)
+    with pytest.raises(StoreError, match=r"^[^\n]*not a key store[^\n]*$"):
+        KeyStore(tmp_path / "text", "plant")
+    store(tmp_path).close()
+    with pytest.raises(StoreError, match="side: got 'controller', expected 'plant'"):
+        KeyStore(tmp_path / "controller.sqlite3", "plant")
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from protocol.secret.store import KeyStore
+keys = KeyStore(Path(sys.argv[1]), "controller")
+while True:
+    for key in keys.deliver(1, "one"):
+        os.write(1, (key.key_id + "\\n").encode())
+"""
+
+
+def test_a_key_is_delivered_once_through_kill_9(tmp_path: Path) -> None:
+    path = tmp_path / "controller.sqlite3"
+    with store(tmp_path) as keys:
+        for number in range(40):
+            keys.add(row(number, 80), bodies(number, 80))
+            keys.confirm(SESSION, number)
+    given: list[str] = []
+    for _ in range(3):
+        command = [sys.executable, "-c", KILLED, str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for _ in range(40):
+                given.append(process.stdout.readline().strip())
+            process.kill()
+            given += [line.strip() for line in process.stdout if line.endswith("\n")]
+    assert len(given) == len(set(given)) >= 120
+    with sqlite3.connect(path) as db:
+        (buried,) = db.execute("SELECT COUNT(*) FROM key WHERE state = 'delivered'").fetchone()
+    db.close()
+    assert len(given) <= buried <= len(given) + 3  # killed between the burial and the word
