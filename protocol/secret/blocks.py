@@ -218,9 +218,9 @@ class Blocks:
         self._kept: set[int] = set()
         for raw in raws:
             self.count(raw)
-        for closed in self._closed:  # not settled before a start: to be stored once more
-            if closed.makes_keys:
-                self._confirmed = min(self._confirmed, closed.number - 1)
+        # what stood before the block announced was confirmed, or it would not have been announced
+        if any(closed.number == block and closed.makes_keys for closed in self._closed):
+            self._confirmed = block - 1
 
     def count(self, raw: Raw) -> None:
         """Take the row of the next transition."""
@@ -241,18 +241,24 @@ class Blocks:
         self._kept.add(block.number)
         return block
 
-    def stored(self, block: Stored) -> None:
-        """A block is on disk; those of a session that is over are of no concern."""
+    def stored(self, block: Stored) -> tuple[Judgement, ...]:
+        """A block is on disk; those of a session that is over are of no concern.
+
+        A verdict that was reached before a start, but not yet on disk, is told once more.
+        """
         if block.session != self.session:
-            return
+            return ()
         if not block.tag:
             self._settled.add(block.number)
             self._kept.discard(block.number)
-            return
+            return ()
         self._stored[block.number] = block
         if block.confirmed:
             self._confirmed = max(self._confirmed, block.number)
             self._settled.add(block.number)
+        elif block.number <= self._confirmed:
+            return (Judgement(block.number, "confirmed", ""),)
+        return ()
 
     def word(self) -> tuple[int, str]:
         """The block to announce in the next new message, with its tag."""

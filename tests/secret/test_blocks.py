@@ -154,7 +154,7 @@ class End:
 
     def work(self) -> None:
         if (block := self.blocks.to_keep()) is not None:
-            self.blocks.stored(self.keeper.keep(block))
+            self.verdicts += self.blocks.stored(self.keeper.keep(block))
         elif self.verdicts:
             verdict = self.verdicts.pop(0)
             self.keeper.judge(SESSION, verdict)
