@@ -11,7 +11,9 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints
 
-SCHEMA: Final = 1
+from protocol.secret.nonces import NONCE_FORM
+
+SCHEMA: Final = 2
 """Version of the wire format; a message of another version is garbage."""
 
 Vector = tuple[FiniteFloat, ...]
@@ -19,6 +21,10 @@ SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 Count = Annotated[int, Field(ge=0)]
+Copy = Literal[0, 1]
+Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
+BlockNumber = Annotated[int, Field(ge=-1)]
+Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
 
 
 class Message(BaseModel):
@@ -27,7 +33,7 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     topic: ClassVar[str]
-    v: Literal[1] = SCHEMA
+    v: Literal[2] = SCHEMA
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""
@@ -42,6 +48,10 @@ class Measurement(Message):
     """Plant to controller: x(k), and the last applied offer with the state right after it.
 
     ``applied_k`` is -1 (and ``x_after`` empty) until an offer has been applied in this session.
+    ``copy_number`` is 0 for the first copy of Measurement(k), whose ``nonce`` may count, and 1 for
+    all others, whose nonce is a dummy; ``applied_copy`` is the copy of the offer that was applied.
+    ``block`` is the last key block that the plant has stored, ``tag`` its tag. Where the scenario
+    makes no keys these five are 0, empty, 0, -1 and empty always.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -50,16 +60,30 @@ class Measurement(Message):
     x: Vector
     applied_k: Annotated[int, Field(ge=-1)]
     x_after: Vector
+    copy_number: Copy = 0
+    nonce: Nonce = ""
+    applied_copy: Copy = 0
+    block: BlockNumber = -1
+    tag: Tag = ""
 
 
 class Offer(Message):
-    """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol."""
+    """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
+
+    ``heard`` is the copy of that measurement which came first; the other fields of keys are those
+    of `Measurement`.
+    """
 
     topic: ClassVar[str] = "offer"
     session: SessionId
     k: Count
     candidates: tuple[Vector, ...]
     cipher: Count
+    copy_number: Copy = 0
+    nonce: Nonce = ""
+    heard: Copy = 0
+    block: BlockNumber = -1
+    tag: Tag = ""
 
 
 # --- ops: controller, plant, dashboard, operator -------------------------------------------------

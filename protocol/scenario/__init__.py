@@ -8,6 +8,7 @@ made from it, and never this.
 
 from protocol.scenario.control import Control, Cost, Regulator
 from protocol.scenario.defender import Defender
+from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS
 from protocol.scenario.link import Link
 from protocol.scenario.parts import Part
@@ -32,6 +33,7 @@ __all__ = [
     "Cost",
     "Defender",
     "Disturbance",
+    "Keys",
     "Link",
     "Part",
     "Plant",

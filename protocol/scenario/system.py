@@ -9,6 +9,7 @@ from pydantic import Field, SerializeAsAny, model_validator
 from protocol.knowledge import Knowledge
 from protocol.scenario.control import Control
 from protocol.scenario.defender import Defender
+from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, UncheckedControl, by_kind
 from protocol.scenario.link import Link
 from protocol.scenario.parts import Matrix, Part
@@ -24,7 +25,7 @@ DESIGN_VERSION = 1
 
 
 class Scenario(Part):
-    """One system: plant, defender's model, law, agreement rule, link and tap."""
+    """One system: plant, defender's model, law, agreement rule, link, tap and keys."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
     description: str = ""
@@ -35,6 +36,7 @@ class Scenario(Part):
     secrecy: Secrecy
     link: Link = Link()
     tap: TapView = TapView()
+    keys: Keys | None = None
 
     @property
     def A(self) -> Matrix:
@@ -79,8 +81,10 @@ class Scenario(Part):
 
         Compared over ops only: on the field bus it would let an eavesdropper test her guesses.
         """
+        keys = {} if self.keys is None else {"keys": self.keys.shared()}
         return _digest(
             {
+                **keys,
                 "rules": RULES_VERSION,
                 "A": self.A,
                 "B": self.B,

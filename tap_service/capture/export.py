@@ -18,6 +18,8 @@ from tap_service.capture.recording import CaptureReader, first_part, parts_of
 
 Record = tuple[int, Measurement | Offer]
 
+KEY_FIELDS: Final = ("copy_number", "nonce", "applied_copy", "heard", "block", "tag")
+
 ROWS_AT_ONCE: Final = 20_000
 """Rows of a Parquet row group."""
 
@@ -57,7 +59,7 @@ def to_csv(reader: CaptureReader, out: IO[str]) -> int:
     """Write one row a message; vectors become JSON arrays in their cell. Returns the rows."""
     writer = csv.writer(out, lineterminator="\n")
     names = ("t_ns", "topic", "session", "k", "x", "applied_k", "x_after", "candidates", "cipher")
-    writer.writerow(names)
+    writer.writerow((*names, *KEY_FIELDS))
     rows = 0
     for t_ns, message in reader.records():
         row: list[object] = [t_ns, message.topic, message.session, message.k]
@@ -65,7 +67,7 @@ def to_csv(reader: CaptureReader, out: IO[str]) -> int:
             row += [json.dumps(message.x), message.applied_k, json.dumps(message.x_after), "", ""]
         else:
             row += ["", "", "", json.dumps(message.candidates), message.cipher]
-        writer.writerow(row)
+        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS])
         rows += 1
     return rows
 
@@ -97,6 +99,12 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
             ("x_after", vector),
             ("candidates", pyarrow.list_(vector)),
             ("cipher", pyarrow.int64()),
+            ("copy_number", pyarrow.int64()),
+            ("nonce", pyarrow.string()),
+            ("applied_copy", pyarrow.int64()),
+            ("heard", pyarrow.int64()),
+            ("block", pyarrow.int64()),
+            ("tag", pyarrow.string()),
         ]
     )
     rows = 0

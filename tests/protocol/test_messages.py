@@ -19,6 +19,7 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
+from protocol.secret.nonces import fresh_nonce
 from protocol.topics import BASE, check_loop, key_of
 
 ALL = (*FIELD, *OPS, *INTEL)
@@ -31,6 +32,7 @@ MEASUREMENT: dict[str, Any] = {
     "applied_k": 6,
     "x_after": [0.1, -2.5e-17],
 }
+OF_KEYS = ("copy_number", "nonce", "block", "tag")
 OFFER: dict[str, Any] = {
     "session": SESSION,
     "k": 7,
@@ -63,9 +65,25 @@ def test_a_loop_id_is_one_plain_chunk(loop: str) -> None:
 def test_the_field_bus_has_two_messages_with_these_fields_only() -> None:
     """A key, a plaintext or a state would need a field: adding one must not go unnoticed."""
     assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
-        "Measurement": {"v", "session", "k", "x", "applied_k", "x_after"},
-        "Offer": {"v", "session", "k", "candidates", "cipher"},
+        "Measurement": {"v", "session", "k", "x", "applied_k", "x_after", "applied_copy", *OF_KEYS},
+        "Offer": {"v", "session", "k", "candidates", "cipher", "heard", *OF_KEYS},
     }
+
+
+def test_the_fields_of_keys_have_one_form() -> None:
+    nonce = fresh_nonce()
+    lengths = {
+        len(Offer(**OFFER, copy_number=copy, nonce=fresh_nonce(), tag=tag * 32).wire())
+        for copy in (0, 1)
+        for tag in "0f"
+    }
+    assert len(lengths) == 1
+    for wrong in (nonce[:-1], nonce[:-1] + "A", nonce + "=", "*" + nonce[1:], "="):
+        with pytest.raises(ValidationError, match="nonce"):
+            Measurement(**MEASUREMENT, nonce=wrong)
+    for name, value in (("copy_number", 2), ("block", -2), ("tag", "0" * 31), ("tag", "G" * 32)):
+        with pytest.raises(ValidationError, match=name):
+            Offer(**OFFER, **{name: value})
 
 
 def test_the_fingerprint_travels_on_ops_only() -> None:
@@ -100,7 +118,7 @@ def test_floats_travel_as_the_shortest_decimals_that_come_back() -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("v", 2),
+        ("v", 1),
         ("v", 0),
         ("session", "0123"),
         ("session", SESSION.upper()),

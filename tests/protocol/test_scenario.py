@@ -356,3 +356,57 @@ def test_the_sustained_scenario_is_the_papers_system_under_another_law() -> None
     )
     assert mine.fingerprint() == papers.fingerprint()
     assert mine.design_fingerprint() == papers.design_fingerprint()
+
+
+def test_keys_are_made_under_a_claim_that_is_stated() -> None:
+    assert parse_scenario(paper(), "paper").keys is None
+    data = paper()
+    data["keys"] = {}
+    keys = parse_scenario(data, "paper").keys
+    assert keys is not None
+    assert keys.schedule() is None
+    assert "eps_E = 0: nothing is claimed" in (keys.refusal() or "")
+    data["keys"] = {"eps_E": 0.3}
+    keys = parse_scenario(data, "paper").keys
+    assert keys is not None
+    assert keys.refusal() is None
+    schedule = keys.schedule()
+    assert schedule is not None
+    assert (schedule.first, schedule.largest) == (44, 256)
+
+
+def test_bursts_take_the_place_of_the_claim() -> None:
+    bursts = {"loss_good": 0.1, "loss_bad": 0.9, "to_bad": 0.067, "to_good": 0.2}
+    data = with_value("keys", {"bursts": bursts})
+    keys = parse_scenario(data, "paper").keys
+    assert keys is not None
+    assert keys.assumption().eps_E == pytest.approx(0.1536)
+    assert keys.assumption().misses(512) == 40
+    data["keys"]["eps_E"] = 0.3
+    with pytest.raises(ScenarioError, match="expected eps_E, or a table bursts"):
+        parse_scenario(data, "paper")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [("keys.eps_E", 1.0), ("keys.eps_E", -0.1), ("keys.eps_sec", 0.0), ("keys.w", 256)],
+)
+def test_a_wrong_claim_is_one_line(path: str, value: object) -> None:
+    data = paper()
+    data["keys"] = {path.removeprefix("keys."): value}
+    with pytest.raises(ScenarioError) as error:
+        parse_scenario(data, "file")
+    (line,) = error.value.problems
+    assert line.startswith(f"file: {path}: got {json.dumps(value)}, ")
+
+
+@pytest.mark.parametrize(
+    "claim", [{"eps_E": 0.3}, {"eps_E": 0.2}, {"eps_E": 0.3, "eps_sec": 1e-9}, {}]
+)
+def test_the_claim_is_part_of_the_fingerprint(claim: Table) -> None:
+    base = paper()
+    base["keys"] = {"eps_E": 0.3, "directions": "offers"}
+    other = paper()
+    other["keys"] = claim
+    prints = {parse_scenario(t, "t").fingerprint() for t in (paper(), base, other)}
+    assert len(prints) == 3

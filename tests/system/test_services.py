@@ -157,7 +157,7 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
 def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
     """With a deadline too, where most of it comes while the plant waits for the tick."""
     field, ops = MemoryBus(system.field), MemoryBus(system.ops)
-    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":2}', b'{"v":1,"session":"x"}', b"null" * 50]
+    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":3}', b'{"v":2,"session":"x"}', b"null" * 50]
     offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
     measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
     rounds = 20
@@ -337,7 +337,8 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
     for event in read_trace(system.run_dir / PLANT_TRACE).of("transition"):
         offers[state].add(tuple(json.loads(seen[event["k"]])))
         state = event["s"]
-    assert offers[1] == offers[2] == {("v", "session", "k", "candidates", "cipher")}
+    fields = ("v", "session", "k", "candidates", "cipher")
+    assert offers[1] == offers[2] == {(*fields, "copy_number", "nonce", "heard", "block", "tag")}
 
 
 # --- forged and foreign ---------------------------------------------------------------------------

@@ -12,8 +12,14 @@ from wyner.verify.clause import Tally, need
 from wyner.verify.evidence import Evidence, Seen
 
 PUBLIC: Final[dict[str, frozenset[str]]] = {
-    "measurement": frozenset({"v", "session", "k", "x", "applied_k", "x_after"}),
-    "offer": frozenset({"v", "session", "k", "candidates", "cipher"}),
+    "measurement": frozenset(
+        {"v", "session", "k", "x", "applied_k", "x_after"}
+        | {"copy_number", "nonce", "applied_copy", "block", "tag"}
+    ),
+    "offer": frozenset(
+        {"v", "session", "k", "candidates", "cipher"}
+        | {"copy_number", "nonce", "heard", "block", "tag"}
+    ),
 }
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""

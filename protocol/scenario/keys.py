@@ -1,0 +1,81 @@
+"""``[keys]``: what the operator claims that every tap misses, and so which keys are made."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from protocol.scenario.parts import Part
+from protocol.secret.blocks import Schedule, schedule_of
+from protocol.secret.bound import Assumption, Directions, GilbertElliott
+
+Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class Bursts(Part):
+    """All four parameters of a tap's channel of two states, good and bad."""
+
+    loss_good: Probability
+    loss_bad: Probability
+    to_bad: Annotated[float, Field(gt=0, le=1)]
+    to_good: Annotated[float, Field(gt=0, le=1)]
+
+
+class Keys(Part):
+    """The claim that keys rest on.
+
+    ``eps_E`` is the least probability, given everything that happened before, that a tap misses the
+    next copy 0 entirely; it has no default above 0, and 0 makes no key. ``bursts`` takes its place
+    where all of the tap's channel is known. ``assume = "independent"`` claims besides that her
+    misses have nothing to do with the link's own losses.
+    """
+
+    eps_E: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
+    eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
+    directions: Directions = "both"
+    assume: Literal["nothing", "independent"] = "nothing"
+    bursts: Bursts | None = None
+
+    @model_validator(mode="after")
+    def _one_claim(self) -> Self:
+        if self.bursts is not None and self.eps_E:
+            raise ValueError("expected eps_E, or a table bursts that takes its place, and not both")
+        return self
+
+    def assumption(self) -> Assumption:
+        """The claim, as the bound reads it."""
+        bursts = None
+        if self.bursts is not None:
+            bursts = GilbertElliott(**self.bursts.model_dump())
+        return Assumption(
+            eps_E=self.eps_E if bursts is None else bursts.eps_inf,
+            eps_sec=self.eps_sec,
+            directions=self.directions,
+            independent=self.assume == "independent",
+            bursts=bursts,
+        )
+
+    def schedule(self) -> Schedule | None:
+        """Where blocks begin, or None where the claim makes no key."""
+        return schedule_of(self.assumption())
+
+    def refusal(self) -> str | None:
+        """Why there will be no key, or None."""
+        if self.schedule() is not None:
+            return None
+        if not self.assumption().eps_E:
+            return (
+                "eps_E = 0: nothing is claimed that a tap misses, so no key can be promised; "
+                "state keys.eps_E if you can"
+            )
+        return f"eps_E = {self.assumption().eps_E:g}: no block is long enough for a key"
+
+    def shared(self) -> dict[str, object]:
+        """What both ends must agree on, for their fingerprint: the claim and all that follows."""
+        schedule = self.schedule()
+        claim = self.model_dump(exclude_none=True)
+        if schedule is None:
+            return claim
+        a = schedule.assumption
+        lengths = sorted({schedule.length(b) for b in range(16)})
+        misses = [(n, a.misses(a.copies * n)) for n in lengths]
+        return {**claim, "largest": schedule.largest, "misses": misses}
