@@ -6,6 +6,7 @@ apart, where vertices are good to nine digits only. Differences of neighbouring 
 floating point (Sterbenz), so the redundancy test is written in differences.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 class SetError(Exception):
@@ -275,37 +277,59 @@ def _dual_hull(p: Polytope) -> "ConvexHull":
     return hull
 
 
-def spatial_add_segment(p: Polytope, b: Array, low: float, high: float) -> Polytope:
-    """The Minkowski sum of a polytope and the segment from ``low * b`` to ``high * b``.
-
-    Every facet moves by the segment's support; between neighbours a and c on either side of the
-    direction b a new facet appears, the positive combination of both across b. Qhull says which
-    facets are neighbours and gives no number: rounding stays at the last digits.
+def spatial_faces(p: Polytope) -> tuple[Polytope, Indices]:
+    """Irredundant rows, and for each corner of the set n of the rows that meet in it.
 
     Raises
     ------
     SetError
         When the set is unbounded or without the origin in its interior.
     """
-    simplices = _dual_hull(p).simplices
-    n = p.dimension
-    pairs = np.vstack([simplices[:, [i, j]] for i in range(n) for j in range(i + 1, n)])
-    g = p.H @ b
-    tiny = 1e-12 * float(np.sqrt((b * b).sum()))
-    pairs = np.vstack([pairs, pairs[:, ::-1]])
-    pairs = np.unique(pairs[(g[pairs[:, 0]] > tiny) & (g[pairs[:, 1]] < -tiny)], axis=0)
-    a, c = pairs.T
-    H = p.H[a] * -g[c, None] + p.H[c] * g[a, None]
-    h = p.h[a] * -g[c] + p.h[c] * g[a]
-    lengths = np.sqrt((H * H).sum(axis=1))
-    new = lengths > 1e-9 * (g[a] - g[c])
-    moved = p.h + np.maximum(low * g, high * g)
-    return spatial_reduce(
-        Polytope(
+    hull = _dual_hull(p)
+    keep = np.sort(hull.vertices)
+    return Polytope(p.H[keep], p.h[keep]), np.searchsorted(keep, hull.simplices)
+
+
+def spatial_add_segments(
+    p: Polytope, faces: Indices, segments: Iterable[tuple[Array, float, float]]
+) -> Polytope:
+    """The Minkowski sum of a polytope and segments from ``low * b`` to ``high * b``, not reduced.
+
+    Every facet moves by the segment's support; between neighbours a and c on either side of the
+    direction b a new facet appears, the positive combination of both across b. Qhull says which
+    facets are neighbours and gives no number: rounding stays at the last digits.
+
+    Parameters
+    ----------
+    p, faces : Polytope and array, shape (corners, n)
+        As :func:`spatial_faces` gives them.
+    segments : iterable of (b, low, high)
+
+    Raises
+    ------
+    SetError
+        When a sum is unbounded or without the origin in its interior.
+    """
+    for number, (b, low, high) in enumerate(segments):
+        if number:
+            p, faces = spatial_faces(p)
+        n = p.dimension
+        pairs = np.vstack([faces[:, [i, j]] for i in range(n) for j in range(i + 1, n)])
+        g = p.H @ b
+        tiny = 1e-12 * float(np.sqrt((b * b).sum()))
+        pairs = np.vstack([pairs, pairs[:, ::-1]])
+        pairs = np.unique(pairs[(g[pairs[:, 0]] > tiny) & (g[pairs[:, 1]] < -tiny)], axis=0)
+        a, c = pairs.T
+        H = p.H[a] * -g[c, None] + p.H[c] * g[a, None]
+        h = p.h[a] * -g[c] + p.h[c] * g[a]
+        lengths = np.sqrt((H * H).sum(axis=1))
+        new = lengths > 1e-9 * (g[a] - g[c])
+        moved = p.h + np.maximum(low * g, high * g)
+        p = Polytope(
             np.vstack([p.H, H[new] / lengths[new, None]]),
             np.concatenate([moved, h[new] / lengths[new]]),
         )
-    )[0]
+    return p
 
 
 def spatial_add_polygon(p: Polytope, V: Array) -> Polytope:

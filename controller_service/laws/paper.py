@@ -141,4 +141,8 @@ class ControlLaw:
 
 def make_law(scenario: Scenario, design: Design) -> ControlLaw:
     """The law ``control.law`` of the scenario, on its design."""
+    if scenario.control.law == "packed":
+        from controller_service.laws.packed import PackedLaw
+
+        return PackedLaw(scenario, design)
     return ControlLaw(scenario, design)

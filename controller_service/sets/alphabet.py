@@ -28,6 +28,9 @@ from controller_service.sets.terminal import set_corners
 from protocol.convex import Array
 from protocol.scenario import ConvexSet
 
+ROUNDING = 1e-12
+"""U' is smaller by this fraction, so that v + p rounds to an input in U."""
+
 
 @dataclass(frozen=True, eq=False)
 class Alphabet:
@@ -99,10 +102,10 @@ def line_offsets(sep: Separation, size: int) -> Array:
 def smaller_inputs(inputs: ConvexSet, offsets: Array) -> ConvexSet | None:
     """U less the hull of the offsets, None when the origin is not inside; a box stays a box."""
     if inputs.half_widths is not None:
-        widths = np.array(inputs.half_widths) - np.abs(offsets).max(axis=0)
+        widths = (np.array(inputs.half_widths) - np.abs(offsets).max(axis=0)) * (1 - ROUNDING)
         return ConvexSet(half_widths=tuple(widths.tolist())) if (widths > 0).all() else None
     H, h = (np.array(a) for a in inputs.rows())
-    left = h - (offsets @ H.T).max(axis=0)
+    left = (h - (offsets @ H.T).max(axis=0)) * (1 - ROUNDING)
     if not (left > 0).all():
         return None
     return ConvexSet(H=tuple(map(tuple, H.tolist())), h=tuple(left.tolist()))

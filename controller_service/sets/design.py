@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from controller_service.sets.packed_design import Start, alphabet_of, reduced, search_terminal
 from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.terminal import (
     SynthesisError,
@@ -63,6 +64,9 @@ class Design:
         Time that the synthesis took.
     cached : bool
         Whether the design was read from the cache.
+    offsets : array, shape (M, m), optional
+        Of a packed alphabet; the sets are then those of D' = D_c + B conv P and U' = U less conv P,
+        and the targets T_i ~ D'.
     """
 
     A: Array
@@ -75,6 +79,7 @@ class Design:
     margins: tuple[float, ...]
     seconds: float
     cached: bool = False
+    offsets: Array | None = None
 
     @property
     def horizon(self) -> int:
@@ -126,8 +131,8 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
     Raises
     ------
     SynthesisError
-        With one line: K does not stabilise, K T_0 not within U, an empty set at some index, or a
-        plant with more states or inputs than the route serves.
+        With one line: K does not stabilise, K T_0 not within U, an empty set at some index, an
+        alphabet that does not fit, or a plant with more states or inputs than the route serves.
     """
     import time
 
@@ -137,14 +142,13 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
             f"plant: got {scenario.n} states and {scenario.m} inputs, expected 1 to 4 states and "
             "1 or 2 inputs"
         )
-    K = feedback_gain(scenario)
-    larger = scenario.defender.disturbance.scaled(1 + TERMINAL_MARGIN)
-    try:
-        r = recursion(scenario)
-        T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
-        _check_terminal(T0, K, r, scenario)
-    except SetError as error:
-        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+    alphabet = alphabet_of(scenario)
+    problem = scenario if alphabet is None else reduced(scenario, alphabet)
+    r = recursion(problem)
+    if alphabet is None:
+        K, T0, terminal = _start(problem)
+    else:
+        K, T0, terminal = search_terminal(problem, _start)
     T: list[tuple[Array, Array]] = []
     targets: list[tuple[Array, Array]] = []
     margins: list[float] = []
@@ -164,7 +168,21 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
         gain_given=scenario.control.gain is not None,
         margins=tuple(margins),
         seconds=time.perf_counter() - begin,
+        offsets=None if alphabet is None else alphabet.offsets,
     )
+
+
+def _start(problem: Scenario) -> Start:
+    """K and T_0 by the scenario's gain or regulator."""
+    K = feedback_gain(problem)
+    larger = problem.defender.disturbance.scaled(1 + TERMINAL_MARGIN)
+    try:
+        r = recursion(problem)
+        T0, terminal = terminal_set(r.A + r.B @ K, larger, problem.control.terminal_order)
+        _check_terminal(T0, K, r, problem)
+    except SetError as error:
+        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+    return K, T0, terminal
 
 
 def cached_design(

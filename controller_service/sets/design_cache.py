@@ -16,7 +16,7 @@ import numpy as np
 
 from controller_service.sets.design import Design, Terminal
 
-MAGIC = b"wyner-design-4\n"
+MAGIC = b"wyner-design-5\n"
 
 
 def default_folder() -> Path:
@@ -38,6 +38,7 @@ def _pack(design: Design, fingerprint: str) -> bytes:
         "gain_given": design.gain_given,
         "margins": design.margins,
         "seconds": design.seconds,
+        "offsets": None if design.offsets is None else design.offsets.tolist(),
         "n": design.A.shape[0],
         "m": design.B.shape[1],
         "rows": [[len(h) for _, h in family] for family in (design.T, design.targets)],
@@ -84,6 +85,7 @@ def _unpack(body: bytes, fingerprint: str) -> Design:
         margins=tuple(meta["margins"]),
         seconds=meta["seconds"],
         cached=True,
+        offsets=None if meta["offsets"] is None else np.array(meta["offsets"], dtype=float),
     )
 
 

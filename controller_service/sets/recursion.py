@@ -20,6 +20,7 @@ from controller_service.tolerances import (
 )
 from protocol.convex import (
     Array,
+    Indices,
     Polytope,
     Ring,
     SetError,
@@ -30,7 +31,8 @@ from protocol.convex import (
     planar_rows,
     planar_support,
     spatial_add_polygon,
-    spatial_add_segment,
+    spatial_add_segments,
+    spatial_faces,
     spatial_reduce,
 )
 from protocol.scenario import ConvexSet, Scenario
@@ -222,6 +224,10 @@ class SpatialRecursion(Recursion):
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         inputs = scenario.control.inputs
+        self._faces: tuple[Polytope | None, Indices] = (
+            None,
+            np.zeros((0, scenario.n), dtype=np.intp),
+        )
         self.intervals: list[tuple[float, float]] | None = None
         if scenario.m == 1:
             self.intervals = [input_interval(inputs)]
@@ -231,16 +237,22 @@ class SpatialRecursion(Recursion):
     def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
         """See :meth:`Recursion.settle`."""
         T = spatial_reduce(T)[0]
-        return T, spatial_reduce(Polytope(T.H, T.h - support(self.DV, T.H)))[0], self.least
+        S, faces = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
+        self._faces = (S, faces)
+        return T, S, self.least
 
     def backward(self, S: Polytope, deflation: float) -> Polytope:
         """See :meth:`Recursion.backward`."""
         if self.intervals is None:
             p = spatial_add_polygon(S, self.BU)
         else:
-            p = S
-            for b, (low, high) in zip(self.B.T, self.intervals, strict=True):
-                p = spatial_add_segment(p, -b, low, high)
+            # Qhull's work is the time: what it said of S in `settle` serves again, and the sum's
+            # redundant rows go when the next `settle` meets them.
+            known, faces = self._faces
+            if known is not S:
+                S, faces = spatial_faces(S)
+            segments = zip(self.B.T, self.intervals, strict=True)
+            p = spatial_add_segments(S, faces, [(-b, *ends) for b, ends in segments])
         return self._back_through_plant(p, deflation)
 
 

@@ -20,20 +20,25 @@ class Terminal:
     Parameters
     ----------
     method : str
-        ``interval`` (one state), ``rakovic`` (two) or ``modal``.
+        ``interval`` (one state), ``rakovic`` (two), ``modal``, or ``invariant``, the maximal robust
+        controlled invariant set, which needs no gain.
     order : int
-        Rakovic's s, the number of terms summed; 0 for the others.
+        Rakovic's s, the number of terms summed; the steps of the recursion that led to an
+        ``invariant`` set; 0 for the others.
     alpha : float
         Rakovic's alpha with (A + B K)^s D_c within alpha D_c; 0 for the others.
     bound : float
         No point of T_0 is farther than this from the minimal invariant set (infinity norm) of the
-        D_c that is larger by ``TERMINAL_MARGIN``.
+        D_c that is larger by ``TERMINAL_MARGIN``; of ``modal`` and ``invariant`` sets their radius.
+    weight : float
+        Factor on the regulator's stated weights of the input, where a scan was needed.
     """
 
     method: str
     order: int
     alpha: float
     bound: float
+    weight: float = 1.0
 
 
 def set_corners(s: ConvexSet) -> Array:
@@ -69,7 +74,8 @@ def feedback_gain(scenario: Scenario) -> Array:
         from scipy.linalg import LinAlgError, solve_discrete_are
 
         weights = scenario.control.regulator
-        assert weights is not None
+        if weights is None:
+            raise SynthesisError("control.regulator: got none, expected weights, or a gain")
         Q, R = np.diag(weights.next_state), np.diag(weights.input)
         try:
             P = solve_discrete_are(A, B, Q, R)

@@ -1,7 +1,7 @@
 """``[control]``: what every control law of (27) is told; a law of its own adds its own table."""
 
 from collections.abc import Iterator
-from typing import Annotated, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -15,6 +15,7 @@ from protocol.scenario.parts import (
     shape,
     shape_problem,
 )
+from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 
 
@@ -49,6 +50,7 @@ class Control(Part):
     A law with fields of its own reads a subclass, :data:`protocol.scenario.kinds.LAWS`.
     """
 
+    needs_gain: ClassVar[bool] = True
     law: str = "sustained"
     horizon: Annotated[int, Field(ge=1, le=10000)]
     inputs: ConvexSet
@@ -60,7 +62,8 @@ class Control(Part):
 
     @model_validator(mode="after")
     def _one_gain(self) -> Self:
-        if (self.gain is None) == (self.regulator is None):
+        both, none = self.gain and self.regulator, not (self.gain or self.regulator)
+        if both or (none and self.needs_gain):
             raise ValueError("expected gain = [[...]] or a table regulator, and one of them only")
         if self.gain is not None:
             check_matrix(self.gain)
@@ -94,6 +97,10 @@ class Control(Part):
                 f"control.costs: got {len(self.costs)} costs, expected one for each of the "
                 f"{candidates} candidates (secrecy.candidates)"
             )
+
+    def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
+        """What of the law the synthesis depends on; its costs are only solved online."""
+        return self.model_dump(exclude={"law", "costs"}, exclude_none=True)
 
     def policy(self, n: int, m: int) -> Policy | None:
         """The control policy (15) that Kerckhoffs grants the tap, without what depends on D_c."""

@@ -5,7 +5,8 @@ no kind at all, as the plant's process knows no law, the fields of a kind are ke
 whoever serves the kind checks them.
 """
 
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import ValidatorFunctionWrapHandler, WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
@@ -22,6 +23,12 @@ P = TypeVar("P", bound=Part)
 
 class UncheckedControl(Control, extra="allow"):
     """``[control]`` of a law that this process does not know."""
+
+    needs_gain: ClassVar[bool] = False
+
+    def count_problems(self, candidates: int) -> Iterator[str]:
+        """None that could be known."""
+        yield from ()
 
 
 def by_kind(

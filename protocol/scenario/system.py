@@ -20,7 +20,7 @@ from protocol.scenario.tap import TapView
 RULES_VERSION = 2
 """Version of agreement, automata and framing together; part of the fingerprint."""
 
-DESIGN_VERSION = 1
+DESIGN_VERSION = 2
 """Version of the synthesis; part of the key of a cached design."""
 
 
@@ -98,7 +98,7 @@ class Scenario(Part):
 
     def design_fingerprint(self) -> str:
         """SHA-256 (hex) over what the synthesis depends on; the key of a cached design."""
-        control = self.control.model_dump(exclude={"law", "costs"}, exclude_none=True)
+        control = self.control.design_key(self.secrecy)
         return _digest(
             {
                 "design": DESIGN_VERSION,

@@ -1,0 +1,43 @@
+"""Tables ``[control]`` of laws that read more than the common fields."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from protocol.scenario import Control, Cost, Part, Secrecy
+
+
+class AlphabetTable(Part):
+    """``[control.alphabet]``: how far apart the law ``packed`` keeps its candidates.
+
+    Parameters
+    ----------
+    spacing : float
+        In half-lengths of D_c along the inputs. From 2 every transition agrees, whatever d in D_c;
+        below 2 the alphabet bets on the disturbance.
+    """
+
+    spacing: Annotated[float, Field(gt=0, le=1000)] = 2.0
+
+
+class PackedControl(Control):
+    """``[control]`` of the law ``packed``: one cost, whatever the number of candidates.
+
+    Neither gain nor regulator is needed: where none keeps a set, T_0 is the largest set that any
+    control keeps.
+    """
+
+    needs_gain: ClassVar[bool] = False
+    alphabet: AlphabetTable = AlphabetTable()
+    costs: tuple[Cost, ...] = (Cost(next_state=1.0),)
+
+    def count_problems(self, candidates: int) -> Iterator[str]:
+        """Whether there is one cost."""
+        if len(self.costs) != 1:
+            yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
+
+    def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
+        """The alphabet depends on M and alpha too."""
+        key = super().design_key(secrecy)
+        return {**key, "candidates": secrecy.candidates, "alpha": secrecy.alpha}

@@ -1,0 +1,172 @@
+"""The design for a packed alphabet: its candidates count as a disturbance.
+
+The law solves one program for v and offers v + p for each offset p. With D' = D_c + B conv P and
+U' = U less conv P every one of these inputs is in U and leads into the next set, whatever d in D_c.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from controller_service.laws.tables import PackedControl
+from controller_service.sets.alphabet import (
+    Alphabet,
+    ceilings,
+    choose_alphabet,
+    control_allows,
+    larger_disturbance,
+    smaller_inputs,
+)
+from controller_service.sets.recursion import Recursion, recursion, support
+from controller_service.sets.separation import AlphabetError
+from controller_service.sets.terminal import SynthesisError, Terminal
+from controller_service.tolerances import TERMINAL_MARGIN
+from protocol.convex import Array, Polytope, SetError, corners
+from protocol.scenario import Regulator, Scenario
+
+Start = tuple[Array, Polytope, Terminal]
+"""K, T_0 and how it was made."""
+
+WEIGHTS = sorted((10.0 ** (k / 5) for k in range(-15, 11)), key=lambda f: abs(float(np.log(f))))
+"""Factors on a regulator's weights of the input, 0.001 to 100, the nearest to 1 first."""
+
+STEPS = 200
+"""Steps after which no invariant set is expected any more."""
+
+
+def alphabet_of(scenario: Scenario) -> Alphabet | None:
+    """The alphabet of a scenario whose law is ``packed``, else None.
+
+    Raises
+    ------
+    SynthesisError
+        With one line, where it does not fit; the line names the most candidates that do.
+    """
+    control = scenario.control
+    if not isinstance(control, PackedControl):
+        return None
+    D_c, U = scenario.defender.disturbance, scenario.control.inputs
+    try:
+        limits = ceilings(scenario.A, scenario.B, D_c, U)
+
+        def of(size: int) -> Alphabet:
+            return choose_alphabet(
+                scenario.B,
+                D_c,
+                U,
+                alpha=scenario.secrecy.alpha,
+                size=size,
+                spacing=control.alphabet.spacing,
+            )
+
+        size = scenario.secrecy.candidates
+        alphabet = of(size)
+        if control_allows(limits, scenario.B, alphabet.offsets):
+            return alphabet
+        while size > 1 and not control_allows(limits, scenario.B, of(size).offsets):
+            size -= 1
+    except (AlphabetError, SetError) as error:
+        raise SynthesisError(str(error)) from None
+    raise SynthesisError(
+        f"secrecy.candidates: got {scenario.secrecy.candidates}, expected at most {size}: beside a "
+        "larger alphabet control.inputs cannot hold the plant's unstable modes against D_c"
+    )
+
+
+def reduced(scenario: Scenario, alphabet: Alphabet) -> Scenario:
+    """The scenario with D' for D_c and U' for U."""
+    inputs = smaller_inputs(scenario.control.inputs, alphabet.offsets)
+    assert inputs is not None  # choose_alphabet saw to it
+    disturbance = larger_disturbance(scenario.defender.disturbance, scenario.B, alphabet.offsets)
+    return scenario.model_copy(
+        update={
+            "defender": scenario.defender.model_copy(update={"disturbance": disturbance}),
+            "control": scenario.control.model_copy(update={"inputs": inputs}),
+        }
+    )
+
+
+def search_terminal(problem: Scenario, start: Callable[[Scenario], Start]) -> Start:
+    """T_0 by the stated gain or regulator, else the nearest regulator, else of any control.
+
+    Parameters
+    ----------
+    problem : Scenario
+        With D' and U'.
+    start : callable
+        K and T_0 by the scenario's gain or regulator; raises SynthesisError where it is no start.
+
+    Raises
+    ------
+    SynthesisError
+        When no bounded invariant set exists.
+    """
+    try:
+        return start(problem)
+    except SynthesisError:
+        pass
+    stated = problem.control.regulator
+    weights = stated or Regulator(next_state=(1.0,) * problem.n, input=(1.0,) * problem.m)
+    for factor in WEIGHTS:
+        regulator = Regulator(
+            next_state=weights.next_state, input=tuple(factor * w for w in weights.input)
+        )
+        control = problem.control.model_copy(update={"gain": None, "regulator": regulator})
+        try:
+            K, T0, terminal = start(problem.model_copy(update={"control": control}))
+        except SynthesisError:
+            continue
+        return K, T0, Terminal(**{**vars(terminal), "weight": factor})
+    T0, terminal = invariant_set(problem)
+    return np.zeros((problem.m, problem.n)), T0, terminal
+
+
+def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
+    """The maximal robust controlled invariant set within the state bounds, with a margin.
+
+    The recursion runs from the state bounds inwards, for a disturbance larger by
+    ``TERMINAL_MARGIN``; it may end as soon as every state can be kept against the disturbance itself.
+
+    Raises
+    ------
+    SynthesisError
+        When the bounds are not compact, or no set is left.
+    """
+    states = problem.control.states
+    if states is None:
+        raise SynthesisError(
+            "control.states: got none, expected a compact set: no gain keeps a set, and without a "
+            "gain the sets begin with the bounds"
+        )
+    larger = problem.defender.disturbance.scaled(1 + TERMINAL_MARGIN)
+    wide = recursion(
+        problem.model_copy(
+            update={"defender": problem.defender.model_copy(update={"disturbance": larger})}
+        )
+    )
+    exact = recursion(problem)
+    try:
+        corners(*(np.array(a) for a in states.rows()))
+    except SetError as error:
+        raise SynthesisError(f"control.states: {error}, expected a compact set") from None
+    rows = Polytope.from_rows(*states.rows())
+    try:
+        for step in range(STEPS):
+            T, S, deflation = wide.settle(rows)
+            if step and _kept(exact, T):
+                radius = float(np.abs(corners(T.H, T.h)).max())
+                return T, Terminal("invariant", step, 0.0, radius)
+            rows = wide.backward(S, deflation)
+    except SetError:
+        raise SynthesisError(
+            "control.states: no state within them can be kept there against D_c and the alphabet, "
+            "expected wider bounds, larger inputs or fewer candidates"
+        ) from None
+    raise SynthesisError(f"control.states: no invariant set after {STEPS} steps")
+
+
+def _kept(r: Recursion, T: Polytope) -> bool:
+    """Whether every state of T has an input that leads into the target, tightened as programs are."""
+    T, S, deflation = r.settle(T)
+    before = r.backward(S.scaled(1 - 2 * deflation), 0.0)
+    return bool((support(corners(T.H, T.h), before.H) <= before.h).all())
