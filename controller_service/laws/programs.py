@@ -153,6 +153,7 @@ class General:
         # The solvers see inputs in this unit, and costs divided by their largest weight.
         self.unit = np.abs(corner).max(axis=0)
         self.solved = [q.scaled(self.unit) for q in self.costs]
+        self.free = [np.array(-np.linalg.solve(q.P, q.F), dtype=float) for q in self.costs]
         self.programs = []
         for (H, h), margin in zip(design.targets, design.margins, strict=True):
             scaled = H / h[:, None]
@@ -252,7 +253,16 @@ class General:
         room = program.h - products(program.HA, X)
         if self.m == 1:
             return self._interval(program, room, X)
-        return np.array([self._solve(program, b, x) for b, x in zip(room, X, strict=True)])
+        out = np.empty((len(X), len(self.costs), self.m))
+        for column, (minimiser, scaled) in enumerate(zip(self.free, self.solved, strict=True)):
+            # Where the minimiser without constraints satisfies them it is the answer.
+            u = products(minimiser, X)
+            fits = (products(program.G, u) <= room).all(axis=1)
+            fits &= (products(self.inputs.H, u) <= 1 - SOLVER_MARGIN).all(axis=1)
+            out[:, column] = u
+            for row in np.flatnonzero(~fits).tolist():
+                out[row, column] = self._solve(program, room[row], scaled, X[row])
+        return out
 
     def _interval(self, program: Program, room: Array, X: Array) -> Array:
         g = program.G[:, 0]
@@ -269,22 +279,20 @@ class General:
             columns.append(np.where(u < low, low, np.where(u > high, high, u)))
         return np.stack(columns, axis=1)[:, :, None]
 
-    def _solve(self, program: Program, room: Array, x: Array) -> Array:
-        """Both programs at one state, checked."""
+    def _solve(self, program: Program, room: Array, cost: Quadratic, x: Array) -> Array:
+        """One program at one state, checked."""
         near = program.reach > room
         G = np.concatenate([program.G[near], self.inputs.H]) * self.unit
         b = np.concatenate([room[near], self.inputs.h * (1 - SOLVER_MARGIN)])
-        out = []
-        for cost in self.solved:
-            f = cost.F @ x
-            for solver in (solve_daqp, solve_osqp):
-                v = solver(cost.P, f, G, b)
-                if v is not None and self.holds(program, room, u := v * self.unit):
-                    break
-            else:
-                raise ValueError("no solver's answer satisfies the constraints")
-            out.append(u)
-        return np.array(out)
+        f = cost.F @ x
+        for solver in (solve_daqp, solve_osqp):
+            v = solver(cost.P, f, G, b)
+            if v is None:
+                continue
+            u: Array = v * self.unit
+            if self.holds(program, room, u):
+                return u
+        raise ValueError("no solver's answer satisfies the constraints")
 
     def holds(self, program: Program, room: Array, u: Array) -> bool:
         """Whether u is in U and steers into the target, which is wider than the program's."""

@@ -32,7 +32,7 @@ class PackedControl(Control):
     alphabet: AlphabetTable = AlphabetTable()
     costs: tuple[Cost, ...] = (Cost(next_state=1.0),)
 
-    def count_problems(self, candidates: int) -> Iterator[str]:
+    def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
         """Whether there is one cost."""
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"

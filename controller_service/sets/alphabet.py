@@ -101,6 +101,8 @@ def line_offsets(sep: Separation, size: int) -> Array:
 
 def smaller_inputs(inputs: ConvexSet, offsets: Array) -> ConvexSet | None:
     """U less the hull of the offsets, None when the origin is not inside; a box stays a box."""
+    if not offsets.any():
+        return inputs
     if inputs.half_widths is not None:
         widths = (np.array(inputs.half_widths) - np.abs(offsets).max(axis=0)) * (1 - ROUNDING)
         return ConvexSet(half_widths=tuple(widths.tolist())) if (widths > 0).all() else None

@@ -125,7 +125,7 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
     """The maximal robust controlled invariant set within the state bounds, with a margin.
 
     The recursion runs from the state bounds inwards, for a disturbance larger by
-    ``TERMINAL_MARGIN``; it may end as soon as every state can be kept against the disturbance itself.
+    ``TERMINAL_MARGIN``; it may end once every state can be kept against the disturbance itself.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
 
 
 def _kept(r: Recursion, T: Polytope) -> bool:
-    """Whether every state of T has an input that leads into the target, tightened as programs are."""
+    """Whether every state of T has an input into the target, tightened as the programs are."""
     T, S, deflation = r.settle(T)
     before = r.backward(S.scaled(1 - 2 * deflation), 0.0)
     return bool((support(corners(T.H, T.h), before.H) <= before.h).all())

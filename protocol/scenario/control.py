@@ -98,7 +98,7 @@ class Control(Part):
                 f"{candidates} candidates (secrecy.candidates)"
             )
 
-    def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
+    def design_key(self, secrecy: Secrecy) -> dict[str, Any]:  # noqa: ARG002
         """What of the law the synthesis depends on; its costs are only solved online."""
         return self.model_dump(exclude={"law", "costs"}, exclude_none=True)
 

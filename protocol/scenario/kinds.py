@@ -26,7 +26,7 @@ class UncheckedControl(Control, extra="allow"):
 
     needs_gain: ClassVar[bool] = False
 
-    def count_problems(self, candidates: int) -> Iterator[str]:
+    def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
         """None that could be known."""
         yield from ()
 

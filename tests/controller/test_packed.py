@@ -1,0 +1,236 @@
+"""The law ``packed``: every candidate is admissible for ever, and every transition agrees."""
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.sets.alphabet import (
+    Alphabet,
+    choose_alphabet,
+    larger_disturbance,
+    line_offsets,
+)
+from controller_service.sets.design import Design, SynthesisError, cached_design, synthesise
+from controller_service.sets.packed_design import alphabet_of, invariant_set, reduced
+from controller_service.sets.separation import Separation
+from controller_service.sets.terminal import set_corners
+from protocol.convex import corners
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from wyner.cli.options import scenario_of
+
+SHIPPED = (
+    "packed",
+    "packed-double-integrator",
+    "packed-quadruple-tank",
+    "packed-batch-reactor",
+)
+
+
+def shipped(name: str, *, candidates: int | None = None, alpha: float | None = None) -> Scenario:
+    scenario = scenario_of(name)
+    secrecy = scenario.secrecy.model_copy(
+        update={
+            "candidates": candidates or scenario.secrecy.candidates,
+            "alpha": alpha or scenario.secrecy.alpha,
+        }
+    )
+    return scenario.model_copy(update={"secrecy": secrecy})
+
+
+def with_control(scenario: Scenario, **fields: Any) -> Scenario:
+    return scenario.model_copy(update={"control": scenario.control.model_copy(update=fields)})
+
+
+def system(scenario: Scenario) -> tuple[ControlLaw, Design]:
+    design = cached_design(scenario)
+    return make_law(scenario, design), design
+
+
+def adversary(scenario: Scenario, steps: int, *, runs: int = 200, seed: int = 1) -> None:
+    """Corners of D_c and, half of the time, the outermost candidates; from 0 and from the corners
+    of T_0 to T_5. Every candidate in U, the index falls, and x+ is within D_c of one centre alone
+    and within alpha D_c of all.
+    """
+    law, design = system(scenario)
+    rng = np.random.default_rng(seed)
+    A, B = np.array(scenario.A), np.array(scenario.B)
+    DV = set_corners(scenario.defender.disturbance)
+    starts = np.concatenate([corners(*design.set(i)) for i in range(min(6, design.horizon))])
+    X = np.zeros((runs, scenario.n))
+    X[runs // 2 :] = rng.permutation(starts)[: runs - runs // 2][
+        np.arange(runs - runs // 2) % min(len(starts), runs - runs // 2)
+    ] * (1 - 1e-9)
+    H, h = (np.array(a) for a in scenario.control.inputs.rows())
+    G, g = (np.array(a) for a in scenario.defender.disturbance.rows())
+    size, alpha = scenario.secrecy.candidates, scenario.secrecy.alpha
+    index = law.indices(X)
+    everyone = np.arange(runs)
+    for k in range(steps // runs):
+        candidates = law.candidates_many(X, index)
+        assert candidates.shape == (runs, size, scenario.m)
+        assert (candidates @ H.T <= h).all()
+        chosen = rng.integers(0, size, runs)
+        if k % 2:
+            chosen = np.where(rng.random(runs) < 0.5, 0, size - 1)
+        d = DV[rng.integers(0, len(DV), runs)]
+        following = X @ A.T + candidates[everyone, chosen] @ B.T + d
+        centres = (X @ A.T)[:, None] + candidates @ B.T
+        gauges = ((following[:, None] - centres) @ G.T / g).max(axis=2)
+        inside = gauges <= 1 + 1e-9
+        assert (inside.sum(axis=1) == 1).all()
+        assert inside[everyone, chosen].all()
+        assert (gauges.argmin(axis=1) == chosen).all()  # nearest centre: what the tap reads
+        assert (gauges <= alpha).all()
+        X = following
+        fallen = law.indices(X)
+        assert (fallen <= np.maximum(index - 1, 0)).all()
+        index = fallen
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_an_adversary_finds_no_violation(name: str) -> None:
+    adversary(shipped(name), 40_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_no_violation_in_a_million_adversarial_steps(name: str) -> None:
+    adversary(shipped(name), 1_000_000, runs=1000, seed=2)
+
+
+@pytest.mark.parametrize(("alpha", "size"), [(3.01, 2), (5.01, 3), (9.01, 5), (15.01, 8)])
+def test_other_alphabets_of_the_papers_plant(alpha: float, size: int) -> None:
+    adversary(shipped("packed", candidates=size, alpha=alpha), 20_000)
+
+
+def test_the_papers_gain_serves_too() -> None:
+    scenario = with_control(shipped("packed"), gain=((-13.27, -2.26),), regulator=None)
+    design = cached_design(scenario)
+    assert design.gain_given
+    assert design.K.tolist() == [[-13.27, -2.26]]
+    assert design.terminal.method == "rakovic"
+    adversary(scenario, 20_000)
+
+
+def test_terminal_sets_by_regulator_scan_and_invariance() -> None:
+    made = {name: cached_design(shipped(name)).terminal for name in SHIPPED}
+    assert (made["packed"].method, made["packed"].weight) == ("rakovic", 1.0)
+    assert made["packed-double-integrator"].method == "invariant"
+    assert made["packed-quadruple-tank"].method == "modal"
+    assert made["packed-quadruple-tank"].weight == pytest.approx(10 ** (-3 / 5))
+
+
+def test_one_candidate_is_the_design_without_an_alphabet() -> None:
+    for name in ("sustained", "quadruple-tank"):
+        scenario = scenario_of(name)
+        assert reduced(scenario, Alphabet(np.zeros((1, scenario.m)), 2.0)) == scenario
+
+
+def test_the_double_integrator_holds_four_candidates_and_no_more() -> None:
+    """Control's ceiling is sharp: at five the recursion itself ends with no set."""
+    scenario = shipped("packed-double-integrator", candidates=5, alpha=10)
+    with pytest.raises(SynthesisError, match=r"secrecy.candidates: got 5, expected at most 4"):
+        synthesise(scenario)
+    sep = Separation.of(scenario.B, scenario.defender.disturbance)
+    for size in (2, 3, 4):
+        invariant_set(reduced(scenario, Alphabet(line_offsets(sep, size), 2.0)))
+    with pytest.raises(SynthesisError, match=r"control.states: no state within them"):
+        invariant_set(reduced(scenario, Alphabet(line_offsets(sep, 5), 2.0)))
+
+
+def test_too_many_candidates_are_refused_by_name() -> None:
+    with pytest.raises(SynthesisError, match=r"secrecy.candidates: got 5, expected at most 4"):
+        synthesise(shipped("packed", candidates=5))
+    with pytest.raises(SynthesisError, match=r"got 17, expected at most 16"):
+        synthesise(shipped("packed-quadruple-tank", candidates=17))
+
+
+def test_without_a_set_to_begin_with_the_bounds_are_asked_for() -> None:
+    scenario = with_control(shipped("packed-double-integrator"), states=None)
+    with pytest.raises(SynthesisError, match=r"control.states: got none, expected a compact set"):
+        synthesise(scenario)
+
+
+def test_one_state_and_many_states_give_the_same_candidates() -> None:
+    rng = np.random.default_rng(3)
+    for name in SHIPPED:
+        law, design = system(shipped(name))
+        V = corners(*design.set(min(3, design.horizon)))
+        X = rng.permutation(V)[:20] * rng.uniform(0, 1, (min(20, len(V)), 1))
+        many = law.candidates_many(X)
+        for x, row in zip(X.tolist(), many.tolist(), strict=True):
+            assert law.candidates(x) == tuple(map(tuple, row))
+
+
+def test_the_larger_disturbance_is_the_hull_of_all_sums() -> None:
+    scenario = shipped("packed-quadruple-tank")
+    alphabet = alphabet_of(scenario)
+    assert alphabet is not None
+    D = scenario.defender.disturbance
+    H, h = (np.array(a) for a in larger_disturbance(D, scenario.B, alphabet.offsets).rows())
+    sums = set_corners(D)[:, None] + (alphabet.offsets @ np.array(scenario.B).T)[None]
+    reach = sums.reshape(-1, 4) @ H.T
+    assert np.allclose(reach.max(axis=0), h, rtol=1e-12)
+    assert len(h) == len(np.unique(np.round(H, 9), axis=0))
+
+
+def test_offsets_survive_the_cache(tmp_path: Path) -> None:
+    scenario = with_control(shipped("packed"), horizon=3)
+    first = cached_design(scenario, cache_dir=tmp_path)
+    second = cached_design(scenario, cache_dir=tmp_path)
+    assert second.cached
+    assert first.offsets is not None
+    assert second.offsets is not None
+    assert second.offsets.tolist() == first.offsets.tolist()
+    # Another alphabet is another design.
+    other = with_control(shipped("packed", candidates=3), horizon=3)
+    assert not cached_design(other, cache_dir=tmp_path).cached
+
+
+def test_a_bet_is_made_on_request() -> None:
+    scenario = shipped("packed", candidates=2, alpha=2.68)
+    control = scenario.control.model_dump(exclude_none=True) | {"alphabet": {"spacing": 1.834}}
+    data = scenario.model_dump(exclude_none=True) | {"control": control}
+    design = synthesise(parse_scenario(data, "bet"))
+    assert design.offsets is not None
+    sep = Separation.of(scenario.B, scenario.defender.disturbance)
+    assert np.ptp(design.offsets) == pytest.approx(1.834 / 2 * sep.sigma(), rel=2e-6)
+    with pytest.raises(SynthesisError, match=r"secrecy.candidates: got 2, expected at most 1"):
+        synthesise(scenario)
+
+
+@pytest.mark.parametrize(
+    ("control", "line"),
+    [
+        ({"alphabet": {"spacing": 0}}, "control.alphabet.spacing: got 0"),
+        ({"alphabet": {"step": 1}}, "control.alphabet.step"),
+        ({"costs": [{"input": 1.0}] * 2}, "control.costs: got 2 costs, expected one"),
+    ],
+)
+def test_bad_fields_are_named(control: dict[str, Any], line: str) -> None:
+    data = shipped("packed").model_dump(exclude_none=True)
+    data["control"].update(control)
+    with pytest.raises(ScenarioError, match=line):
+        parse_scenario(data, "packed.toml")
+
+
+def test_every_offset_pair_is_apart_and_together() -> None:
+    for name, (alpha, size) in product(SHIPPED[2:], [(3.5, 4), (8.0, 16), (10.0, 25)]):
+        scenario = scenario_of(name)
+        sep = Separation.of(scenario.B, scenario.defender.disturbance)
+        offsets = choose_alphabet(
+            scenario.B,
+            scenario.defender.disturbance,
+            scenario.control.inputs,
+            alpha=alpha,
+            size=size,
+        ).offsets
+        apart, together = sep.distances(
+            (offsets[:, None] - offsets[None])[~np.eye(size, dtype=bool)]
+        )
+        assert apart.min() > 1 + 1e-7
+        assert together.max() <= alpha - 1
