@@ -218,10 +218,12 @@ def test_smaller_inputs_keep_their_form() -> None:
     offsets = np.array([[-1.0], [1.0]])
     box = smaller_inputs(ConvexSet(half_widths=(3.0,)), offsets)
     assert box is not None
-    assert box.half_widths == (pytest.approx(2.0, rel=1e-11),)
+    assert box.half_widths is not None
+    assert list(box.half_widths) == pytest.approx([2.0], rel=1e-11)
     rows = smaller_inputs(ConvexSet(H=((1.0,), (-1.0,)), h=(2.0, 3.0)), offsets)
     assert rows is not None
-    assert rows.h == pytest.approx((1.0, 2.0), rel=1e-11)
+    assert rows.h is not None
+    assert list(rows.h) == pytest.approx([1.0, 2.0], rel=1e-11)
     assert smaller_inputs(ConvexSet(half_widths=(1.0,)), offsets) is None
 
 
