@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure, freeze_startup
-from protocol.runtime.trace import CAPTURE
+from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
 from protocol.topics import DEFAULT_LOOP, key_of
 

@@ -90,14 +90,15 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
     from protocol.messages import ControllerHello, Measurement, Offer
-    from protocol.runtime.journal import (
-        CONTROLLER_JOURNAL,
-        PLANT_JOURNAL,
-        ControllerJournal,
-        PlantJournal,
-    )
+    from protocol.runtime.journal import ControllerJournal, PlantJournal
     from protocol.runtime.process import new_id
-    from protocol.runtime.trace import CONTROLLER_TRACE, PLANT_TRACE, TraceWriter
+    from protocol.runtime.run_folder import (
+        CONTROLLER_JOURNAL,
+        CONTROLLER_TRACE,
+        PLANT_JOURNAL,
+        PLANT_TRACE,
+    )
+    from protocol.runtime.trace import TraceWriter
     from protocol.streams import CIPHER, COIN, noise, symbols
 
     watch = Stopwatch()

@@ -23,7 +23,7 @@ from protocol.messages import (
     SendReply,
 )
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.journal import CONTROLLER_JOURNAL, ControllerJournal, JournalError
+from protocol.runtime.journal import ControllerJournal, JournalError
 from protocol.runtime.process import (
     DONE,
     USAGE,
@@ -34,9 +34,14 @@ from protocol.runtime.process import (
     logger,
     new_id,
     spoken,
+)
+from protocol.runtime.run_folder import (
+    CONTROLLER_JOURNAL,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
     write_atomically,
 )
-from protocol.runtime.trace import CONTROLLER_TRACE, TraceWriter
+from protocol.runtime.trace import TraceWriter, header_of
 from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
 from protocol.schemes.framing import MAX_PAYLOAD, frame_length, readable
@@ -58,7 +63,6 @@ LOOK_S: Final = 0.1
 STATUS_S: Final = 0.05
 HEALTH_S: Final = 1.0
 
-CONTROLLER_HEALTH: Final = Path("controller/status.json")
 
 Phase = Literal["greeting", "running", "outside", "stopped", "refused"]
 
@@ -109,7 +113,7 @@ class ControllerService:
         except JournalError as error:
             raise UsageError(str(error)) from None
         self._trace = TraceWriter(
-            config.run_dir / CONTROLLER_TRACE, "controller", {"scenario": scenario.name}
+            config.run_dir / CONTROLLER_TRACE, "controller", header_of(scenario)
         )
         self.sender = Sender(
             rules_of(scenario),
@@ -345,7 +349,7 @@ class ControllerService:
         payload = self.status().wire()
         self._status.put(payload)
         if force or self._health_due.ready(time.monotonic()):
-            write_atomically(self._config.run_dir / CONTROLLER_HEALTH, payload)
+            write_atomically(self._config.run_dir / CONTROLLER_STATUS, payload)
 
     def status(self) -> ControllerStatus:
         """What the dashboard is told."""

@@ -22,7 +22,7 @@ from protocol.messages import (
     PlantStatus,
 )
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.journal import PLANT_JOURNAL, JournalError, PlantJournal
+from protocol.runtime.journal import JournalError, PlantJournal
 from protocol.runtime.process import (
     DONE,
     USAGE,
@@ -34,9 +34,9 @@ from protocol.runtime.process import (
     logger,
     new_id,
     spoken,
-    write_atomically,
 )
-from protocol.runtime.trace import PLANT_TRACE, TraceWriter
+from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE, write_atomically
+from protocol.runtime.trace import TraceWriter, header_of
 from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
 from protocol.schemes.framing import readable
@@ -53,8 +53,6 @@ STATUS_S: Final = 0.05
 HEALTH_S: Final = 1.0
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
-
-PLANT_HEALTH: Final = Path("plant/status.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +97,7 @@ class PlantService:
             step = self._journal.step()
         except JournalError as error:
             raise UsageError(str(error)) from None
-        self._trace = TraceWriter(
-            config.run_dir / PLANT_TRACE, "plant", {"scenario": scenario.name}
-        )
+        self._trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", header_of(scenario))
         resumed = record is not None
         if record is None:
             record = first_record(scenario, new_id())
@@ -394,7 +390,7 @@ class PlantService:
         payload = self.status(now).wire()
         self._status.put(payload)
         if force or self._health_due.ready(now):
-            write_atomically(self._config.run_dir / PLANT_HEALTH, payload)
+            write_atomically(self._config.run_dir / PLANT_STATUS, payload)
 
     def status(self, now: float) -> PlantStatus:
         """What the dashboard is told."""

@@ -16,15 +16,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from protocol.runtime.trace import CAPTURE
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.recording import CaptureError, CaptureReader, Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess, named
 from tap_service.status import Listener, belief_record, guess_line, status_of
-
-GUESSES: Final = Path("tap/guesses.jsonl")
-ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
-BELIEFS: Final = Path("tap/beliefs.json")
 
 SLICE_S: Final = 0.05
 """Work at a stretch."""

@@ -34,18 +34,10 @@ from protocol.runtime.process import (
     freeze_startup,
     logger,
     stop_on_signals,
-    write_atomically,
 )
-from protocol.runtime.trace import CAPTURE
+from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, write_atomically
 from protocol.topics import DEFAULT_LOOP, key_of
-from tap_service.analysis import (
-    BELIEFS,
-    GUESSES,
-    Assignment,
-    Ears,
-    analyse,
-    listeners_of,
-)
+from tap_service.analysis import Assignment, Ears, analyse, listeners_of
 from tap_service.capture.channel import Ear, View, told
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript

@@ -11,9 +11,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from pydantic_core import from_json, to_json
+from pydantic_core import to_json
 
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.runtime.jsonl import read_lines
 from wyner.dashboard.model import Arrival, Board, reduce_all
 from wyner.dashboard.screenshot import to_svg
 from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
@@ -36,8 +37,10 @@ _TYPES: Final = {kind.topic: kind for kind in (*OPS_WATCHED, *INTEL_WATCHED)}
 def read(path: Path) -> list[Arrival]:
     """The arrivals of a recording."""
     arrivals = []
-    for line in path.read_bytes().splitlines():
-        record = from_json(line)
+    for line in read_lines(path):
+        record = line.value
+        if record is None:
+            raise ValueError(f"{path}: line {line.number}: expected a JSON object")
         message = _TYPES[record["topic"]].model_validate_json(to_json(record["message"]))
         arrivals.append(Arrival(record["t_ns"], message))
     return arrivals

@@ -8,13 +8,13 @@ import hashlib
 import io
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from controller_service.sets.design import Design, Terminal
+from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 
 MAGIC = b"wyner-design-5\n"
 
@@ -110,17 +110,7 @@ def store(design: Design, fingerprint: str, folder: Path | None = None) -> bool:
     path = design_path(fingerprint, folder)
     body = _pack(design, fingerprint)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(MAGIC + hashlib.sha256(body).digest() + body)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(name).replace(path)
-        except OSError:
-            Path(name).unlink(missing_ok=True)
-            raise
+        write_atomically(path, MAGIC + hashlib.sha256(body).digest() + body, PUBLIC_FILE)
     except OSError:
         return False
     return True

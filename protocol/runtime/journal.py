@@ -9,6 +9,7 @@ at any instant. After a power failure the last saves may be missing; the two jou
 fit together and the session ends, as rule 6 says. A journal is held by one process at a time.
 """
 
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,11 +23,9 @@ from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure
+from protocol.runtime.run_folder import make_folder, open_private
 
 JOURNAL_VERSION: Final = 4
-
-CONTROLLER_JOURNAL: Final = Path("controller/journal.sqlite3")
-PLANT_JOURNAL: Final = Path("plant/journal.sqlite3")
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)
@@ -64,7 +63,8 @@ class _Journal:
         self.path = path
         self._body: bytes | None = None
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
+            os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite gives the others its mode
             self._db = sqlite3.connect(
                 path, isolation_level=None, timeout=2.0, check_same_thread=False
             )

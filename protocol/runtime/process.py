@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Final
 
 DONE: Final = 0
@@ -191,11 +190,3 @@ def spoken(fingerprint: str, words: int = 4) -> str:
             + _CONSONANTS[value & 15]
         )
     return "-".join(groups)
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Replace a file whole: readers see the old content or the new, never a part."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    partial.write_bytes(data)
-    partial.replace(path)

@@ -1,28 +1,19 @@
 """Traces: one JSON line an event, one file a vantage point, readable by tests and by people.
 
 The first line is a header. A file whose writer was killed may end in a torn line; the reader drops
-that line only, and says so.
+that line only, and says so. Marks (:mod:`protocol.runtime.jsonl`) are no events.
 """
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from errno import ENOSPC
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
-from pydantic_core import from_json, to_json
+from protocol.runtime.jsonl import MARKS, LineWriter, dumps, read_lines
+from protocol.scenario import Scenario
 
 TRACE_FORMAT: Final = "wyner-trace"
 TRACE_VERSION: Final = 1
-
-PLANT_TRACE: Final = Path("plant/trace.jsonl")
-CONTROLLER_TRACE: Final = Path("controller/trace.jsonl")
-CAPTURE: Final = Path("tap/capture.jsonl")
-MANIFEST: Final = Path("manifest.json")
-SCENARIO: Final = Path("scenario.toml")
-SUMMARY: Final = Path("summary.json")
-"""Where things lie below a run's directory."""
 
 # Events of the plant's and the controller's trace.
 #   transition   one offer that the plant applied, from either side:
@@ -61,42 +52,28 @@ class TraceWriter:
     """
 
     def __init__(self, path: Path, vantage: str, header: Mapping[str, Any]) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = not path.exists() or path.stat().st_size == 0
-        torn = not fresh and not _ends_in_newline(path)
-        self._path = path
-        self._file: BinaryIO = path.open("ab", buffering=0)
-        told = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage, **header}
-        try:
-            if torn:
-                self._put(b"\n")
-            if fresh:
-                self.write({"event": "header", **told})
-        except OSError:
-            self.close()
-            raise
+        told = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage}
+        self.lines = LineWriter(path, {**told, **header})
 
     def write(self, event: Mapping[str, Any]) -> None:
         """Append one event."""
-        self._put(to_json(event, inf_nan_mode="strings") + b"\n")
-
-    def _put(self, line: bytes) -> None:
-        try:
-            written = self._file.write(line)
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self._path)) from None
-        if written < len(line):
-            raise OSError(ENOSPC, os.strerror(ENOSPC), str(self._path))
+        self.lines.append(dumps(event))
 
     def close(self) -> None:
-        """Close the file; further writes fail."""
-        self._file.close()
+        """Write the end mark and close the file; further writes fail."""
+        self.lines.close()
 
 
-def _ends_in_newline(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        return file.read(1) == b"\n"
+def header_of(scenario: Scenario) -> dict[str, str]:
+    """What a trace's header says of the scenario: its name, and fingerprints that a check compares.
+
+    ``fingerprint`` covers what both ends must share, ``loop`` all that the loop runs by.
+    """
+    return {
+        "scenario": scenario.name,
+        "fingerprint": scenario.fingerprint(),
+        "loop": scenario.loop_fingerprint(),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,22 +124,15 @@ class TraceReader:
             raise TraceError(f"{path}: line 1: version: got {version!r}, expected {TRACE_VERSION}")
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        return self._events
+        return (event for event in self._events if event["event"] not in MARKS)
 
     def _read(self, path: Path) -> Iterator[dict[str, Any]]:
         try:
-            with path.open("rb") as file:
-                for line in file:
-                    if line == b"\n":
-                        continue
-                    try:
-                        value = from_json(line)
-                    except ValueError:
-                        value = None
-                    if isinstance(value, dict) and "event" in value:
-                        yield value
-                    else:
-                        self.torn += 1
+            for line in read_lines(path):
+                if line.value is not None and isinstance(line.value.get("event"), str):
+                    yield line.value
+                else:
+                    self.torn += 1
         except OSError as error:
             raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
 

@@ -96,6 +96,10 @@ class Scenario(Part):
             }
         )
 
+    def loop_fingerprint(self) -> str:
+        """SHA-256 (hex) over all that controller and plant work with: everything but the words."""
+        return _digest(self.model_dump(mode="json", exclude={"description", "source", "tap"}))
+
     def design_fingerprint(self) -> str:
         """SHA-256 (hex) over what the synthesis depends on; the key of a cached design."""
         control = self.control.design_key(self.secrecy)

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from protocol.messages import FIELD, INTEL, OPS, Message
-from protocol.runtime.process import DONE, USAGE, write_atomically
+from protocol.runtime.process import DONE, USAGE
+from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 from protocol.schemes.switched import RECEIVER, SENDER, TEST, Row
 from protocol.topics import key_of
 
@@ -73,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
     """Print the parts, or write them into the document."""
     if list(argv) == ["--write"]:
         text = DOCUMENT.read_text(encoding="utf-8")
-        write_atomically(DOCUMENT, refreshed(text).encode())
+        write_atomically(DOCUMENT, refreshed(text).encode(), PUBLIC_FILE)
         return DONE
     if argv:
         print("usage: python -m protocol.schemes.diagrams [--write]", file=sys.stderr)

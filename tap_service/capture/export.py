@@ -6,9 +6,7 @@ schema of the type itself.
 
 import csv
 import json
-import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -31,24 +29,6 @@ class ExportError(Exception):
 def is_part(reader: CaptureReader, output: Path) -> bool:
     """Whether ``output`` is a part of the recording that is read."""
     return output.resolve() in {p.resolve() for p in parts_of(first_part(reader.path))}
-
-
-@contextmanager
-def replacing(output: Path) -> Iterator[Path]:
-    """A file to write that takes the place of ``output`` at the end, and is removed on an error.
-
-    What is no regular file, a pipe or a device, is written to itself.
-    """
-    if output.exists() and not output.is_file():
-        yield output
-        return
-    target = output.resolve()
-    partial = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        yield partial
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _loop(reader: CaptureReader) -> str:

@@ -7,7 +7,6 @@ counted and said. A writer that is killed loses at most the line it was writing.
 """
 
 import base64
-import errno
 import logging
 import os
 import re
@@ -22,7 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json, to_json
 
 from protocol.messages import Measurement, Offer
-from protocol.runtime.trace import CAPTURE, TRACE_FORMAT, TRACE_VERSION
+from protocol.runtime.jsonl import END, END_BYTES, LONGEST, LineReader, LineWriter, decode, dumps
+from protocol.runtime.run_folder import CAPTURE
+from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
 
 CAPTURE_VERSION: Final = 1
 FIELD_TYPES: Final[dict[str, type[Measurement] | type[Offer]]] = {
@@ -89,7 +90,6 @@ class RotatingLog:
         self.parts_dropped = 0
         self.paused = False
         self._current = path
-        self._size = 0
         self._held: list[bytes] = []
         self._held_bytes = 0
         self._path = path
@@ -101,13 +101,17 @@ class RotatingLog:
         self._parts = {p: p.stat().st_size for p in parts_of(path)}
         self._number = max((number_of(p) for p in self._parts), default=-1)
         self._old_bytes = sum(self._parts.values())
-        self._file: int | None = None
+        self._file: LineWriter | None = None
         self._begin()
 
     @property
     def size(self) -> int:
         """Bytes on disk, all parts together."""
         return self._old_bytes + self._size
+
+    @property
+    def _size(self) -> int:
+        return 0 if self._file is None else self._file.size
 
     def write(self, line: bytes) -> None:
         """Append one line (without its newline), or count it as dropped.
@@ -134,39 +138,37 @@ class RotatingLog:
         held, self._held, self._held_bytes = self._held, [], 0
         if self._file is None or not held:
             return
-        block = b"\n".join([*held, b""])
         try:
-            written = os.write(self._file, block)
+            whole = self._file.append_all(held)
         except OSError as error:
-            self._pause(error.strerror or "write failed")
             self.dropped += len(held)
+            self._pause(error.strerror or "write failed")
             return
-        self._size += written
-        whole = len(held) if written == len(block) else block.count(b"\n", 0, written)
         self.written += whole
         if whole != len(held):
             self.dropped += len(held) - whole
             self._pause("disk full")
 
     def close(self) -> None:
-        """End the recording."""
+        """End the recording: its last part says so."""
+        self._end(last=True)
+
+    def _end(self, *, last: bool = False) -> None:
         self.flush()
         if self._file is None:
             return
-        os.close(self._file)
+        self._file.close(dropped=self.dropped, last=last)
+        self._parts[self._current] = self._file.size
+        self._old_bytes += self._file.size
         self._file = None
-        self._parts[self._current] = self._size
-        self._old_bytes += self._size
-        self._size = 0
 
     def _begin(self) -> None:
-        self.close()
+        self._end()
         self._began = time.monotonic()
         self._next_look = 0.0
         number = self._number + 1
         path = part_path(self._path, number)
         header = {
-            "event": "header",
             "format": TRACE_FORMAT,
             "version": TRACE_VERSION,
             "vantage": "tap",
@@ -175,23 +177,22 @@ class RotatingLog:
             "started_ns": time.time_ns(),
             **self._header,
         }
-        line = to_json(header, inf_nan_mode="strings") + b"\n"
-        if not self._make_room(len(line)):
+        if not self._make_room(len(dumps(header)) + 1):
             self._pause("the bound of all parts has no room for a header")
             return
         try:
-            self._file = _new_part(path, line)
+            self._file = LineWriter(path, header, new=True)
         except OSError as error:
             self._pause(error.strerror or "cannot be opened")
             return
-        self._number, self._current, self._size = number, path, len(line)
+        self._number, self._current = number, path
         if self.paused:
             self.paused = False
             self._log.info("%s: recording again, %d lines were dropped", self._path, self.dropped)
 
     def _make_room(self, length: int) -> bool:
         """Drop the oldest parts until ``length`` bytes more fit; False where they never do."""
-        needed = self._size + self._held_bytes + length
+        needed = self._size + self._held_bytes + length + END_BYTES
         if needed > self._limits.total_bytes:
             return False
         while self._old_bytes + needed > self._limits.total_bytes:
@@ -210,7 +211,7 @@ class RotatingLog:
         )
 
     def _pause(self, why: str) -> None:
-        self.close()
+        self._end()
         if not self.paused:
             self.paused = True
             self._log.error("%s: recording paused: %s", self._path, why)
@@ -227,19 +228,6 @@ class RotatingLog:
     def _free(self) -> int:
         status = os.statvfs(self._path.parent)
         return status.f_bavail * status.f_frsize
-
-
-def _new_part(path: Path, header: bytes) -> int:
-    """Begin a part; where its header cannot be written whole, no file is left behind."""
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
-    try:
-        if os.write(file, header) != len(header):
-            raise OSError(errno.ENOSPC, "disk full")
-    except OSError:
-        os.close(file)
-        path.unlink(missing_ok=True)
-        raise
-    return file
 
 
 def part_path(path: Path, number: int) -> Path:
@@ -289,8 +277,7 @@ def garbage_line(t_ns: int, key: str, payload: bytes) -> bytes:
     )
 
 
-CHUNK: Final = 1 << 20
-"""Bytes of a capture that are read at once."""
+END_BEGINS: Final = b'{"event":"end",'
 
 SETTINGS: Final = ("loop", "knowledge", "view")
 """What the messages of a capture mean depends on: all its parts' headers must agree on it."""
@@ -323,10 +310,10 @@ class CaptureReader:
     garbage: int = 0
     parts_missing: int = 0
     skipped: int = 0
+    ended: bool = False
     header: dict[str, Any] = field(init=False)
     _number: int = field(init=False, default=0)
-    _offset: int = field(init=False, default=0)
-    _rest: bytes = field(init=False, default=b"")
+    _part: LineReader = field(init=False)
     _lines: deque[bytes] = field(init=False, default_factory=deque)
     _headed: bool | None = field(init=False, default=None)  # None: its first line was not read yet
 
@@ -348,7 +335,7 @@ class CaptureReader:
         headed = [(p, h) for p in parts if (h := headers[p]) is not None]
         if not headed:
             raise CaptureError(f"{parts[0]}: line 1: expected a header of format {TRACE_FORMAT!r}")
-        self._number = number_of(parts[0])
+        self._enter(parts[0])
         self.header = headed[0][1]
         for path, header in headed:
             self._check(path, header)
@@ -359,7 +346,7 @@ class CaptureReader:
         behind = sum(len(line) + 1 for line in self._lines)
         for path in parts_of(self.path):
             if number_of(path) >= self._number:
-                read = self._offset if number_of(path) == self._number else 0
+                read = self._part.offset if number_of(path) == self._number else 0
                 behind += max(_size_of(path) - read, 0)
         return behind
 
@@ -376,48 +363,42 @@ class CaptureReader:
         Whole chunks are skipped, so that up to `CHUNK` less may be left.
         """
         while self.behind_bytes > keep and (self._lines or self._read_on()):
-            self.skipped += len(self._lines)
+            self.skipped += sum(not line.startswith(END_BEGINS) for line in self._lines)
             self._lines.clear()
 
     def finish(self) -> None:
         """Count a last line that was never finished; after the last record of an ended capture."""
-        self.torn += bool(self._rest)
-        self._rest = b""
+        self.torn += bool(self._part.rest)
+        self._part.rest = b""
 
     def _read_on(self) -> bool:
         """Read until there are lines to give out; False when there are none yet."""
         while not self._lines:
-            parts = {number_of(p): p for p in parts_of(self.path)}
-            later = [n for n in parts if n > self._number]
-            path = parts.get(self._number)
-            chunk = None if path is None else self._more(path)
-            if path is not None and chunk:
-                self._split(path, chunk)
+            gone, lines = False, None
+            try:
+                lines = self._part.more()
+            except FileNotFoundError:
+                gone = True
+            if lines is not None:
+                self._sort(lines)
                 continue
+            later = [p for p in parts_of(self.path) if number_of(p) > self._number]
             if not later:
                 return False
-            empty = chunk is not None and self._offset == 0
-            self.torn += bool(self._rest) or empty
-            self.parts_missing += (chunk is None) + later[0] - self._number - 1
-            self._number, self._offset, self._rest, self._headed = later[0], 0, b"", None
+            self.torn += bool(self._part.rest) or (not gone and self._part.offset == 0)
+            self.parts_missing += gone + number_of(later[0]) - self._number - 1
+            self._enter(later[0])
         return True
 
-    def _more(self, path: Path) -> bytes | None:
-        try:
-            with path.open("rb") as file:
-                file.seek(self._offset)
-                chunk = file.read(CHUNK)
-        except FileNotFoundError:
-            return None
-        self._offset += len(chunk)
-        return chunk
+    def _enter(self, part: Path) -> None:
+        self._number, self._part, self._headed = number_of(part), LineReader(part), None
 
-    def _split(self, path: Path, chunk: bytes) -> None:
-        *lines, self._rest = (self._rest + chunk).split(b"\n")
+    def _sort(self, lines: list[bytes]) -> None:
+        """Check a part's first line; without a header the others are left out."""
         if lines and self._headed is None:
             header = _header_of(lines[0])
             if header is not None:
-                self._check(path, header)
+                self._check(self._part.path, header)
                 del lines[0]
             self._headed = header is not None
         if self._headed:
@@ -426,16 +407,20 @@ class CaptureReader:
             self.torn += len(lines)
 
     def _decode(self, line: bytes) -> tuple[int, Measurement | Offer] | None:
+        value = decode(line)
         try:
-            value = from_json(line)
-            if value["event"] == "garbage":
+            if value is not None and value["event"] == "garbage":
                 self.garbage += 1
-                return None
-            message = FIELD_TYPES[value["topic"]].model_validate_json(to_json(value["message"]))
-            return value["t_ns"], message
+            elif value is not None and value["event"] == END:
+                self.ended = value.get("last") is True
+            elif value is not None:
+                message = FIELD_TYPES[value["topic"]].model_validate_json(to_json(value["message"]))
+                return value["t_ns"], message
+            else:
+                self.torn += 1
         except (ValueError, KeyError, TypeError, ValidationError):
             self.torn += 1
-            return None
+        return None
 
     def _check(self, path: Path, header: Mapping[str, Any]) -> None:
         if difference := _differs(header, self.header):
@@ -452,7 +437,7 @@ def _size_of(path: Path) -> int:
 def _first_line(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.readline()
+            return file.readline(LONGEST)
     except FileNotFoundError:
         return b""
     except OSError as error:
@@ -461,13 +446,8 @@ def _first_line(path: Path) -> bytes:
 
 def _header_of(line: bytes) -> dict[str, Any] | None:
     """The header that a part's first line holds; None where it is none."""
-    try:
-        header = from_json(line)
-    except ValueError:
-        return None
-    if isinstance(header, dict) and header.get("format") == TRACE_FORMAT:
-        return header
-    return None
+    header = decode(line)
+    return header if header is not None and header.get("format") == TRACE_FORMAT else None
 
 
 def _differs(header: Mapping[str, Any], first: Mapping[str, Any]) -> str:

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD
-from protocol.runtime.trace import CAPTURE, PLANT_TRACE, TraceWriter
+from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
+from protocol.runtime.trace import TraceWriter
 from tap_service.capture.channel import View
 from tap_service.capture.recording import CaptureReader, Limits, RotatingLog, mirror_line
 from wyner.cli.main import main
@@ -259,16 +260,21 @@ def test_a_failed_export_leaves_what_was_there(
     assert len(output.read_bytes()) > 1000
 
 
-def test_export_writes_to_a_device_itself_and_through_a_link(
+def test_output_is_never_written_onto_a_device_nor_through_a_link(
     run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(capsys, "export", run_dir, "--to", "csv", "--output", os.devnull)[0] == 0
-    assert Path(os.devnull).is_char_device()
-    link, target = tmp_path / "link.csv", tmp_path / "target.csv"
+    link, pipe, target = tmp_path / "link", tmp_path / "pipe", tmp_path / "target"
     link.symlink_to(target)
-    assert call(capsys, "export", run_dir, "--to", "csv", "--output", link)[0] == 0
+    os.mkfifo(pipe)
+    for output in (Path(os.devnull), link, pipe):
+        for command in (("export", run_dir, "--to", "csv"), ("knowledge", "sustained")):
+            code, _, err = call(capsys, *command, "--output", output)
+            assert code == 1
+            assert f"{output}: cannot be written: not a regular file" in err
+    assert Path(os.devnull).is_char_device()
     assert link.is_symlink()
-    assert target.read_text().startswith("t_ns,")
+    assert pipe.is_fifo()
+    assert not target.exists()
 
 
 def test_a_capture_of_two_taps_is_refused_in_one_line(

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD, INTEL, OPS, Measurement, Offer, TapStatus
-from protocol.runtime.trace import PLANT_TRACE, read_trace
+from protocol.runtime.run_folder import PLANT_TRACE
+from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import Deliver, TlsFiles, ZenohBus, free_endpoints, open_router
 from protocol.topics import key_of
 from wyner.cli.main import main

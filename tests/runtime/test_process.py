@@ -20,8 +20,8 @@ from protocol.runtime.process import (
     new_id,
     spoken,
     stop_on_signals,
-    write_atomically,
 )
+from protocol.runtime.run_folder import write_atomically
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.trace import TRACE_VERSION, TraceError, TraceWriter, read_trace
+from tests.support.lines import unmark
 
 
 def write(path: Path, *events: dict[str, object], header: dict[str, object] | None = None) -> None:
@@ -46,6 +47,7 @@ def test_an_event_is_on_disk_when_write_returns(tmp_path: Path) -> None:
 def test_a_torn_last_line_loses_that_line_only(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "t"
     write(path, {"event": "a", "k": 1}, {"event": "b", "long": "x" * 30})
+    unmark(path)
     path.write_bytes(path.read_bytes()[: -1 - cut])
     trace = read_trace(path)
     assert [e["event"] for e in trace.events] == ["a"]
@@ -55,6 +57,7 @@ def test_a_torn_last_line_loses_that_line_only(tmp_path: Path, cut: int) -> None
 def test_a_writer_that_comes_back_starts_on_a_fresh_line(tmp_path: Path) -> None:
     path = tmp_path / "t"
     write(path, {"event": "a"}, {"event": "torn", "k": 123456})
+    unmark(path)
     path.write_bytes(path.read_bytes()[:-8])
     write(path, {"event": "b"})
     trace = read_trace(path)
@@ -98,10 +101,14 @@ def test_a_missing_trace_is_one_line(tmp_path: Path) -> None:
     assert TRACE_VERSION == 1
 
 
-def test_a_full_disk_names_the_file() -> None:
-    with pytest.raises(OSError, match="No space left") as caught:
-        TraceWriter(Path("/dev/full"), "plant", {})
-    assert caught.value.filename == "/dev/full"
+def test_what_is_no_regular_file_is_refused_by_name(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "elsewhere")
+    for path in (Path("/dev/full"), link):
+        with pytest.raises(OSError, match="not a regular file") as caught:
+            TraceWriter(path, "plant", {})
+        assert caught.value.filename == str(path)
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.runtime.trace import PLANT_TRACE, TraceWriter
-from tap_service.analysis import BELIEFS, GUESSES
+from protocol.runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
+from protocol.runtime.trace import TraceWriter
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.scoring import report as reporting
 from wyner.scoring.report import Share, report

@@ -19,7 +19,8 @@ from pydantic_core import to_json
 from benchmarks.reference_loop import plain_run
 from controller_service.laws.paper import ControlLaw, make_law
 from controller_service.sets.design import cached_design
-from protocol.runtime.trace import CONTROLLER_TRACE, PLANT_TRACE, SUMMARY, TraceReader, TraceWriter
+from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SUMMARY
+from protocol.runtime.trace import TraceReader, TraceWriter
 from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE

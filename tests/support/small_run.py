@@ -18,11 +18,14 @@ from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
-from protocol.runtime.trace import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, TraceWriter
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 
 SCENARIOS: Final = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+
+Lines = list[dict[str, Any]]
 
 Fault = Literal[
     "none",
@@ -78,9 +81,8 @@ class SmallRun:
         self._plant_trace = TraceWriter(folder / PLANT_TRACE, "plant", {"scenario": name})
         self._trace = TraceWriter(folder / CONTROLLER_TRACE, "controller", {"scenario": name})
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        self._capture = TraceWriter(
-            folder / CAPTURE, "tap", {"capture_version": 1, "part": 0, "view": view}
-        )
+        self._view = {"capture_version": 1, "part": 0, "view": view}
+        self._seen: Lines = []
         self._queue = Queue(payloads)
         self._t_ns = 0
         self.received: list[bytes] = []
@@ -110,7 +112,10 @@ class SmallRun:
 
     def close(self) -> None:
         """End the recordings."""
-        for writer in (self._plant_trace, self._trace, self._capture):
+        capture = TraceWriter(self.folder / CAPTURE, "tap", self._view)
+        for line in self._seen:
+            capture.write(line)
+        for writer in (self._plant_trace, self._trace, capture):
             writer.close()
 
     def step(self, fault: Fault = "none") -> None:
@@ -233,20 +238,13 @@ class SmallRun:
         self._t_ns += 1
         body = json.loads(message.model_dump_json())
         assert isinstance(message, Measurement | Offer)
-        self._capture.write(
+        self._seen.append(
             {"event": "field", "t_ns": self._t_ns, "topic": message.topic, "message": body}
         )
 
     def _capture_back(self) -> None:
         """A controller that died before it saved had not published its offer either."""
-        self._capture.close()
-        path = self.folder / CAPTURE
-        lines = path.read_bytes().splitlines(keepends=True)
-        path.write_bytes(b"".join(lines[:-1]))
-        self._capture = TraceWriter(path, "tap", {})
-
-
-Lines = list[dict[str, Any]]
+        del self._seen[-1]
 
 
 def read_lines(path: Path) -> Lines:

@@ -4,20 +4,21 @@ import base64
 import errno
 import json
 import logging
+import os
 import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TypeVar
 
 import pytest
 
 from controller_service.laws.paper import ControlLaw
-from controller_service.service import CONTROLLER_HEALTH, ControllerConfig, ControllerService
+from controller_service.service import ControllerConfig, ControllerService
 from plant_service.plant import Plant, Step, first_record
-from plant_service.service import PLANT_HEALTH, PlantConfig, PlantService
+from plant_service.service import PlantConfig, PlantService
 from plant_service.status import News
 from protocol.agreement import Verdict
 from protocol.messages import (
@@ -30,15 +31,19 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
-from protocol.runtime.journal import (
-    CONTROLLER_JOURNAL,
-    PLANT_JOURNAL,
-    ControllerJournal,
-    PlantJournal,
-)
+from protocol.runtime.journal import ControllerJournal, PlantJournal
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.process import DONE, USAGE, Failure, Pace, UsageError
-from protocol.runtime.trace import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO, read_trace
+from protocol.runtime.run_folder import (
+    CONTROLLER_JOURNAL,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    PLANT_JOURNAL,
+    PLANT_STATUS,
+    PLANT_TRACE,
+    SCENARIO,
+)
+from protocol.runtime.trace import read_trace
 from protocol.scenario import Scenario
 from protocol.streams import COIN, noise, symbols
 from protocol.topics import key_of
@@ -173,9 +178,9 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) 
                 field.publisher(key).put(message.wire())
             system.wait(lambda i=i: system.k > 3 * i)  # type: ignore[misc]
         system.wait(lambda: system.recovered() == [b"one"])
-    plant = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    plant = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
     controller = ControllerStatus.model_validate_json(
-        (system.run_dir / CONTROLLER_HEALTH).read_bytes()
+        (system.run_dir / CONTROLLER_STATUS).read_bytes()
     )
     assert plant.garbage == rounds * (2 * len(junk) + 1)
     assert controller.garbage == rounds * (3 * len(junk) + 1)
@@ -197,7 +202,7 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
         system.wait(lambda: "plant" in system.codes)
     events = read_trace(system.run_dir / PLANT_TRACE).of("transition")
     assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
-    status = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    status = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
     assert status.late <= status.missed
 
 
@@ -292,7 +297,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
         )
         with pytest.raises(Failure, match=r"^the state is no longer finite at step 1004$"):
             service.run()
-    status = PlantStatus.model_validate_json((system.run_dir / PLANT_HEALTH).read_bytes())
+    status = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
     assert status.k == 1003
 
 
@@ -531,7 +536,7 @@ def lose(journal: Path) -> None:
 def test_a_status_that_cannot_be_written_ends_the_service_and_closes_its_files(
     system: System, side: str
 ) -> None:
-    health = system.run_dir / (PLANT_HEALTH if side == "plant" else CONTROLLER_HEALTH)
+    health = system.run_dir / (PLANT_STATUS if side == "plant" else CONTROLLER_STATUS)
     health.mkdir(parents=True)
     start = system.plant if side == "plant" else system.controller
     for _ in range(2):
@@ -540,22 +545,19 @@ def test_a_status_that_cannot_be_written_ends_the_service_and_closes_its_files(
             system.wait(lambda: side in system.errors)
         assert isinstance(system.errors[side], IsADirectoryError)
         assert system.errors[side].__context__ is None
-        assert service._trace._file.closed
+        with pytest.raises(AssertionError, match="closed"):
+            service._trace.write({"event": "late"})
 
 
 class Full:
-    """A file on a disk that has room for ``room`` more lines, and for half of the next."""
+    """A disk that has room for ``room`` more lines, and for half of the next."""
 
-    def __init__(self, file: BinaryIO, room: int) -> None:
-        self._file = file
+    def __init__(self, room: int) -> None:
         self._room = room
 
-    def write(self, line: bytes) -> int:
+    def __call__(self, file: int, line: bytes) -> int:
         self._room -= 1
-        return self._file.write(line if self._room >= 0 else line[: len(line) // 2])
-
-    def close(self) -> None:
-        self._file.close()
+        return os.write(file, line if self._room >= 0 else line[: len(line) // 2])
 
 
 @pytest.mark.parametrize("side", ["plant", "controller"])
@@ -567,7 +569,7 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
     trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
     with system.controller(b"one") as controller, system.plant() as plant:
         service: PlantService | ControllerService = plant if side == "plant" else controller
-        service._trace._file = Full(service._trace._file, room)  # type: ignore[assignment]
+        service._trace.lines.disk = Full(room)
         system.wait(lambda: side in system.errors)
     error = system.errors[side]
     assert isinstance(error, OSError)

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import TapStatus
-from protocol.runtime.trace import CAPTURE
+from protocol.runtime import jsonl
+from protocol.runtime.run_folder import CAPTURE
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import recording as capture
@@ -101,9 +102,9 @@ def test_every_message_is_heard_or_counted_as_skipped(
     part_bytes: int,
 ) -> None:
     monkeypatch.setattr(analysis, "FAR_BEHIND", 20_000)
-    monkeypatch.setattr(capture, "CHUNK", 4000)
+    monkeypatch.setattr(jsonl, "CHUNK", 4000)
     record(run, tmp_path, part_bytes, View())
-    lines = sum(p.read_bytes().count(b"\n") - 1 for p in parts_of(tmp_path / CAPTURE))
+    lines = sum(p.read_bytes().count(b"\n") - 2 for p in parts_of(tmp_path / CAPTURE))
     readers: list[capture.CaptureReader] = []
 
     def reader_of(*args: object) -> capture.CaptureReader:

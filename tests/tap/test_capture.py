@@ -14,8 +14,9 @@ import pytest
 from pydantic_core import from_json
 
 from protocol.messages import Measurement, Offer
-from protocol.runtime.trace import CAPTURE, read_trace
-from tap_service.capture import recording as capture
+from protocol.runtime import jsonl
+from protocol.runtime.run_folder import CAPTURE
+from protocol.runtime.trace import read_trace
 from tap_service.capture.recording import (
     CaptureError,
     CaptureReader,
@@ -26,6 +27,7 @@ from tap_service.capture.recording import (
     part_path,
     parts_of,
 )
+from tests.support.lines import unmark
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"
@@ -75,6 +77,7 @@ def test_a_capture_is_a_trace_that_the_common_reader_reads(tmp_path: Path) -> No
 def test_a_torn_last_line_loses_that_line_only(tmp_path: Path) -> None:
     path = tmp_path / CAPTURE
     record(path, 20).close()
+    unmark(path)
     whole = path.read_bytes()
     path.write_bytes(whole[:-30])
     reader, messages = read(path)
@@ -85,6 +88,7 @@ def test_a_torn_last_line_loses_that_line_only(tmp_path: Path) -> None:
 def test_going_on_after_a_crash_begins_a_new_part(tmp_path: Path) -> None:
     path = tmp_path / CAPTURE
     record(path, 5).close()
+    unmark(path)
     path.write_bytes(path.read_bytes()[:-10])
     record(path, 5).close()
     reader, messages = read(path)
@@ -324,7 +328,7 @@ def test_reading_follows_a_capture_that_grows_and_rotates(tmp_path: Path) -> Non
 def test_skipping_ahead_counts_every_line_that_it_leaves_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int, keep: int
 ) -> None:
-    monkeypatch.setattr(capture, "CHUNK", 1500)
+    monkeypatch.setattr(jsonl, "CHUNK", 1500)
     limits = Limits(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {}, limits, LOG)
@@ -335,7 +339,7 @@ def test_skipping_ahead_counts_every_line_that_it_leaves_out(
         if k % 5 == 0:
             log.write(b"no message")
     log.close()
-    lines = sum(p.read_bytes().count(b"\n") - 1 for p in parts_of(path))
+    lines = sum(p.read_bytes().count(b"\n") - 2 for p in parts_of(path))
     reader = CaptureReader(path)
     records = reader.records()
     first = [next(records)[1].k for _ in range(10)]
@@ -362,7 +366,7 @@ def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
     record(path, 1000, Limits(part_bytes=100_000, free_bytes=0)).close()
     first, second = parts_of(path)
     assert first.stat().st_size > second.stat().st_size
-    monkeypatch.setattr(capture, "CHUNK", first.stat().st_size)
+    monkeypatch.setattr(jsonl, "CHUNK", first.stat().st_size)
     reader = CaptureReader(path)
     pending = [next(reader.records())[1].k for _ in range(10)]
     first.unlink()

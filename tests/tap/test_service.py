@@ -16,11 +16,10 @@ import pytest
 
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.trace import CAPTURE
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES
 from protocol.runtime.zenoh_bus import Endpoints, ZenohBus, free_endpoints
 from protocol.topics import key_of
 from tap_service import service as tap
-from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
 from tap_service.capture.channel import View
 from tap_service.capture.recording import CaptureReader, Limits
 from tap_service.eavesdroppers import KnowledgeError

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.trace import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.small_run import Lines, SmallRun, read_lines, write_lines
 from wyner.cli.main import main
 from wyner.verify import CLAUSES, check
@@ -108,7 +108,7 @@ def test_a_message_that_was_whole_comes_again_if_the_controller_did_not_know(
 
 
 def test_a_capture_may_have_parts(copied: Path) -> None:
-    header, *lines = read_lines(copied / CAPTURE)
+    header, *lines, _end = read_lines(copied / CAPTURE)
     half = len(lines) // 2
     write_lines(copied / CAPTURE, [header, *lines[:half]])
     write_lines((copied / CAPTURE).with_name("capture.0001.jsonl"), [header, *lines[half:]])

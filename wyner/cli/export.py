@@ -23,7 +23,8 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.process import DONE, Failure, UsageError
-    from tap_service.capture.export import BINARY, ExportError, is_part, replacing, to_csv
+    from protocol.runtime.run_folder import PUBLIC_FILE, replacing
+    from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.recording import CaptureError, CaptureReader
 
     output = args.output or (None if args.to == "csv" else f"capture.{args.to}")
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         elif is_part(reader, Path(output)):
             raise UsageError(f"--output: {output}: is a part of the capture itself")
         else:
-            with replacing(Path(output)) as path:
+            with replacing(Path(output), PUBLIC_FILE) as path:
                 if args.to == "csv":
                     with path.open("w", encoding="utf-8", newline="") as file:
                         count = to_csv(reader, file)

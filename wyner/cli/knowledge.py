@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.process import DONE, Failure, write_atomically
+from protocol.runtime.process import DONE, Failure
+from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         print(text, end="")
         return DONE
     try:
-        write_atomically(args.output, text.encode())
+        write_atomically(args.output, text.encode(), PUBLIC_FILE)
     except OSError as error:
         raise Failure(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     return DONE

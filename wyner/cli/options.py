@@ -2,14 +2,20 @@
 
 import argparse
 import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
-from protocol.runtime.process import Pace, UsageError, write_atomically
-from protocol.runtime.trace import SCENARIO
+from protocol.runtime.process import Pace, UsageError
+from protocol.runtime.run_folder import (
+    PRIVATE_FOLDER,
+    SCENARIO,
+    make_folder,
+    open_private,
+    write_atomically,
+)
 from protocol.scenario import Scenario, ScenarioError, load_scenario
 from protocol.schemes.framing import MAX_PAYLOAD
 from wyner.shipped import scenario_file_of
@@ -74,17 +80,18 @@ def run_dir_of(text: str | None) -> Path:
         for attempt in range(1000):
             path = Path("runs") / (stamp if attempt == 0 else f"{stamp}-{attempt}")
             try:
-                path.mkdir(parents=True)
+                make_folder(path.parent)
+                path.mkdir(mode=PRIVATE_FOLDER)
             except FileExistsError:
                 continue
             except OSError as error:
                 raise _unusable(path, error) from None
             return path
-    if text == "":
+    if not text:
         raise UsageError("--run-dir: got '', expected a folder")
-    path = Path(text or "runs")
+    path = Path(text)
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        make_folder(path)
     except OSError as error:
         raise _unusable(path, error) from None
     return path
@@ -108,12 +115,12 @@ def alone_in(folder: Path) -> Iterator[None]:
         When it cannot be made or written to, or another process holds it.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise _unusable(folder, error) from None
     lock = folder / "lock"
     try:
-        file = lock.open("ab")
+        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
     except OSError as error:
         raise _unwritable(lock, error) from None
     with file:
@@ -139,13 +146,8 @@ def keep_scenario(run_dir: Path, text: str) -> None:
     except OSError as error:
         raise _unwritable(kept, error) from None
     there = scenario_of(str(kept))
-    if _of_the_loop(there) != _of_the_loop(scenario_of(text)):
+    if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
         raise UsageError(
             f"--run-dir: {run_dir}: holds a run of another scenario ({there.name}), "
             f"expected a new folder, or --scenario {kept}"
         )
-
-
-def _of_the_loop(scenario: Scenario) -> dict[str, Any]:
-    """What controller and plant work with."""
-    return scenario.model_dump(exclude={"description", "source", "tap"})

@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import ControllerStatus, PlantStatus
-from protocol.runtime.journal import CONTROLLER_JOURNAL, PLANT_JOURNAL
-from protocol.runtime.process import (
-    DONE,
-    FAILED,
-    INTERRUPTED,
-    Failure,
-    UsageError,
+from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
+from protocol.runtime.run_folder import (
+    CAPTURE,
+    CONTROLLER_JOURNAL,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_JOURNAL,
+    SCENARIO,
+    SUMMARY,
     write_atomically,
 )
-from protocol.runtime.trace import CAPTURE, MANIFEST, SCENARIO, SUMMARY
 from protocol.topics import DEFAULT_LOOP, key_of
 from wyner.cli.options import (
     add_message_arguments,
@@ -189,8 +191,8 @@ def _children(
     from wyner.deployment.supervisor import Child, Supervisor
 
     scenario_file = run_dir / SCENARIO
-    message_file = run_dir / "controller" / "message"
-    knowledge_file = run_dir / "tap" / "knowledge.json"
+    message_file = run_dir / MESSAGE
+    knowledge_file = run_dir / KNOWLEDGE
     write_atomically(scenario_file, scenario_file_of(args.scenario).read_bytes())
     write_atomically(message_file, payload)
     knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
@@ -203,6 +205,7 @@ def _children(
         "command": sys.argv[1:],
         "scenario": scenario.name,
         "fingerprint": scenario.fingerprint(),
+        "loop": scenario.loop_fingerprint(),
         "seed": args.seed,
         "pace": args.pace,
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from protocol.runtime.process import STOP_WITH_STDIN, Failure
+from protocol.runtime.run_folder import make_folder, open_private
 
 RESTART_S: Final = 0.2
 """Seconds before a killed service is started again."""
@@ -49,8 +50,9 @@ class Child:
 
     def start(self) -> None:
         """Start the process, in a session of its own, so that Ctrl-C reaches the parent only."""
-        self.log.parent.mkdir(parents=True, exist_ok=True)
-        with self.log.open("ab") as log:
+        make_folder(self.log.parent)
+        log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        try:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", f"{self.name}_service", *self.arguments],
                 stdin=subprocess.PIPE,
@@ -59,6 +61,8 @@ class Child:
                 env={**os.environ, STOP_WITH_STDIN: "1"},
                 start_new_session=True,
             )
+        finally:
+            os.close(log)
 
     def poll(self, now_s: float) -> int | None:
         """Look after the process; its exit code once it ended by itself.

@@ -11,8 +11,7 @@ import numpy as np
 
 from protocol.agreement import predict
 from protocol.convex import corners
-from protocol.runtime.process import write_atomically
-from protocol.runtime.trace import MANIFEST
+from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE, write_atomically
 from protocol.scenario import Scenario
 from protocol.schemes.framing import readable
 from wyner.run_report.chart import Line, Mark, chart, plane
@@ -216,7 +215,7 @@ def _keys(e: Evidence, said: list[Said] | str) -> Iterator[str]:
 
 def _truth(e: Evidence) -> Truth:
     """The truth as the scoring reads it, from the evidence that is in hand."""
-    from protocol.runtime.trace import PLANT_TRACE, read_trace
+    from protocol.runtime.trace import read_trace
 
     return truth_of(read_trace(e.run_dir / PLANT_TRACE))
 

@@ -7,15 +7,16 @@ probability P_g gives the min-entropy -log2 P_g that it leaves of one key symbol
 
 import base64
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic_core import from_json
 
-from protocol.runtime.trace import PLANT_TRACE, Trace, TraceError, read_trace
-from tap_service.analysis import ANALYSIS_GUESSES, BELIEFS, GUESSES
+from protocol.runtime.jsonl import read_lines
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
+from protocol.runtime.trace import Trace, TraceError, read_trace
 from tap_service.capture.recording import parts_of
 from tap_service.eavesdroppers.base import KEPT_SYMBOLS
 
@@ -288,8 +289,9 @@ def read_said(run_dir: Path) -> list[Said]:
     guesses: dict[str, dict[str, dict[Step, int]]] = {}
     for stem in (GUESSES, ANALYSIS_GUESSES):
         for path in parts_of(run_dir / stem):
-            for event in _lines(path):
-                if event["event"] in ("guess", "review"):
+            for line in read_lines(path):
+                event = line.value or {}
+                if event.get("event") in ("guess", "review"):
                     mine = guesses.setdefault(event["name"], {"guess": {}, "review": {}})
                     mine[event["event"]][event["session"], event["k"]] = event["symbol"]
     return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
@@ -312,17 +314,6 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
         confidence=record["confidence"],
         failed=record["failed"],
     )
-
-
-def _lines(path: Path) -> Iterable[dict[str, Any]]:
-    with path.open("rb") as file:
-        for line in file:
-            try:
-                value = from_json(line)
-            except ValueError:
-                continue
-            if isinstance(value, dict) and "event" in value:
-                yield value
 
 
 def read_truth(run_dir: Path) -> Truth:

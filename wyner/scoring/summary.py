@@ -5,7 +5,8 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.trace import PLANT_TRACE, SCENARIO, TraceError, TraceReader
+from protocol.runtime.run_folder import PLANT_TRACE, SCENARIO
+from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import load_scenario
 from protocol.schemes.framing import readable
 from wyner.scoring.report import report

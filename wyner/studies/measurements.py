@@ -1,8 +1,7 @@
 """Data of the figures that no sweep gives: single transitions, taps, and sets in the plane."""
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +13,7 @@ from controller_service.laws.paper import ControlLaw, make_law
 from controller_service.sets.design import cached_design
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.convex import Polytope, planar_vertices
+from protocol.runtime.run_folder import PUBLIC_FILE, replacing
 from protocol.scenario import Scenario, load_scenario
 from wyner.shipped import SCENARIOS, SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
@@ -116,20 +116,13 @@ def write(
     sources: Sequence[str] = SOURCES,
 ) -> None:
     """Write a CSV file with a column ``version``; it replaces the one before when it is whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with anew(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+    with (
+        replacing(path, PUBLIC_FILE) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("version", *columns))
         writer.writerows((code_version(*sources), *row) for row in rows)
-
-
-@contextmanager
-def anew(path: Path) -> Iterator[Path]:
-    """Where to write a file that takes the place of ``path`` at the end, unless something fails."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.unlink(missing_ok=True)
-    yield partial
-    partial.replace(path)
 
 
 def measure_distance(path: Path) -> None:
@@ -240,7 +233,8 @@ def measure_sweep(name: str) -> Callable[[Path], None]:
     def measure(path: Path) -> None:
         file = SWEEPS / f"{name}.toml"
         sweep = load_sweep(file)
-        with anew(path) as partial:
+        with replacing(path, PUBLIC_FILE) as partial:
+            partial.unlink()  # a sweep makes its file itself
             results = Results(partial, list(sweep.grid), resume=False)
             try:
                 points = points_of(sweep, file.parent)

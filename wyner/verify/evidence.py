@@ -16,14 +16,8 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic_core import from_json
 
 from protocol.link.session import Rules, rules_of
-from protocol.runtime.trace import (
-    CAPTURE,
-    CONTROLLER_TRACE,
-    PLANT_TRACE,
-    SCENARIO,
-    Trace,
-    TraceReader,
-)
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
+from protocol.runtime.trace import Trace, TraceReader
 from protocol.scenario import Scenario, load_scenario
 from tap_service.capture.recording import parts_of
 
@@ -251,6 +245,8 @@ def wire_of(path: Path) -> Wire | None:
                     torn += 1
                     continue
                 event = value.get("event") if isinstance(value, dict) else None
+                if event in ("end", "continued"):
+                    continue
                 if event == "header":
                     view = value.get("view", {})
                     blurred = blurred or bool(view.get("noise") or view.get("quantise"))

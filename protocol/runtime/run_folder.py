@@ -1,0 +1,147 @@
+"""A run's folder: where everything in it lies, and files that are their owner's alone.
+
+A run leaves its message, keys, coins and journals on disk. So folders made here are 0700 and files
+0600, whatever the umask says, and nothing is ever written through a link or onto a device.
+"""
+
+import errno
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+MANIFEST: Final = Path("manifest.json")
+SCENARIO: Final = Path("scenario.toml")
+SUMMARY: Final = Path("summary.json")
+MESSAGE: Final = Path("controller/message")
+CONTROLLER_TRACE: Final = Path("controller/trace.jsonl")
+CONTROLLER_JOURNAL: Final = Path("controller/journal.sqlite3")
+CONTROLLER_STATUS: Final = Path("controller/status.json")
+PLANT_TRACE: Final = Path("plant/trace.jsonl")
+PLANT_JOURNAL: Final = Path("plant/journal.sqlite3")
+PLANT_STATUS: Final = Path("plant/status.json")
+KNOWLEDGE: Final = Path("tap/knowledge.json")
+CAPTURE: Final = Path("tap/capture.jsonl")
+GUESSES: Final = Path("tap/guesses.jsonl")
+ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
+BELIEFS: Final = Path("tap/beliefs.json")
+"""Where things lie below a run's folder."""
+
+PRIVATE_FILE: Final = 0o600
+PRIVATE_FOLDER: Final = 0o700
+PUBLIC_FILE: Final = 0o644
+"""Of what is published on purpose, still narrowed by the umask."""
+
+
+class NotRegular(OSError):
+    """Something that is no regular file stands where a file was to be written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(errno.EINVAL, "not a regular file (a link, a device or a pipe)", str(path))
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it that are missing, for their owner alone.
+
+    One that is there keeps its mode.
+
+    Raises
+    ------
+    OSError
+        When it cannot be made.
+    """
+    for missing in reversed([f for f in (folder, *folder.parents) if not f.exists()]):
+        missing.mkdir(mode=PRIVATE_FOLDER, exist_ok=True)
+    if not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
+
+
+def refuse_irregular(path: Path) -> None:
+    """Leave what is no regular file alone; a path where nothing is passes.
+
+    Raises
+    ------
+    NotRegular
+        When ``path`` is a link, a device, a pipe or a socket.
+    OSError
+        When the path cannot be looked at, as when its name is too long.
+    """
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise NotRegular(path)
+
+
+def open_private(path: Path, flags: int) -> int:
+    """Open a regular file with ``flags``, made 0600 where it is new; never follows a link.
+
+    Raises
+    ------
+    NotRegular
+        When it is something else.
+    OSError
+        With the file's name, when it cannot be opened.
+    """
+    refuse_irregular(path)
+    file = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, PRIVATE_FILE)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise NotRegular(path)
+    return file
+
+
+@contextmanager
+def replacing(path: Path, mode: int = PRIVATE_FILE) -> Iterator[Path]:
+    """A new file to write beside ``path``, which takes its place at the end, whole.
+
+    It is removed when something fails. Readers see the old content or the new, never a part.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder is made where it is missing.
+    mode : int
+        The file's permissions; the umask narrows all but `PRIVATE_FILE`.
+
+    Raises
+    ------
+    NotRegular
+        When ``path`` is there and is no regular file; it is left as it is.
+    OSError
+    """
+    refuse_irregular(path)
+    if mode == PRIVATE_FILE:
+        make_folder(path.parent)
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".partial-", dir=path.parent)
+    partial = Path(name)
+    try:
+        if mode != PRIVATE_FILE:
+            umask = os.umask(0)
+            os.umask(umask)
+            os.fchmod(handle, mode & ~umask)
+        os.close(handle)
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
+    """Replace a file whole, as :func:`replacing` does.
+
+    Raises
+    ------
+    OSError
+        Also when ``path`` is no regular file.
+    """
+    with replacing(path, mode) as partial:
+        partial.write_bytes(data)
