@@ -41,7 +41,7 @@ from protocol.runtime.run_folder import (
     CONTROLLER_TRACE,
     write_atomically,
 )
-from protocol.runtime.trace import TraceWriter, header_of
+from protocol.runtime.trace import TraceWriter
 from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
 from protocol.schemes.framing import MAX_PAYLOAD, frame_length, readable
@@ -113,7 +113,7 @@ class ControllerService:
         except JournalError as error:
             raise UsageError(str(error)) from None
         self._trace = TraceWriter(
-            config.run_dir / CONTROLLER_TRACE, "controller", header_of(scenario)
+            config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity()
         )
         self.sender = Sender(
             rules_of(scenario),

@@ -36,7 +36,7 @@ from protocol.runtime.process import (
     spoken,
 )
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE, write_atomically
-from protocol.runtime.trace import TraceWriter, header_of
+from protocol.runtime.trace import TraceWriter
 from protocol.runtime.zenoh_bus import Bus
 from protocol.scenario import Scenario
 from protocol.schemes.framing import readable
@@ -97,7 +97,7 @@ class PlantService:
             step = self._journal.step()
         except JournalError as error:
             raise UsageError(str(error)) from None
-        self._trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", header_of(scenario))
+        self._trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
         resumed = record is not None
         if record is None:
             record = first_record(scenario, new_id())

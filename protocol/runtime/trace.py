@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.runtime.jsonl import MARKS, LineWriter, dumps, read_lines
-from protocol.scenario import Scenario
 
 TRACE_FORMAT: Final = "wyner-trace"
 TRACE_VERSION: Final = 1
@@ -62,18 +61,6 @@ class TraceWriter:
     def close(self) -> None:
         """Write the end mark and close the file; further writes fail."""
         self.lines.close()
-
-
-def header_of(scenario: Scenario) -> dict[str, str]:
-    """What a trace's header says of the scenario: its name, and fingerprints that a check compares.
-
-    ``fingerprint`` covers what both ends must share, ``loop`` all that the loop runs by.
-    """
-    return {
-        "scenario": scenario.name,
-        "fingerprint": scenario.fingerprint(),
-        "loop": scenario.loop_fingerprint(),
-    }
 
 
 @dataclass(frozen=True, slots=True)

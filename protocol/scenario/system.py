@@ -100,6 +100,14 @@ class Scenario(Part):
         """SHA-256 (hex) over all that controller and plant work with: everything but the words."""
         return _digest(self.model_dump(mode="json", exclude={"description", "source", "tap"}))
 
+    def identity(self) -> dict[str, str]:
+        """What a recording says of the scenario it was made under, for a check to compare."""
+        return {
+            "scenario": self.name,
+            "fingerprint": self.fingerprint(),
+            "loop": self.loop_fingerprint(),
+        }
+
     def design_fingerprint(self) -> str:
         """SHA-256 (hex) over what the synthesis depends on; the key of a cached design."""
         control = self.control.design_key(self.secrecy)
