@@ -6,7 +6,7 @@ STAMPS := $(VENV)/.stamps
 PACKAGES := protocol controller_service plant_service tap_service wyner benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-.PHONY: demo dev test test-fast test-compose lint figures bench lock clean help
+.PHONY: demo dev test test-fast test-compose lint docs figures bench lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
@@ -15,6 +15,7 @@ help:
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make dev           $(VENV) with all that the tests need"
 	@echo "make lint          ruff and mypy"
+	@echo "make docs          the documents and the API reference as a site, in build/docs"
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make bench         every benchmark, beside its reference"
 	@echo "make lock          pin the dependencies anew, with hashes"
@@ -53,6 +54,10 @@ test-compose: $(STAMPS)/dev
 
 test-fast: $(STAMPS)/dev
 	$(BIN)/pytest -m "not slow"
+
+# Every page and the API reference as a site; a broken link is an error.
+docs: $(STAMPS)/dev
+	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs build/docs
 
 figures: $(STAMPS)/dev
 	$(BIN)/wyner figures

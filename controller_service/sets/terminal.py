@@ -178,7 +178,7 @@ def merged_directions(H: Array, h: Array) -> tuple[Array, Array]:
 
 
 def modal(Ac: Array, V: Array) -> tuple[Polytope, Terminal]:
-    """The parallelepiped { x : |W x|_i <= z_i } in the modes of A_c, W A_c = M W."""
+    """The parallelepiped { x : abs(W x)_i <= z_i } in the modes of A_c, W A_c = M W."""
     values, vectors = np.linalg.eig(Ac)
     columns: list[Array] = []
     for value, vector in zip(values, vectors.T, strict=True):

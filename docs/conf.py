@@ -1,0 +1,36 @@
+"""The documents as a site: ``make docs``. Every broken link is an error."""
+
+from importlib.metadata import version as installed
+
+project = "wyner"
+copyright = "the wyner maintainers"
+version = release = installed("wyner")
+
+extensions = ["myst_parser", "sphinx.ext.apidoc", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["data", "figures"]
+myst_heading_anchors = 4
+myst_enable_extensions = ["dollarmath"]
+suppress_warnings = [
+    "misc.highlighting_failure",  # Mermaid is drawn by the forges, shown as text here
+    "ref.python",  # one name in two modules: the type in a signature stays unlinked
+]
+html_theme = "furo"
+html_title = "wyner"
+html_static_path: list[str] = []
+
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"ignore-module-all": True}  # each thing at its own place
+apidoc_modules = [
+    {
+        "path": f"../{room}",
+        "destination": f"api/{room}",
+        "exclude_patterns": ["**/__main__.py"],
+        "separate_modules": True,
+        "module_first": True,
+    }
+    for room in ("protocol", "controller_service", "plant_service", "tap_service", "wyner")
+]
