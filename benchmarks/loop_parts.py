@@ -9,11 +9,18 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from protocol.link.endpoint import Append, Outgoing
+from protocol.runtime.host import FIELD
+
 if TYPE_CHECKING:
+    from protocol.link.endpoint import Endpoint, Notice, Write
+    from protocol.link.events import Event
     from protocol.messages import Message
+    from protocol.runtime.host import Files
     from protocol.scenario import Scenario
 
 T = TypeVar("T")
@@ -82,14 +89,49 @@ def measure_parts(
     return parts
 
 
+class TimedPorts:
+    """A service's ports; the write that holds up a step is timed under ``side``'s name."""
+
+    def __init__(
+        self, side: str, partner: "list[Outgoing]", watch: Stopwatch, files: "Files"
+    ) -> None:
+        self.files = files
+        self._side = side
+        self._partner = partner
+        self._watch = watch
+
+    def write(self, write: "Write") -> None:
+        """Keep it in the journal."""
+        if isinstance(write, Append):
+            self._watch.time(f"{self._side}: journal", lambda: self.files.journal.write(write))
+        else:
+            self.files.journal.write(write)
+
+    def publish(self, kind: "type[Message]", payload: bytes) -> None:
+        """Leave it for the partner."""
+        self._partner.append(Outgoing(kind, payload))
+
+    def trace(self, event: "Event") -> None:
+        """Write it to the trace."""
+        self.files.trace.write(event.as_event())
+
+    def tell(self, notice: "Notice") -> None:
+        """Nobody reads the log."""
+
+    def health(self, status: bytes) -> None:
+        """Nobody asks for the health."""
+
+
 def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> dict[str, float]:
     """Plant and controller in lock-step, everything but transport and telemetry."""
+    from controller_service.endpoint import ControllerEndpoint
     from controller_service.laws.paper import make_law
     from controller_service.sets.design import cached_design
-    from plant_service.plant import Move, Plant, first_record
+    from plant_service.from_journal import plant_endpoint
+    from protocol.link.perform import perform
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
-    from protocol.messages import ControllerHello, Measurement, Offer
+    from protocol.runtime.host import Files
     from protocol.runtime.journal import ControllerJournal, PlantJournal
     from protocol.runtime.process import new_id
     from protocol.runtime.run_folder import (
@@ -104,97 +146,52 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     watch = Stopwatch()
     law = make_law(scenario, cached_design(scenario))
     fingerprint = scenario.fingerprint()
-    with (
-        ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as sender_journal,
-        PlantJournal(folder / PLANT_JOURNAL, fingerprint) as plant_journal,
-    ):
-        sender_trace = TraceWriter(folder / CONTROLLER_TRACE, "controller", {})
-        plant_trace = TraceWriter(folder / PLANT_TRACE, "plant", {})
-        sender_journal.enqueue("bench", MESSAGE)
-        sender = Sender(
-            rules_of(scenario),
-            lambda x: watch.time("controller: law", lambda: law.candidates(x)),
-            sender_journal,
-            symbols(None, CIPHER),
-            new_id(),
+    queue = ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint)
+    sender = Sender(
+        rules_of(scenario),
+        lambda x: watch.time("controller: law", lambda: law.candidates(x)),
+        queue,
+        symbols(None, CIPHER),
+        new_id(),
+    )
+    controller = ControllerEndpoint(sender, queue, scenario.plant.period_s, message=MESSAGE)
+    journal = PlantJournal(folder / PLANT_JOURNAL, fingerprint)
+    coin, disturbances = symbols(None, COIN), noise(None, scenario.n)
+    plant = plant_endpoint(scenario, journal, coin, disturbances, new_id, time.monotonic(), None)
+    traces = [
+        TraceWriter(folder / CONTROLLER_TRACE, "controller", {}),
+        TraceWriter(folder / PLANT_TRACE, "plant", {}),
+    ]
+    mail: dict[str, list[Outgoing]] = {"controller": [], "plant": []}
+    ends: list[tuple[str, Endpoint, TimedPorts]] = [
+        (name, endpoint, TimedPorts(name, mail[partner], watch, files))
+        for name, partner, endpoint, files in (
+            ("controller", "plant", controller, Files(queue, traces[0], folder)),
+            ("plant", "controller", plant, Files(journal, traces[1], folder)),
         )
-        plant = Plant(
-            scenario,
-            new_id(),
-            symbols(None, COIN),
-            noise(None, scenario.n),
-            first_record(scenario, new_id()),
-            "",
-        )
-        receiver = plant.receiver
-        said: ControllerHello | None = sender.greeting()
-        while not receiver.accepted:
-            assert said is not None
-            receiver.heard_controller(said, new_id())
-            said = sender.heard_plant(receiver.hello()).reply
-        sender_journal.save(sender.record)
-        plant_journal.save(receiver.record)
-        reported = receiver.measurement().wire()
-
-        def settle() -> None:
-            settled = sender.settle()
-            if settled.transition is not None:
-                sender_trace.write(settled.transition.as_event())
-            sender_journal.stage(sender.record)
-
-        def count(move: Move) -> None:
-            effects = plant.count(move).effects
-            assert effects is not None
-            plant_trace.write(effects.transition.as_event())
-            plant_journal.stage(receiver.record)
-
-        for _ in range(steps):
+    ]
+    for _name, endpoint, ports in ends:
+        perform(endpoint.start(time.monotonic()), endpoint, ports)
+    while plant.plant.receiver.record.k < steps:
+        for name, endpoint, ports in ends:
+            now = time.monotonic()
+            if endpoint.wake_at() <= now:
+                perform(endpoint.wake(now), endpoint, ports)
+            heard = mail[name][:]
+            mail[name].clear()
             time.sleep(pause_s)
-            measurement = watch.time(
-                "controller: parse the measurement",
-                lambda body=reported: Measurement.model_validate_json(body),  # type: ignore[misc]
-            )
-            done = watch.time(
-                "controller: test, decide, offer",
-                lambda message=measurement: sender.measured(message),  # type: ignore[misc]
-            )
-            watch.take_off("controller: test, decide, offer", "controller: law")
-            assert done.offer is not None
-            offered = watch.time(
-                "controller: dump the offer",
-                lambda message=done.offer: message.wire(),  # type: ignore[misc]
-            )
-            watch.time(
-                "controller: journal",
-                lambda heard=reported, said=offered: sender_journal.append(heard, said),  # type: ignore[misc]
-            )
-            watch.time(WHILE_WAITING + "controller: count and trace", settle)
-            time.sleep(pause_s)
-            offer = watch.time(
-                "plant: parse the offer",
-                lambda body=offered: Offer.model_validate_json(body),  # type: ignore[misc]
-            )
-            receiver.check(offer)
-            move = watch.time(
-                "plant: step",
-                lambda message=offer: plant.move(message),  # type: ignore[misc]
-            )
-            reported = watch.time(
-                "plant: dump the measurement",
-                lambda x=move.x_next: receiver.moved(x).wire(),  # type: ignore[misc]
-            )
-            watch.time(
-                "plant: journal",
-                lambda heard=offered, it=move, said=reported: plant_journal.append(  # type: ignore[misc]
-                    heard, said, it.coin
-                ),
-            )
-            watch.time(
-                WHILE_WAITING + "plant: count and trace",
-                lambda it=move: count(it),  # type: ignore[misc]
-            )
-        sender_trace.close()
-        plant_trace.close()
+            for kind, payload in heard:
+                step = f"{name}: parse, decide, dump"
+                receive = partial(endpoint.receive, kind, payload, time.monotonic())
+                actions = watch.time(step, receive) if kind in FIELD else receive()
+                if name == "controller" and kind in FIELD:
+                    watch.take_off(step, "controller: law")
+                perform(actions._replace(settle=False), endpoint, ports)
+                if actions.settle:
+                    rest = partial(lambda e, p: perform(e.settle(), e, p), endpoint, ports)
+                    watch.time(f"{WHILE_WAITING}{name}: count and trace", rest)
+    for _name, _endpoint, ports in ends:
+        ports.files.close()
     return watch.medians_us()
 
 
@@ -232,13 +229,13 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
             config = PlantConfig(scenario, folder, "loop", Pace("fast"), steps=steps)
             plant = PlantService(config, MemoryBus(field), MemoryBus(ops), threading.Event())
             plant.run()
-            time_status("plant", lambda: plant.status(time.monotonic()))
+            time_status("plant", lambda: plant.endpoint.status(time.monotonic()))
         finally:
             stopping.set()
 
     controller_config = ControllerConfig(scenario, law, folder, "loop", message=MESSAGE)
     controller = ControllerService(controller_config, MemoryBus(field), MemoryBus(ops), stopping)
-    time_status("controller", controller.status)
+    time_status("controller", controller.endpoint.status)
     thread = threading.Thread(target=run_plant)
     thread.start()
     controller.run()

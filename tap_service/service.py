@@ -45,7 +45,8 @@ from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError, named
 from tap_service.status import belief_record, beliefs_json, status_of
 
 if TYPE_CHECKING:
-    from protocol.runtime.zenoh_bus import Bus, Endpoints
+    from protocol.runtime.bus import Bus
+    from protocol.runtime.zenoh_bus import Endpoints
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""

@@ -4,6 +4,7 @@ With a deadline each step takes its time: an offer that is applied early waits f
 tick without an offer is a missed step. In lock-step (no deadline) a step ends when its offer comes.
 """
 
+from math import inf
 from typing import Final, Literal
 
 LOCKSTEP_REPEAT_S: Final = 0.05
@@ -69,11 +70,7 @@ class Pacing:
         else:
             self._waiting = True
 
-    def wait_s(self, now_s: float, *, measuring: bool, longest_s: float) -> float:
-        """Seconds until there is something to do, at most ``longest_s``."""
-        until = now_s + longest_s
-        if measuring and not self._waiting:
-            until = min(until, self._repeat_at)
-        if self._step_s is not None:
-            until = min(until, self._deadline)
-        return max(0.0, until - now_s)
+    def due_at(self, *, running: bool, measuring: bool) -> float:
+        """When there is something to do next: a tick of a ``running`` plant, or a measurement."""
+        tick = self._deadline if running and self._step_s is not None else inf
+        return min(tick, self._repeat_at) if measuring and not self._waiting else tick

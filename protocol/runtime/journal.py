@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.endpoint import Append, Write
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
@@ -196,6 +197,19 @@ class ControllerJournal(_Journal):
         found = self._step(Measurement, Offer)
         return None if found is None else SenderStep(*found[:2])
 
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
+        if isinstance(write, Append):
+            self._append(write.heard, write.said, write.coin)
+        elif write.later:
+            self._stage(write.record)
+        else:
+            self._execute("BEGIN IMMEDIATE")
+            self._execute(_SAVE, (self._stage(write.record), None, None, None))
+            if write.queued is not None:
+                self.enqueue(*write.queued)
+            self._execute("COMMIT")
+
     def save(self, record: SenderRecord) -> None:
         """Keep ``record``; on return it survives the death of this process."""
         self._execute(_SAVE, (self._stage(record), None, None, None))
@@ -282,6 +296,21 @@ class PlantJournal(_Journal):
             "SELECT payload FROM inbox ORDER BY number DESC LIMIT ?", (last,)
         ).fetchall()
         return [bytes(payload) for (payload,) in reversed(rows)]
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
+        if isinstance(write, Append):
+            self._append(write.heard, write.said, write.coin)
+        elif write.later:
+            self._stage(write.record)
+        else:
+            assert isinstance(write.record, ReceiverRecord)
+            self.save(
+                write.record,
+                chunk=write.chunk,
+                drop_chunks=write.drop_chunks,
+                received=write.received,
+            )
 
     def save(
         self,

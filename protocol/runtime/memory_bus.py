@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from protocol.runtime.zenoh_bus import Bus, Deliver, TransportError
+from protocol.runtime.bus import Bus, Deliver, TransportError
 
 Fault = Callable[[str, bytes], Sequence[bytes]]
 """Takes key and payload; answers what arrives: nothing, the payload, several, another one."""

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
@@ -158,11 +158,6 @@ def freeze_startup() -> None:
     """
     gc.collect()
     gc.freeze()
-
-
-give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", lambda: None)
-"""Let other threads have the processor. Called after a put, before work that can wait: otherwise
-the thread that sends may have to wait for it, and a step is a sixteenth longer on two cores."""
 
 
 def new_id() -> str:

@@ -15,13 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from protocol.runtime.bus import Bus, TransportError
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.zenoh_bus import (
     OPEN_MS,
-    Bus,
     Endpoints,
     TlsFiles,
-    TransportError,
     ZenohBus,
     check_endpoint,
     free_endpoints,

@@ -3,15 +3,18 @@
 A failing seed is printed with its test and replays: everything random comes from it.
 """
 
+import sqlite3
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from controller_service.laws.paper import ControlLaw
-from plant_service.plant import Move, Step
+from protocol.link.endpoint import Append, Write
 from protocol.runtime.journal import PlantJournal
 from protocol.scenario import Scenario
-from wyner.simulate.network import Faults, Simulation, simulate, violations
+from wyner.simulate.network import Faults, Simulation, simulate
+from wyner.simulate.safety import violations
 
 PAYLOADS = (b"first", b"second message", b"3")
 
@@ -118,36 +121,46 @@ def test_many_seeds(seed: int, sustained: Scenario, sustained_law: ControlLaw) -
     assert len(history.delivered) >= len(PAYLOADS)
 
 
+class Watched(PlantJournal):
+    """A plant's journal that counts the statements of each step's write."""
+
+    def __init__(self, path: Path, scenario: str, executed: list[str]) -> None:
+        super().__init__(path, scenario)
+        self._executed = executed
+        self.of_steps: list[int] = []
+
+    def write(self, write: Write) -> None:
+        before = len(self._executed)
+        super().write(write)
+        if isinstance(write, Append):
+            self.of_steps.append(len(self._executed) - before)
+
+    def forget(self) -> None:
+        raise AssertionError("nobody forgets")
+
+
 def test_what_the_plant_saves_has_the_same_shape_in_both_states(
-    sustained: Scenario, sustained_law: ControlLaw, tmp_path: Path
+    sustained: Scenario,
+    sustained_law: ControlLaw,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Were a save in one state more work, the time of the next measurement would tell."""
-    statements: dict[str, set[int]] = {"test": set(), "message": set()}
     executed: list[str] = []
-    with PlantJournal(tmp_path / "j", sustained.fingerprint()) as journal:
-        journal._db.set_trace_callback(executed.append)
-        sim = Simulation(sustained, sustained_law, seed=2, payloads=(b"a" * 40,))
-        plant, counted = sim._plant.receiver, sim._plant.count
-        journal.save(plant.record)
+    connect = sqlite3.connect
 
-        def count(move: Move) -> Step:
-            executed.clear()
-            journal.append(b"{}", b"{}", move.coin)
-            before_sending = len(executed)
-            step = counted(move)
-            assert step.effects is not None
-            statements[step.effects.transition.role].add(before_sending)
-            if step.effects.chunk or step.effects.frame is not None:
-                journal.save(
-                    plant.record,
-                    chunk=step.effects.chunk,
-                    drop_chunks=step.effects.frame is not None,
-                )
-            else:
-                journal.stage(plant.record)
-            return step
+    def watched(*args: Any, **options: Any) -> sqlite3.Connection:
+        connection: sqlite3.Connection = connect(*args, **options)
+        connection.set_trace_callback(executed.append)
+        return connection
 
-        sim._plant.count = count  # type: ignore[method-assign]
-        sim.run(steps=1000)
+    monkeypatch.setattr(sqlite3, "connect", watched)
+    with Watched(tmp_path / "j", sustained.fingerprint(), executed) as journal:
+        payloads = (b"a" * 40,)
+        sim = Simulation(sustained, sustained_law, seed=2, payloads=payloads, plant_journal=journal)
+        history = sim.run(steps=1000)
         assert journal.chunks()
-    assert statements["test"] == statements["message"] == {1}
+    roles = [t.role for t in history.plant.values()]
+    assert set(roles) == {"test", "message"}
+    assert len(journal.of_steps) == len(roles)
+    assert set(journal.of_steps) == {1}

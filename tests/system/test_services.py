@@ -62,6 +62,7 @@ class System:
         self.codes: dict[str, int] = {}
         self.errors: dict[str, Exception] = {}
         self.plant_service: PlantService | None = None
+        self._stopping: dict[str, threading.Event] = {}
 
     @contextmanager
     def controller(
@@ -100,7 +101,7 @@ class System:
 
     @contextmanager
     def _running(self, name: str, make: Callable[[threading.Event], Service]) -> Iterator[Service]:
-        stopping = threading.Event()
+        stopping = self._stopping[name] = threading.Event()
         service = make(stopping)
         if name == "plant":
             assert isinstance(service, PlantService)
@@ -121,10 +122,14 @@ class System:
             thread.join(10)
             assert not thread.is_alive()
 
+    def stop(self, name: str) -> None:
+        """Tell a service to end."""
+        self._stopping[name].set()
+
     @property
     def k(self) -> int:
         assert self.plant_service is not None
-        return self.plant_service.plant.receiver.record.k
+        return self.plant_service.endpoint.plant.receiver.record.k
 
     def wait(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
         until = time.monotonic() + seconds
@@ -364,7 +369,7 @@ def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: fl
     forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
     with system.plant() as plant, system.controller(b"one"):
         system.wait(lambda: system.recovered() == [b"one"])
-    assert plant.status(time.monotonic()).garbage == len(forged) == 20
+    assert plant.endpoint.status(time.monotonic()).garbage == len(forged) == 20
     assert system.errors == {}
 
 
@@ -387,7 +392,7 @@ def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System
     put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
     with system.plant("x20") as plant, system.controller(b"one") as controller:
         system.wait(lambda: system.k > 10)
-        true = plant.plant.receiver.measurement()
+        true = plant.endpoint.plant.receiver.measurement()
         system.wait(lambda: controller.sender.record.k > true.k)
         put(far_ahead(controller, plant).wire())
         system.wait(lambda: controller.sender.record.k == 10**30)
@@ -402,9 +407,9 @@ def far_ahead(controller: ControllerService, plant: PlantService) -> Measurement
     return Measurement(
         session=record.session,
         k=10**30,
-        x=plant.plant.receiver.record.x,
+        x=plant.endpoint.plant.receiver.record.x,
         applied_k=record.applied_k,
-        x_after=plant.plant.receiver.record.x,
+        x_after=plant.endpoint.plant.receiver.record.x,
     )
 
 
@@ -423,7 +428,8 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             system.wait(lambda: system.codes == {"stray": USAGE})
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            assert (controller.status().phase, controller.status().detail) == ("running", "")
+            status = controller.endpoint.status()
+            assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
     sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
     assert sum(1 for _ in sessions) == 1
@@ -448,19 +454,19 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.sender.instance: b"one", second.sender.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.plant.receiver.controller
+        mine = plant.endpoint.plant.receiver.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.sender.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.plant.receiver.controller == mine
-        running._stopping.set()
+        assert plant.endpoint.plant.receiver.controller == mine
+        system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
     assert all(len(answers) == 1 for answers in offers.values())
     told = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
-    for service in ("two controllers on loop loop", "and not with this one"):
+    for service in ("two controllers on one loop", "and not with this one"):
         assert any(service in t and mine in t and other in t for t in told), (service, told)
 
 
@@ -481,16 +487,16 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
     system: System,
 ) -> None:
     with system.plant("x20") as plant, system.controller(name="second"):
-        system.wait(lambda: plant.plant.receiver.accepted)
+        system.wait(lambda: plant.endpoint.plant.receiver.accepted)
     with system.plant("x20") as plant:
         with system.controller(name="second") as second:
             system.wait(lambda: system.k > 10)
             with system.controller() as first:
-                system.wait(lambda: first._detail != "")
+                system.wait(lambda: first.endpoint.status().detail != "")
         with system.controller(name="second") as again:
-            system.wait(lambda: plant.plant.receiver.controller == again.sender.instance)
+            system.wait(lambda: plant.endpoint.plant.receiver.controller == again.sender.instance)
             k = system.k
-            system.wait(lambda: plant.plant.receiver.record.applied_k > k)
+            system.wait(lambda: plant.endpoint.plant.receiver.record.applied_k > k)
     assert second.sender.record.session == again.sender.record.session
     assert first.sender.record.session is None
 
@@ -503,11 +509,11 @@ def test_a_second_plant_does_not_disturb_the_first(
         with system.plant("x20", name="second") as second:
             k = system.k
             system.wait(lambda: system.k > k + 60)
-            assert not second.plant.receiver.accepted
+            assert not second.endpoint.plant.receiver.accepted
         system.wait(lambda: system.recovered() == [b"one"])
-        assert first.plant.receiver.record.sessions == 1
+        assert first.endpoint.plant.receiver.record.sessions == 1
     told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
-    both = (first.plant.receiver.instance, second.plant.receiver.instance)
+    both = (first.endpoint.plant.receiver.instance, second.endpoint.plant.receiver.instance)
     assert told
     assert all(name in told[0] for name in both)
 
@@ -546,7 +552,7 @@ def test_a_status_that_cannot_be_written_ends_the_service_and_closes_its_files(
         assert isinstance(system.errors[side], IsADirectoryError)
         assert system.errors[side].__context__ is None
         with pytest.raises(AssertionError, match="closed"):
-            service._trace.write({"event": "late"})
+            service.trace.write({"event": "late"})
 
 
 class Full:
@@ -569,7 +575,7 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
     trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
     with system.controller(b"one") as controller, system.plant() as plant:
         service: PlantService | ControllerService = plant if side == "plant" else controller
-        service._trace.lines.disk = Full(room)
+        service.trace.lines.disk = Full(room)
         system.wait(lambda: side in system.errors)
     error = system.errors[side]
     assert isinstance(error, OSError)
@@ -605,18 +611,19 @@ def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
             system.wait(lambda: system.k > 20)
         lose(system.run_dir / CONTROLLER_JOURNAL)
         with system.controller(b"one") as controller:
-            system.wait(lambda: controller._detail != "")
-            system.wait(lambda: controller.status().phase == "running")
+            system.wait(lambda: controller.endpoint.status().detail != "")
+            system.wait(lambda: controller.endpoint.status().phase == "running")
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            assert (controller.status().phase, controller.status().detail) == ("running", "")
+            status = controller.endpoint.status()
+            assert (status.phase, status.detail) == ("running", "")
 
 
 def test_the_status_has_the_horizon_that_was_designed(system: System) -> None:
     longer = system.scenario.control.model_copy(update={"horizon": 9999})
     scenario = system.scenario.model_copy(update={"control": longer})
     with system.controller(scenario=scenario) as controller:
-        assert controller.status().horizon == system.law.design.horizon
+        assert controller.endpoint.status().horizon == system.law.design.horizon
 
 
 # --- frames and restarts --------------------------------------------------------------------------
@@ -629,12 +636,12 @@ def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System)
     with system.controller(long[0]):
         put(SendCommand(id="second", payload=long[1]).wire())
         with system.plant() as plant:
-            receiver = plant.plant.receiver
+            receiver = plant.endpoint.plant.receiver
             system.wait(
                 lambda: receiver.record.messages == 1 and len(receiver.deframer.symbols) > 80
             )
         with system.plant() as plant:
-            receiver = plant.plant.receiver
+            receiver = plant.endpoint.plant.receiver
             system.wait(lambda: receiver.record.messages + receiver.record.frames_refused == 2)
     assert system.recovered() == list(long)
 
@@ -643,7 +650,7 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
     """What was received of the frame in the session before must be gone from the journal."""
     message = b"A" * 30
     with system.plant() as plant:
-        receiver = plant.plant.receiver
+        receiver = plant.endpoint.plant.receiver
         with system.controller(message):
             system.wait(lambda: len(receiver.deframer.symbols) > 100)
         lose(system.run_dir / CONTROLLER_JOURNAL)
@@ -651,10 +658,10 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
             system.wait(
                 lambda: receiver.record.sessions == 2 and len(receiver.deframer.symbols) > 20
             )
-            plant._stopping.set()
+            system.stop("plant")
             system.wait(lambda: "plant" in system.codes)
             with system.plant() as again:
-                now = again.plant.receiver
+                now = again.endpoint.plant.receiver
                 system.wait(lambda: now.record.messages + now.record.frames_refused > 0)
     assert system.recovered() == [message]
 
@@ -673,5 +680,5 @@ def test_a_journal_put_back_from_an_old_copy_ends_the_session(system: System, si
         path.write_bytes(content)
     with system.controller(message), system.plant() as plant:
         system.wait(lambda: system.recovered() == [message])
-    assert plant.plant.receiver.record.frames_refused == 0
+    assert plant.endpoint.plant.receiver.record.frames_refused == 0
     assert len({e["session"] for e in read_trace(system.run_dir / PLANT_TRACE).of("session")}) == 2

@@ -29,7 +29,8 @@ def run(args: argparse.Namespace) -> int:
     from controller_service.laws.paper import ProgramError, make_law
     from controller_service.service import ControllerConfig, run_controller
     from controller_service.sets.design import SynthesisError, cached_design
-    from protocol.runtime.zenoh_bus import TransportError, open_bus
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.zenoh_bus import open_bus
     from wyner.cli.design import progress_bar
 
     if args.seed is not None and args.seed < 0:

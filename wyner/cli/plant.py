@@ -24,7 +24,8 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
     from plant_service.service import PlantConfig, run_plant
-    from protocol.runtime.zenoh_bus import TransportError, open_bus
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.zenoh_bus import open_bus
 
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"--steps: got {args.steps}, expected at least 1")

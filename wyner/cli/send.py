@@ -37,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
     """Repeat the command until the controller has answered it."""
     from pydantic import ValidationError
 
-    from protocol.runtime.zenoh_bus import TransportError, open_bus
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.zenoh_bus import open_bus
 
     if (args.text is None) == (args.file is None):
         raise UsageError("expected TEXT or --file F, and one of them only")

@@ -164,8 +164,8 @@ def run(args: argparse.Namespace) -> int:
 
     from pydantic import ValidationError
 
+    from protocol.runtime.bus import TransportError
     from protocol.runtime.process import UsageError
-    from protocol.runtime.zenoh_bus import TransportError
     from tap_service.capture.recording import Limits
     from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
     from tap_service.service import FINISH_S, TapConfig, run_tap

@@ -12,7 +12,7 @@ from protocol.topics import key_of
 from wyner.dashboard.model import Arrival
 
 if TYPE_CHECKING:
-    from protocol.runtime.zenoh_bus import Bus
+    from protocol.runtime.bus import Bus
 
 WAITING_AT_MOST: Final = 4096
 """Payloads held between two looks; the newest win, and what is pushed out is counted."""

@@ -1,27 +1,33 @@
-"""All cores in one process: virtual clock, seeded faulty network, processes that die.
+"""Both ends in one process: virtual clock, seeded faulty network, processes that die.
 
-The classes driven here are the ones the services run: :class:`protocol.link.sender.Sender`,
-:class:`plant_service.plant.Plant` and :class:`protocol.link.pacing.Pacing`. Only time, network and
-disk are make-believe, and every choice of theirs comes from one seed, so that a failure replays.
+The endpoints driven here are the ones the services run, through the same
+:func:`protocol.link.perform.perform`. Only time, network and disk are make-believe, and every
+choice of theirs comes from one seed, so that a failure replays.
 """
 
 import heapq
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from math import inf
+from typing import Final, Literal, Protocol
 
-from plant_service.plant import Move, Plant, Step, first_record
-from protocol.link.pacing import Pacing
+from controller_service.endpoint import ControllerEndpoint
+from plant_service import from_journal
+from plant_service.endpoint import PlantEndpoint
+from plant_service.from_journal import plant_endpoint
+from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
+from protocol.link.events import Applied, Event, Missed
+from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import Sender, SenderEffects, SenderRecord
-from protocol.link.session import SILENCE_S, Transition, rules_of
-from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
+from protocol.link.sender import Sender, SenderRecord
+from protocol.link.session import Transition, rules_of
+from protocol.messages import Message, Offer
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
-from protocol.schemes.switched import MESSAGE
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 
-HELLO_S: Final = 0.1
 Vector = tuple[float, ...]
 
 
@@ -43,8 +49,8 @@ class Faults:
     delay_s : float
         Each arrival is late by a uniform time up to this, so messages overtake one another.
     crash : float
-        Probability that a process dies while it handles an event: before it has saved what came of
-        it, after that but before it has sent anything, before it has counted it, or after all.
+        Probability that a process dies over an event: before it has saved what came of it, after
+        that but before it has sent anything, before it has traced or kept it, or after all.
     amnesia : float
         Probability that a process that died comes back without its journal.
     down_s : float
@@ -82,27 +88,63 @@ class History:
     record: ReceiverRecord | None = None
 
 
-class Fate(NamedTuple):
-    """What a process still does of an event, in this order, and whether it outlives it."""
+Side = Literal["plant", "controller"]
 
-    saves: bool
-    sends: bool
-    counts: bool
-    lives: bool
+LONGEST: Final = 5
+"""A process that dies does so before one of the first so many things that an event asks of it: the
+four of a step (save it, publish it, trace what it counted, keep the record), or after all."""
 
 
-LIVES: Final = Fate(True, True, True, True)
-DEATHS: Final = [Fate(done > 0, done > 1, done > 2, False) for done in range(4)]
+class Disk(Protocol):
+    """A journal that may be lost."""
+
+    def write(self, write: Write) -> None:
+        """Keep it."""
+
+    def forget(self) -> None:
+        """Lose everything."""
 
 
-class _Outbox:
-    """Messages to deliver, on a disk that the simulation never loses."""
+class PlantDisk(Disk, from_journal.PlantDisk, Protocol):
+    """The plant's."""
 
-    def __init__(self, payloads: tuple[bytes, ...]) -> None:
-        self._payloads = payloads
 
-    def payload(self, number: int) -> bytes | None:
-        return self._payloads[number] if number < len(self._payloads) else None
+class _Ports:
+    """What one end does to the world: its disk, the network, the history."""
+
+    def __init__(self, world: "Simulation", partner: Side, journal: Disk) -> None:
+        self._world = world
+        self._partner = partner
+        self._journal = journal
+
+    def write(self, write: Write) -> None:
+        self._journal.write(write)
+        if isinstance(write, Keep):
+            self._world.kept(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        self._world.send(self._partner, kind, payload)
+
+    def trace(self, event: Event) -> None:
+        self._world.traced(event)
+
+    def tell(self, notice: Notice) -> None:
+        pass
+
+    def health(self, status: bytes) -> None:
+        pass
+
+
+class _End:
+    """One end: its journal and, while it lives, its endpoint."""
+
+    def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
+        self.side: Side = side
+        self.journal = journal
+        self.ports = Mortal(_Ports(world, partner, journal))
+        self.endpoint: Endpoint | None = None
+        self.wakes_at = inf
+        self.lives = 0
 
 
 class Simulation:
@@ -121,6 +163,8 @@ class Simulation:
         None: nothing goes wrong.
     step_s : float, optional
         A deadline each step, in virtual seconds; None for lock-step.
+    plant_journal : PlantDisk, optional
+        None: one in memory.
     """
 
     def __init__(
@@ -133,6 +177,7 @@ class Simulation:
         faults: Faults | None = None,
         step_s: float | None = None,
         run: int = 0,
+        plant_journal: PlantDisk | None = None,
     ) -> None:
         self.history = History()
         self.now_s = 0.0
@@ -142,16 +187,20 @@ class Simulation:
         self._faults = faults or Faults()
         self._step_s = step_s
         self._random = random.Random(seed)
-        self._rules = rules_of(scenario)
-        self._outbox = _Outbox(payloads)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._number = 0
-        self._plant_life = self._controller_life = 0
-        self._controller_disk: tuple[SenderRecord | None, tuple[Measurement, Offer] | None]
-        self._controller_disk = (None, None)
-        self._plant_disk: tuple[ReceiverRecord, str, Move | None] | None = None
-        self._start_controller()
-        self._start_plant()
+        self._queue = MemoryControllerJournal(*payloads)
+        self._plant_journal = plant_journal or MemoryPlantJournal()
+        self._sender: Sender
+        self._plant: PlantEndpoint
+        self._offered: list[Offer] = []
+        self._delivered = 0
+        self._ends: dict[Side, _End] = {
+            "controller": _End(self, "controller", "plant", self._queue),
+            "plant": _End(self, "plant", "controller", self._plant_journal),
+        }
+        for side in self._ends:
+            self._start(side)
 
     # --- the world --------------------------------------------------------------------------------
 
@@ -176,13 +225,13 @@ class Simulation:
             if until is not None and until():
                 break
         self.history.seconds = self.now_s
-        self.history.record = self._plant.receiver.record
+        self.history.record = self._plant.plant.receiver.record
         return self.history
 
     @property
     def k(self) -> int:
         """The plant's step."""
-        return self._plant.receiver.record.k
+        return self._plant.plant.receiver.record.k
 
     @property
     def _sick(self) -> bool:
@@ -195,207 +244,125 @@ class Simulation:
         self._number += 1
         heapq.heappush(self._events, (self.now_s + delay_s, self._number, event))
 
-    def _send(self, message: Message) -> None:
+    def _identifier(self) -> str:
+        return f"{self._random.getrandbits(64):016x}"
+
+    # --- what the ports do ------------------------------------------------------------------------
+
+    def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
+        """Put a message on the network, which does with it what it likes."""
         faults = self._faults
+        if kind is Offer:
+            self._offered.append(Offer.model_validate_json(payload))
         if self._chance(faults.loss):
             return
         for _ in range(2 if self._chance(faults.repeat) else 1):
             late = self._random.random() * faults.delay_s if self._sick else 0.0
-            self._at(late, lambda: self._deliver(message))
+            self._at(late, lambda: self._deliver(to, kind, payload))
 
-    def _deliver(self, message: Message) -> None:
-        if isinstance(message, Measurement | PlantHello):
-            if self._controller_alive:
-                self._controller_hears(message)
-        elif self._plant_alive:
-            assert isinstance(message, Offer | ControllerHello)
-            self._plant_hears(message)
+    def kept(self, write: Keep) -> None:
+        """Note what a record says of messages that came through."""
+        record = write.record
+        if isinstance(record, SenderRecord):
+            self.history.delivered.extend(range(self._delivered, record.message))
+            self._delivered = record.message
+        elif write.received is not None:
+            self.history.inbox.append(write.received)
 
-    def _fate(self) -> Fate:
-        """How far a process gets with an event."""
-        if not self._chance(self._faults.crash):
-            return LIVES
-        self.history.crashes += 1
-        return self._random.choice(DEATHS)
+    def traced(self, event: Event) -> None:
+        """Note what a side counted."""
+        if isinstance(event, Transition):
+            self.history.controller[event.session, event.j] = event
+        elif isinstance(event, Applied):
+            t = event.transition
+            self.history.plant[t.session, t.j] = t
+            self.history.coins[t.session, t.j] = event.coin
+        elif isinstance(event, Missed):
+            self.history.missed += 1
 
-    def _forgets(self) -> bool:
-        forgets = self._chance(self._faults.amnesia)
-        self.history.amnesias += forgets
-        return forgets
+    # --- lives and deaths -------------------------------------------------------------------------
 
-    def _identifier(self) -> str:
-        return f"{self._random.getrandbits(64):016x}"
+    def _start(self, side: Side) -> None:
+        end = self._ends[side]
+        end.lives += 1
+        end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
+        self._perform(end, end.endpoint.start(self.now_s))
 
-    # --- the controller ---------------------------------------------------------------------------
-
-    def _start_controller(self) -> None:
-        self._controller_alive = True
-        self._controller_life += 1
+    def _new_controller(self) -> ControllerEndpoint:
         self._sender = Sender(
-            self._rules,
+            rules_of(self._scenario),
             self._law.candidates,
-            self._outbox,
+            self._queue,
             SeededSymbols(self._seed, CIPHER, run=self._run),
             self._identifier(),
-            *self._controller_disk,
+            self._queue.load(),
+            self._queue.step(),
         )
-        if self._sender.unsettled:
-            self._controller_saves(self._sender.settle())
-        self._send(self._sender.greeting())
+        return ControllerEndpoint(self._sender, self._queue, self._scenario.plant.period_s)
 
-    def _controller_dies(self) -> None:
-        self._controller_alive = False
-        if self._forgets():
-            self._controller_disk = (None, None)
-        self._at(self._random.random() * self._faults.down_s, self._start_controller)
-
-    def _controller_hears(self, message: Measurement | PlantHello) -> None:
-        fate = self._fate()
-        if isinstance(message, Measurement):
-            effects = self._sender.measured(message)
-        else:
-            effects = self._sender.heard_plant(message)
-        if effects.append:
-            assert isinstance(message, Measurement)
-            assert effects.offer is not None
-            if fate.saves:
-                self._controller_disk = (self._sender.record, (message, effects.offer))
-            settled = self._sender.settle()
-            if fate.counts:
-                self._controller_saves(settled)
-        elif fate.saves:
-            self._controller_saves(effects)
-        if fate.sends:
-            self._controller_sends(effects)
-        if not fate.lives:
-            self._controller_dies()
-
-    def _controller_saves(self, effects: SenderEffects) -> None:
-        if effects.transition is not None:
-            t = effects.transition
-            self.history.controller[t.session, t.j] = t
-        if effects.delivered is not None:
-            self.history.delivered.append(effects.delivered)
-        if effects.save:
-            self._controller_disk = (self._sender.record, None)
-
-    def _controller_sends(self, effects: SenderEffects) -> None:
-        if effects.offer is not None:
-            record = self._sender.record
-            self.history.offered.append((record.transitions, record.s, effects.offer))
-            self._send(effects.offer)
-        if effects.reply is not None:
-            self._send(effects.reply)
-        if effects.greet:
-            self._send(self._sender.greeting())
-
-    # --- the plant --------------------------------------------------------------------------------
-
-    def _start_plant(self) -> None:
-        self._plant_alive = True
-        self._plant_life += 1
-        if self._plant_disk is None:
-            self._plant_disk = (first_record(self._scenario, self._identifier()), "", None)
-        record, chunks, move = self._plant_disk
+    def _new_plant(self, lives: int) -> PlantEndpoint:
         # A plant that died before it saved a step tosses its coin for that step again.
-        luck = self._run if self._plant_life == 1 else self._run + 1000 * self._plant_life
-        self._plant = Plant(
+        draws = self._run if lives == 1 else self._run + 1000 * lives
+        self._plant = plant_endpoint(
             self._scenario,
-            self._identifier(),
-            SeededSymbols(self._seed, COIN, run=luck),
-            Stream(self._seed, DISTURBANCE, width=self._scenario.n, run=luck),
-            record,
-            chunks,
+            self._plant_journal,
+            SeededSymbols(self._seed, COIN, run=draws),
+            Stream(self._seed, DISTURBANCE, width=self._scenario.n, run=draws),
+            self._identifier,
+            self.now_s,
+            self._step_s,
         )
-        if move is not None:
-            self._plant_counts(self._plant.count(move))
-        self._moved = self.k > 0
-        self._pacing = Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s)
-        self._hello_at = self._answered_at = self.now_s
-        self._plant_wakes(self._plant_life)
+        return self._plant
 
-    def _plant_dies(self) -> None:
-        self._plant_alive = False
-        if self._forgets():
-            self._plant_disk = None
-        self._at(self._random.random() * self._faults.down_s, self._start_plant)
+    def _deliver(self, to: Side, kind: type[Message], payload: bytes) -> None:
+        end = self._ends[to]
+        if end.endpoint is not None:
+            self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
 
-    def _plant_wakes(self, life: int) -> None:
-        """What the service's loop does between two arrivals."""
-        if not self._plant_alive or life != self._plant_life:
+    def _wake(self, end: _End, at_s: float) -> None:
+        if end.endpoint is None or at_s != end.wakes_at:  # overtaken by an earlier one, or dead
             return
-        receiver = self._plant.receiver
-        if self._pacing.waiting:
-            self._answered_at = self.now_s
-        silent = self.now_s - self._answered_at >= SILENCE_S
-        if silent:
-            receiver.look_around()
-        if (silent or not receiver.accepted) and self.now_s >= self._hello_at:
-            self._hello_at = self.now_s + HELLO_S
-            self._send(receiver.hello())
-        running = self._moved or receiver.accepted
-        if self._pacing.tick(self.now_s, running=running) == "missed":
-            self._plant.miss()
-            self.history.missed += 1
-            self._moved = True
-            self._plant_saves()
-        if receiver.accepted and self._pacing.measurement_due(self.now_s):
-            self._send(receiver.measurement())
-        wait_s = self._pacing.wait_s(self.now_s, measuring=receiver.accepted, longest_s=HELLO_S)
-        self._at(max(wait_s, 1e-6), lambda: self._plant_wakes(life))
+        end.wakes_at = inf
+        due = end.endpoint.wake_at() <= self.now_s
+        self._perform(end, end.endpoint.wake(self.now_s) if due else NOTHING_TO_DO)
 
-    def _plant_hears(self, message: Offer | ControllerHello) -> None:
-        receiver = self._plant.receiver
-        fate = self._fate()
-        if isinstance(message, ControllerHello):
-            outcome = receiver.heard_controller(message, self._identifier())
-            if message.instance == receiver.controller:
-                self._answered_at = self.now_s
-            if outcome in ("greet", "ended") and fate.saves:
-                self._plant_saves(drop_chunks=outcome == "ended")
-            if outcome in ("greet", "ended", "rival") and fate.sends:
-                self._send(receiver.hello())
-        else:
-            self._plant_is_offered(message, fate)
-        if not fate.lives:
-            self._plant_dies()
+    def _perform(self, end: _End, actions: Actions) -> None:
+        """Carry out what an end wants; it may die over it, or right after it."""
+        assert end.endpoint is not None
+        doomed = actions != NOTHING_TO_DO and self._chance(self._faults.crash)
+        end.ports.doom(after=self._random.randrange(LONGEST) if doomed else -1)
+        with suppress(Killed):
+            perform(actions, end.endpoint, end.ports)
+        self._note_offers()
+        if doomed:
+            self._die(end)
+            return
+        due = end.endpoint.wake_at()
+        if due < end.wakes_at:
+            end.wakes_at = due = max(due, self.now_s)
+            self._at(due - self.now_s, lambda: self._wake(end, due))
 
-    def _plant_is_offered(self, offer: Offer, fate: Fate) -> None:
-        what = self._plant.receiver.check(offer)
-        if what != "foreign":
-            self._answered_at = self.now_s
-        if what == "current" and not self._pacing.waiting:
-            self._plant_applies(offer, fate)
+    def _die(self, end: _End) -> None:
+        self.history.crashes += 1
+        end.endpoint = None
+        end.wakes_at = inf
+        if self._chance(self._faults.amnesia):
+            self.history.amnesias += 1
+            end.journal.forget()
+        self._at(self._random.random() * self._faults.down_s, lambda: self._start(end.side))
 
-    def _plant_applies(self, offer: Offer, fate: Fate) -> None:
-        receiver = self._plant.receiver
-        move = self._plant.move(offer)
-        if fate.saves:
-            assert self._plant_disk is not None
-            self._plant_disk = (receiver.record, self._plant_disk[1], move)
-            self._moved = True
-            self._pacing.applied()
-        if fate.sends and self._step_s is None and receiver.accepted:
-            self._pacing.measurement_due(self.now_s)
-            self._send(receiver.moved(move.x_next))
-        if fate.counts:
-            self._plant_counts(self._plant.count(move))
+    def _note_offers(self) -> None:
+        """Note for which transition an offer was meant, once the sender has counted so far.
 
-    def _plant_counts(self, step: Step) -> None:
-        assert step.effects is not None
-        assert step.coin is not None
-        transition, frame = step.effects.transition, step.effects.frame
-        self.history.plant[transition.session, transition.j] = transition
-        self.history.coins[transition.session, transition.j] = step.coin
-        if frame is not None and frame.intact:
-            self.history.inbox.append(frame.payload)
-        if step.effects.chunk or frame is not None:
-            self._plant_saves(step.effects.chunk, drop_chunks=frame is not None)
-
-    def _plant_saves(self, chunk: str = "", *, drop_chunks: bool = False) -> None:
-        assert self._plant_disk is not None
-        chunks = "" if drop_chunks else self._plant_disk[1]
-        self._plant_disk = (self._plant.receiver.record, chunks + chunk, None)
+        Where it died in between, and lost its journal too, nobody ever offers that one again.
+        """
+        record = self._sender.record
+        if self._sender.unsettled:
+            return
+        for offer in self._offered:
+            if record.offer == offer:
+                self.history.offered.append((record.transitions, record.s, offer))
+        self._offered.clear()
 
 
 def simulate(
@@ -414,43 +381,3 @@ def simulate(
     simulation.run(steps=steps)
     last = len(simulation.history.plant)
     return simulation.run(until=lambda: len(simulation.history.controller) >= last)
-
-
-def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
-    """What of the safety property does not hold, a line each.
-
-    What the plant has recovered is a prefix of what was sent; both automata agree on every
-    transition both have counted; no key symbol is used for two message symbols.
-    """
-    for at, mine in history.plant.items():
-        theirs = history.controller.get(at)
-        if theirs is not None and _counted(mine) != _counted(theirs):
-            yield f"transition {at}: plant {_counted(mine)}, controller {_counted(theirs)}"
-    for session in {s for s, _ in history.controller}:
-        counted = sorted(j for s, j in history.controller if s == session)
-        if counted != list(range(len(counted))):
-            yield f"session {session}: the controller counted {counted[:5]}..., with a gap"
-    ciphers: dict[tuple[str, int], int] = {}
-    for j, s, offer in history.offered:
-        first = ciphers.setdefault((offer.session, j), offer.cipher)
-        if first != offer.cipher and s == MESSAGE:
-            yield f"transition {offer.session}/{j}: cipher {first} and then {offer.cipher}"
-    yield from _out_of_order(history.inbox, payloads, again=history.amnesias > 0)
-
-
-def _counted(t: Transition) -> tuple[object, ...]:
-    return (
-        *(t.k, t.x, t.candidates, t.cipher, t.x_next, t.role),
-        *(t.symbol, t.key, t.message_symbol, t.p, t.s),
-    )
-
-
-def _out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: bool) -> Iterator[str]:
-    """Messages must arrive in order, once each; where a journal was lost one may come again."""
-    place = 0
-    for payload in inbox:
-        if place < len(payloads) and payload == payloads[place]:
-            place += 1
-        elif not (again and payload in payloads[:place]):
-            yield f"message {payload!r} arrived, expected {payloads[place : place + 1]!r}"
-            return

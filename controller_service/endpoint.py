@@ -1,0 +1,282 @@
+"""The controller's end of the link with its timers, sans I/O."""
+
+from collections import deque
+from collections.abc import Callable
+from math import inf
+from typing import Final
+
+from pydantic import ValidationError
+
+from controller_service.telemetry import Messages, Phase, Telemetry
+from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
+from protocol.link.events import Delivered, Event, Queued, SessionBegan
+from protocol.link.sender import Sender, SenderEffects
+from protocol.link.session import SILENCE_S
+from protocol.messages import (
+    ControllerHello,
+    ControllerStatus,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    SendCommand,
+    SendReply,
+)
+from protocol.runtime.process import USAGE, spoken
+from protocol.schemes.framing import MAX_PAYLOAD
+
+GREETING_S: Final = 0.1
+"""Seconds between greetings while the plant speaks of a session that is not this process's."""
+
+SILENT_PERIODS: Final = 3
+"""A plant counts as away after so many of its periods at least, however long they are."""
+
+INITIAL_ID: Final = "initial"
+"""Identifier of the message that a controller is started with; no command may take it."""
+
+STATUS_S: Final = 0.05
+HEALTH_S: Final = 1.0
+
+
+class ControllerEndpoint:
+    """The controller's end of one loop.
+
+    Parameters
+    ----------
+    sender : Sender
+    messages : Messages
+        The queue that ``sender`` reads.
+    period_s : float
+        The plant's; one that has been silent for several of them is away.
+    message : bytes, optional
+        Queued under `INITIAL_ID` at the start, once in the queue's life.
+    telemetry : Telemetry, optional
+        What is told beside the record; without it no status is published.
+    status_s : float
+        Seconds between statuses.
+    """
+
+    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand)
+    says: tuple[type[Message], ...] = (Offer, ControllerHello, SendReply, ControllerStatus)
+
+    def __init__(
+        self,
+        sender: Sender,
+        messages: Messages,
+        period_s: float,
+        *,
+        message: bytes | None = None,
+        telemetry: Telemetry | None = None,
+        status_s: float = STATUS_S,
+    ) -> None:
+        self.sender = sender
+        self.garbage = 0
+        self.code: int | None = None
+        self._messages = messages
+        self._message = message
+        self._running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
+        self._telemetry = telemetry
+        self._status_s = status_s
+        self._status_at = inf
+        self._health_at = self._greeting_at = self._plant_at = -inf
+        self._now = -inf
+        self._later: deque[Callable[[], Actions]] = deque()
+
+    # --- the shell's side -------------------------------------------------------------------------
+
+    def start(self, now: float) -> Actions:
+        """Count what a journal left to be counted, queue the first message, and greet."""
+        self._now = now
+        if self._telemetry is not None:
+            self._status_at = now
+        if self.sender.unsettled:
+            self._later.append(self._settle)
+        if self._message is not None and self._messages.queued_as(INITIAL_ID) is None:
+            message = self._message
+            self._later.append(lambda: self._queue(INITIAL_ID, message))
+        self._later.append(lambda: Actions(publish=(self._greeting(),)))
+        return self.settle()
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """A measurement, a word of the plant's, or the operator's command."""
+        self._now = now
+        try:
+            if kind is Measurement:
+                return self._measured(payload, now)
+            if kind is PlantHello:
+                return self._heard(PlantHello.model_validate_json(payload), now)
+            return self._commanded(SendCommand.model_validate_json(payload))
+        except ValidationError as error:
+            what = {Measurement: "measurement", PlantHello: "hello"}.get(kind, "command")
+            return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
+
+    def wake_at(self) -> float:
+        """When the next status is due."""
+        return self._status_at
+
+    def wake(self, now: float) -> Actions:
+        """A status, if it is due."""
+        self._now = now
+        if now < self._status_at:
+            return NOTHING_TO_DO
+        self._status_at = now + self._status_s
+        publish, health = self._status(force=False)
+        return Actions(publish=publish, health=health)
+
+    def settle(self) -> Actions:
+        """The next of what was left for later."""
+        actions = self._later.popleft()()
+        return actions._replace(settle=True) if self._later else actions
+
+    def stop(self, now: float) -> Actions:
+        """The last status."""
+        self._now = now
+        if self._telemetry is not None and self._telemetry.phase != "refused":
+            self._telemetry.phase = "stopped"
+        publish, health = self._status(force=True)
+        return Actions(publish=publish, health=health)
+
+    def status(self) -> ControllerStatus:
+        """What the dashboard is told; an endpoint without telemetry has none."""
+        assert self._telemetry is not None
+        return self._telemetry.status(self.sender, self._messages, self.garbage)
+
+    # --- steps ------------------------------------------------------------------------------------
+
+    def _measured(self, payload: bytes, now: float) -> Actions:
+        sender = self.sender
+        measurement = Measurement.model_validate_json(payload)
+        try:
+            effects = sender.measured(measurement)
+        except ValueError as error:
+            return self._garbage(f"{error}; ignored")
+        if sender.plant is not None and measurement.session == sender.record.session:
+            self._plant_at = now
+        telemetry = self._telemetry
+        if telemetry is not None and effects.offer is not None:
+            telemetry.phase, telemetry.detail = "running", ""
+        elif telemetry is not None and effects.refusal:
+            telemetry.phase = "outside" if sender.record.session else "greeting"
+        if not effects.append:
+            return self._actions(effects)
+        assert effects.offer is not None
+        offer = effects.offer.wire()
+        self._later.append(self._settle)
+        return Actions(write=Append(payload, offer), publish=(Outgoing(Offer, offer),), settle=True)
+
+    def _settle(self) -> Actions:
+        effects = self.sender.settle()
+        actions = self._actions(effects)
+        return actions if effects.save else actions._replace(write=Keep(self.sender.record, True))
+
+    def _actions(self, effects: SenderEffects, *events: Event) -> Actions:
+        """What the sender asks for, beside the step itself."""
+        publish: list[Outgoing] = []
+        notices: list[Notice] = []
+        health = b""
+        if effects.transition is not None:
+            events = (*events, effects.transition)
+        if effects.offer is not None:
+            publish.append(Outgoing(Offer, effects.offer.wire()))
+        if effects.reply is not None:
+            publish.append(Outgoing(ControllerHello, effects.reply.wire()))
+        if effects.greet and self._now >= self._greeting_at:
+            self._greeting_at = self._now + GREETING_S
+            publish.append(self._greeting())
+        if effects.refusal:
+            if self._telemetry is not None:
+                self._telemetry.detail = effects.refusal
+            notices.append(Notice(effects.refusal, "warning", "refusals"))
+        if effects.delivered is not None:
+            notices.append(self._delivered(effects.delivered))
+            status, health = self._status(force=True)
+            publish += status
+        write = Keep(self.sender.record) if effects.save else None
+        return Actions(events, write, tuple(publish), tuple(notices), health)
+
+    def _delivered(self, number: int) -> Notice:
+        payload = self._messages.payload(number)
+        assert payload is not None
+        identifier = self._messages.identifier(number)
+        return Notice(
+            f"message {identifier} delivered", event=Delivered(number, identifier, payload)
+        )
+
+    # --- sessions and commands --------------------------------------------------------------------
+
+    def _heard(self, hello: PlantHello, now: float) -> Actions:
+        """The plant spoke on ops."""
+        sender = self.sender
+        before = (sender.plant, sender.record.session)
+        effects = sender.heard_plant(hello, running=now - self._plant_at < self._running_s)
+        reason = effects.refusal or "the plant began it"
+        events = (SessionBegan(sender.record.session, reason),) if effects.save else ()
+        actions = self._actions(effects, *events)
+        notice: Notice | None = None
+        phase: Phase | None = None
+        detail = ""
+        if sender.refused:
+            self.code = USAGE
+            detail = (
+                f"the plant's model is {spoken(hello.fingerprint)}, "
+                f"this controller's is {spoken(sender.rules.fingerprint)}"
+            )
+            phase = "refused"
+            notice = Notice(f"{detail}: the two ends must share one scenario", "error")
+        elif sender.plant is None:
+            phase = "greeting"
+        elif before != (sender.plant, sender.record.session):
+            phase = "running"
+            notice = Notice(f"session {hello.session} taken up with plant {hello.instance}")
+        if self._telemetry is not None and phase is not None:
+            self._telemetry.phase = phase
+            if phase != "greeting":
+                self._telemetry.detail = detail
+        return actions if notice is None else actions._replace(notices=(*actions.notices, notice))
+
+    def _commanded(self, command: SendCommand) -> Actions:
+        """The operator hands over a message; the same identifier is queued once."""
+        size, queued = len(command.payload), self._messages.queued_as(command.id)
+        waiting = self._messages.queued - self.sender.record.message
+        accepted, detail, actions = False, "", NOTHING_TO_DO
+        if command.id == INITIAL_ID:
+            detail = f"id: {INITIAL_ID!r} is the message that the controller is started with"
+        elif size > MAX_PAYLOAD:
+            detail = f"message: got {size} bytes, expected at most {MAX_PAYLOAD}"
+        elif queued is None:
+            actions, accepted = self._queue(command.id, command.payload), True
+            waiting += 1
+        elif queued == command.payload:
+            accepted, detail = True, "already queued"
+        else:
+            detail = f"id: {command.id!r} is another message's"
+        reply = SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail)
+        return actions._replace(publish=(Outgoing(SendReply, reply.wire()),))
+
+    def _queue(self, identifier: str, payload: bytes) -> Actions:
+        """Traced first: what is queued in the journal must not be missing from the trace.
+
+        The record goes with it. The step under way was decided without this message: should it be
+        counted again, then so too.
+        """
+        write = Keep(self.sender.record, queued=(identifier, payload))
+        return Actions(events=(Queued(identifier, payload),), write=write)
+
+    def _greeting(self) -> Outgoing:
+        return Outgoing(ControllerHello, self.sender.greeting().wire())
+
+    # --- telling ----------------------------------------------------------------------------------
+
+    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], bytes]:
+        """A status to publish, and once in :data:`HEALTH_S` to be kept."""
+        if self._telemetry is None:
+            return (), b""
+        payload = self.status().wire()
+        keep = force or self._now >= self._health_at
+        if keep:
+            self._health_at = self._now + HEALTH_S
+        return (Outgoing(ControllerStatus, payload),), payload if keep else b""
+
+    def _garbage(self, text: str) -> Actions:
+        self.garbage += 1
+        return Actions(notices=(Notice(text, "warning", "garbage"),))

@@ -1,0 +1,375 @@
+"""The plant's end of the link with its timers, sans I/O."""
+
+from collections.abc import Callable
+from math import inf
+from typing import Final, Literal, Protocol
+
+from pydantic import ValidationError
+
+from plant_service.plant import Move, Step
+from plant_service.status import News
+from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
+from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
+from protocol.link.receiver import Receiver
+from protocol.link.session import SILENCE_S
+from protocol.messages import (
+    ControllerHello,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    PlantStatus,
+)
+from protocol.runtime.process import DONE, USAGE, spoken
+from protocol.schemes.framing import Frame, readable
+
+HELLO_S: Final = 0.1
+"""Seconds between hellos until the controller answers."""
+
+STATUS_S: Final = 0.05
+HEALTH_S: Final = 1.0
+LAST_WORD_S: Final = 1.0
+"""Seconds to wait at the end for the controller to count the last transition."""
+
+
+class Stepper(Protocol):
+    """What is stepped: a plant with its coin and its receiver, as :class:`plant_service.plant`'s.
+
+    ``move`` must come to the same end when it is called again for a step that was not counted.
+    """
+
+    receiver: Receiver
+
+    def move(self, offer: Offer) -> Move:
+        """Choose one input of the current ``offer``, and apply it."""
+
+    def count(self, move: Move) -> Step:
+        """Count the transition that ``move`` made."""
+
+    def miss(self) -> Step:
+        """Apply the fallback input."""
+
+
+class PlantEndpoint:
+    """The plant's end of one loop.
+
+    Parameters
+    ----------
+    plant : Stepper
+    pacing : Pacing
+    new_id : callable
+        A random id for each session to begin.
+    now : float
+        The time.
+    pending : Move, optional
+        A step of the journal's that was not counted.
+    fresh : bool
+        The record is a new one, and in no journal yet.
+    steps : int, optional
+        The last step: when k has come there the endpoint reports it, and is over.
+    news : News, optional
+        What is told beside the record; without it no status is published.
+    status_s : float
+        Seconds between statuses.
+    """
+
+    hears: tuple[type[Message], ...] = (Offer, ControllerHello)
+    says: tuple[type[Message], ...] = (Measurement, PlantHello, PlantStatus)
+
+    def __init__(
+        self,
+        plant: Stepper,
+        pacing: Pacing,
+        new_id: Callable[[], str],
+        now: float,
+        *,
+        pending: Move | None = None,
+        fresh: bool = False,
+        steps: int | None = None,
+        news: News | None = None,
+        status_s: float = STATUS_S,
+    ) -> None:
+        self.plant = plant
+        self.garbage = 0
+        self.code: int | None = None
+        self._pacing = pacing
+        self._new_id = new_id
+        self._now = now
+        self._uncounted = pending
+        self._fresh = fresh
+        self._steps = steps
+        self._news = news
+        self._status_s = status_s
+        self._status_at = now if news is not None else inf
+        self._health_at = self._hello_at = self._last_at = -inf
+        self._answered_at = now
+        self._latest_late_k = -1
+        self._taken_up = ("", "")
+        self._moved = plant.receiver.record.k > 0 or pending is not None
+        self._gives_up_at: float | None = None
+
+    @property
+    def _running(self) -> bool:
+        """Whether ticks count: not before the plant has moved or is sure of a controller."""
+        return self._moved or self.plant.receiver.accepted
+
+    @property
+    def _finished(self) -> bool:
+        return self._steps is not None and self.plant.receiver.record.k >= self._steps
+
+    # --- the shell's side -------------------------------------------------------------------------
+
+    def start(self, now: float) -> Actions:
+        """Say which session this is; a step that the journal holds is counted now."""
+        self._now = now
+        record = self.plant.receiver.record
+        reason = "new journal" if self._fresh else "resumed from the journal"
+        return Actions(
+            events=(SessionBegan(record.session, reason),),
+            write=Keep(record) if self._fresh else None,
+            settle=self._uncounted is not None,
+        )
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """An offer, or a word of the controller's."""
+        self._now = now
+        if not self._running:
+            self._pacing.tick(now, running=False)
+        try:
+            if kind is Offer:
+                return self._offered(payload, now)
+            return self._heard(ControllerHello.model_validate_json(payload), now)
+        except ValidationError as error:
+            what = "offer" if kind is Offer else "hello"
+            return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
+
+    def wake_at(self) -> float:
+        """The earliest of tick, repeat, hello, silence and status."""
+        receiver, pacing = self.plant.receiver, self._pacing
+        if receiver.refused:
+            return -inf
+        if self._finished:
+            return self._last_at
+        due = min(
+            self._status_at,
+            pacing.due_at(running=self._running, measuring=receiver.accepted),
+        )
+        if not receiver.accepted:
+            return min(due, self._hello_at)
+        if pacing.waiting:
+            return due
+        return min(due, max(self._hello_at, self._answered_at + SILENCE_S))
+
+    def wake(self, now: float) -> Actions:
+        """A tick, a repeated measurement, a hello, a status: whatever is due."""
+        self._now = now
+        receiver, pacing = self.plant.receiver, self._pacing
+        if receiver.refused:
+            self.code = USAGE
+            return NOTHING_TO_DO
+        if self._finished:
+            return self._last_word(now)
+        if pacing.waiting:
+            self._answered_at = now
+        publish: list[Outgoing] = []
+        silent = now - self._answered_at >= SILENCE_S
+        if silent:
+            receiver.look_around()
+        if (silent or not receiver.accepted) and now >= self._hello_at:
+            self._hello_at = now + HELLO_S
+            publish.append(self._hello())
+        actions = NOTHING_TO_DO
+        if pacing.tick(now, running=self._running) == "missed":
+            actions = self._missed()
+        health = b""
+        if now >= self._status_at:
+            self._status_at = now + self._status_s
+            status, health = self._status(force=False)
+            publish += status
+        if receiver.accepted and pacing.measurement_due(now):
+            publish.append(Outgoing(Measurement, receiver.measurement().wire()))
+        return actions._replace(publish=tuple(publish), health=health)
+
+    def settle(self) -> Actions:
+        """Count the step that was saved and reported."""
+        move, self._uncounted = self._uncounted, None
+        assert move is not None
+        step = self.plant.count(move)
+        assert step.effects is not None
+        assert step.coin is not None
+        if self._news is not None:
+            self._news.tail.append(step)
+        effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
+        applied = Applied(effects.transition, step.coin, step.u)
+        if frame is None:
+            return Actions((applied,), Keep(record, later=not effects.chunk, chunk=effects.chunk))
+        return self._frame_ended(applied, effects.chunk, frame)
+
+    def stop(self, now: float) -> Actions:
+        """The last status."""
+        self._now = now
+        if self._news is not None and self._news.phase != "refused":
+            self._news.phase = "stopped"
+        publish, health = self._status(force=True)
+        return Actions(publish=publish, health=health)
+
+    def status(self, now: float) -> PlantStatus:
+        """What the dashboard is told; an endpoint without news has none."""
+        assert self._news is not None
+        return self._news.status(self.plant.receiver, self.garbage, now)
+
+    # --- steps ------------------------------------------------------------------------------------
+
+    def _offered(self, payload: bytes, now: float) -> Actions:
+        """If the offer is for this step: apply it, save, report, and only then count."""
+        receiver, pacing = self.plant.receiver, self._pacing
+        offer = Offer.model_validate_json(payload)
+        record = receiver.record
+        if self._finished:  # all that matters now is that the last step was counted
+            if offer.k == record.k:
+                self.code = DONE
+            return NOTHING_TO_DO
+        try:
+            what = receiver.check(offer)
+        except ValueError as error:
+            return self._garbage(f"{error}; ignored")
+        if what != "foreign":
+            self._answered_at = now
+        if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
+            # Its step was missed. (An answer to a repeated measurement, whose step was made, is
+            # not late; nor is it late twice.)
+            self._latest_late_k = offer.k
+            if self._news is not None:
+                self._news.late += 1
+        if what != "current" or pacing.waiting:
+            return NOTHING_TO_DO
+        self._uncounted = move = self.plant.move(offer)
+        report = receiver.moved(move.x_next).wire()
+        pacing.applied()
+        self._moved = True
+        due = receiver.accepted and pacing.measurement_due(now)
+        return Actions(
+            write=Append(payload, report, move.coin),
+            publish=(Outgoing(Measurement, report),) if due else (),
+            settle=True,
+        )
+
+    def _frame_ended(self, applied: Applied, chunk: str, frame: Frame) -> Actions:
+        record, k = self.plant.receiver.record, applied.transition.k
+        write = Keep(
+            record,
+            chunk=chunk,
+            drop_chunks=True,
+            received=frame.payload if frame.intact else None,
+        )
+        if not frame.intact:
+            refused = FrameRefused(record.session, record.p)
+            notice = Notice("a frame failed its check and was refused", "error", event=refused)
+            return Actions((applied,), write, notices=(notice,))
+        if self._news is not None:
+            self._news.last_message = readable(frame.payload)
+            self._news.message_k = k
+        text = f"message recovered at step {k}: {len(frame.payload)} bytes"
+        notice = Notice(text, event=Recovered(frame.payload))
+        publish, health = self._status(force=True)
+        return Actions((applied,), write, publish, (notice,), health)
+
+    def _missed(self) -> Actions:
+        step = self.plant.miss()
+        record = self.plant.receiver.record
+        self._moved = True
+        missed = Missed(record.session, step.k, step.x, step.u, step.x_next)
+        return Actions(events=(missed,), write=Keep(record))
+
+    def _last_word(self, now: float) -> Actions:
+        """Report the last transition until the controller has answered, or a second has passed."""
+        if self._gives_up_at is None:
+            self._gives_up_at = now + LAST_WORD_S
+        elif now >= self._gives_up_at:
+            self.code = DONE
+            return NOTHING_TO_DO
+        self._last_at = now + LOCKSTEP_REPEAT_S
+        measurement = self.plant.receiver.measurement().wire()
+        return Actions(publish=(Outgoing(Measurement, measurement),))
+
+    # --- sessions ---------------------------------------------------------------------------------
+
+    def _heard(self, hello: ControllerHello, now: float) -> Actions:
+        """The controller spoke on ops."""
+        if self._finished:
+            return NOTHING_TO_DO
+        receiver = self.plant.receiver
+        outcome = receiver.heard_controller(hello, self._new_id())
+        if hello.instance == receiver.controller:
+            self._answered_at = now
+        if outcome == "nothing":
+            return NOTHING_TO_DO
+        greeted = outcome == "stranger" and hello.verdict == "greeting"
+        answers = outcome in ("greet", "ended", "rival") or greeted
+        publish = (self._hello(),) if answers else ()
+        record = receiver.record
+        if outcome == "refused":
+            detail = (
+                f"the controller's model is {spoken(hello.fingerprint)}, "
+                f"this plant's is {spoken(receiver.rules.fingerprint)}"
+            )
+            self._phase("refused", detail)
+            return _told(f"{detail}: the two ends must share one scenario", "error")
+        if outcome == "stranger":
+            text = (
+                f"controller {hello.instance} has another model, "
+                f"{spoken(hello.fingerprint)}; ignored"
+            )
+            return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
+        if outcome == "rival":
+            text = (
+                f"controller {hello.instance} speaks up while controller {receiver.controller} "
+                "has the session: two controllers on one loop?"
+            )
+            return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
+        if outcome == "accepted":
+            self._phase("running")
+            taken_up = (hello.instance, record.session)
+            if taken_up == self._taken_up:
+                return NOTHING_TO_DO
+            self._taken_up = taken_up
+            return _told(f"controller {hello.instance} took up session {record.session}")
+        if outcome == "ended":
+            self._phase("greeting")
+            began = SessionBegan(record.session, "the controller does not know the session before")
+            text = f"session ended; new session {record.session}"
+            return Actions(
+                (began,), Keep(record, drop_chunks=True), publish, (Notice(text, "warning"),)
+            )
+        return Actions(write=Keep(record), publish=publish)
+
+    def _hello(self) -> Outgoing:
+        return Outgoing(PlantHello, self.plant.receiver.hello().wire())
+
+    # --- telling ----------------------------------------------------------------------------------
+
+    def _phase(self, phase: Literal["greeting", "running", "refused"], detail: str = "") -> None:
+        if self._news is not None:
+            self._news.phase = phase
+            self._news.detail = detail or self._news.detail
+
+    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], bytes]:
+        """A status to publish, and once in :data:`HEALTH_S` to be kept."""
+        if self._news is None:
+            return (), b""
+        if self._finished and self._news.phase != "refused":
+            self._news.phase = "stopped"
+        payload = self.status(self._now).wire()
+        keep = force or self._now >= self._health_at
+        if keep:
+            self._health_at = self._now + HEALTH_S
+        return (Outgoing(PlantStatus, payload),), payload if keep else b""
+
+    def _garbage(self, text: str) -> Actions:
+        self.garbage += 1
+        return Actions(notices=(Notice(text, "warning", "garbage"),))
+
+
+def _told(text: str, level: Literal["info", "error"] = "info") -> Actions:
+    return Actions(notices=(Notice(text, level),))

@@ -1,0 +1,115 @@
+"""An end of the link as its shell sees it: sans I/O, with its timers.
+
+Messages and the time go in, :class:`Actions` come out. Who carries them out, and in which order,
+stands in :mod:`protocol.link.perform`; no other module knows it. The two endpoints are
+:mod:`controller_service.endpoint` and :mod:`plant_service.endpoint`.
+"""
+
+from typing import Final, Literal, NamedTuple, Protocol
+
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Event
+from protocol.link.receiver import ReceiverRecord
+from protocol.link.sender import SenderRecord
+from protocol.messages import Message
+
+
+class Append(NamedTuple):
+    """A step as it passed, for the journal: what was heard and what is about to be said.
+
+    It is kept beside the record before it, and is all it takes to count the step again; the record
+    after it comes with the next write. ``coin`` is b_r at the plant.
+    """
+
+    heard: bytes
+    said: bytes
+    coin: int = NO_SYMBOL
+
+
+class Keep(NamedTuple):
+    """A record for the journal, with what came along, all or nothing.
+
+    ``later``: the next :class:`Append` takes it along; until then nothing is lost, for it can be
+    counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
+    ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
+    ``queued`` is a message for the controller's queue, after its identifier.
+    """
+
+    record: SenderRecord | ReceiverRecord
+    later: bool = False
+    chunk: str = ""
+    drop_chunks: bool = False
+    received: bytes | None = None
+    queued: tuple[str, bytes] | None = None
+
+
+Write = Append | Keep
+
+
+class Outgoing(NamedTuple):
+    """A message on its way: its type, which gives the topic, and its bytes."""
+
+    kind: type[Message]
+    payload: bytes
+
+
+class Notice(NamedTuple):
+    """A line for the log, and what of it the trace must have as well.
+
+    Lines of one ``subject`` are logged once a second at most.
+    """
+
+    text: str
+    level: Literal["info", "warning", "error"] = "info"
+    subject: str = ""
+    event: Event | None = None
+
+
+class Actions(NamedTuple):
+    """What a shell must do after an endpoint heard something or woke.
+
+    ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
+    them, once more. ``health`` is the status to be left in the run's folder. ``settle`` asks for
+    :meth:`Endpoint.settle`, once everything else is done.
+    """
+
+    events: tuple[Event, ...] = ()
+    write: Write | None = None
+    publish: tuple[Outgoing, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    health: bytes = b""
+    settle: bool = False
+
+
+NOTHING_TO_DO: Final = Actions()
+
+
+class Endpoint(Protocol):
+    """One end of one loop. All times are seconds of one monotonic clock."""
+
+    hears: tuple[type[Message], ...]
+    """The types it takes; whatever else comes is not for it."""
+
+    says: tuple[type[Message], ...]
+
+    @property
+    def code(self) -> int | None:
+        """The exit code once this end is over; None as long as it goes on."""
+
+    def start(self, now: float) -> Actions:
+        """The first word, and what a journal left to be counted."""
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """A message came; what is garbage is counted, and changes nothing."""
+
+    def wake_at(self) -> float:
+        """When :meth:`wake` is due: the earliest of all timers."""
+
+    def wake(self, now: float) -> Actions:
+        """Do what is due at ``now``."""
+
+    def settle(self) -> Actions:
+        """What can wait until the message is on its way, while the partner works on it."""
+
+    def stop(self, now: float) -> Actions:
+        """The last word."""

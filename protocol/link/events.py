@@ -1,0 +1,101 @@
+"""What a side traces: one class an event, which says itself how it reads in a trace."""
+
+import base64
+from typing import Any, NamedTuple, Protocol
+
+from protocol.link.session import Transition, Vector
+
+
+class Event(Protocol):
+    """Something that happened at one side."""
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace, by the names in :mod:`protocol.runtime.trace`."""
+
+
+class SessionBegan(NamedTuple):
+    """A session began, was resumed, or was given up; ``reason`` says why."""
+
+    session: str | None
+    reason: str
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "session", "session": self.session, "reason": self.reason}
+
+
+class Applied(NamedTuple):
+    """A transition as the plant counted it, with b_r and the input that was in force."""
+
+    transition: Transition
+    coin: int
+    u: Vector
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        event = self.transition.as_event()
+        event["coin"] = self.coin
+        event["u"] = self.u
+        return event
+
+
+class Missed(NamedTuple):
+    """A step without an offer: the fallback input was in force."""
+
+    session: str
+    k: int
+    x: Vector
+    u: Vector
+    x_next: Vector
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "missed", **self._asdict()}
+
+
+class Queued(NamedTuple):
+    """A message was handed to the controller."""
+
+    identifier: str
+    payload: bytes
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "sent", "id": self.identifier, "payload": _text(self.payload)}
+
+
+class Delivered(NamedTuple):
+    """Every symbol of a message's frame has been counted by the controller."""
+
+    number: int
+    identifier: str
+    payload: bytes
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "delivered", "id": self.identifier, "payload": _text(self.payload)}
+
+
+class Recovered(NamedTuple):
+    """A whole frame passed its check at the plant."""
+
+    payload: bytes
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "recovered", "payload": _text(self.payload)}
+
+
+class FrameRefused(NamedTuple):
+    """A frame failed its check at the plant."""
+
+    session: str
+    p: int
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "refused", **self._asdict()}
+
+
+def _text(payload: bytes) -> str:
+    return base64.b64encode(payload).decode()

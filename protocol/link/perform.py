@@ -1,0 +1,126 @@
+"""The one place that knows in which order things are done: save, publish, settle, trace, tell.
+
+A step is one write, one message, and then the rest: the shell saves what was heard and is about to
+be said, publishes it, and lets the endpoint count while the partner works. What was counted is
+traced, and then saved with the next step. So a process may die between any two of these lines:
+
+- before the step is saved: nothing was sent, and deciding again does no harm;
+- before it is published: the journal has it, and the same bytes go out when it is asked again;
+- before it is counted or traced: it is counted, and traced, when the journal is read again;
+- after that: nothing is left to do twice.
+
+The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
+puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Final, Literal, Protocol
+
+from protocol.link.endpoint import Actions, Endpoint, Notice, Write
+from protocol.link.events import Event
+from protocol.messages import Message
+
+give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", lambda: None)
+"""Let other threads have the processor. Called after a put, before work that can wait: otherwise
+the thread that sends may have to wait for it, and a step is a sixteenth longer on two cores."""
+
+
+class Ports(Protocol):
+    """Where actions go: journal, bus, trace, log and health file of one end of one loop."""
+
+    def write(self, write: Write) -> None:
+        """Keep it; on return it survives the death of the process (a ``later`` one may not)."""
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        """Send it, without waiting for anybody."""
+
+    def trace(self, event: Event) -> None:
+        """Write it down for whoever checks the run."""
+
+    def tell(self, notice: Notice) -> None:
+        """Log it."""
+
+    def health(self, status: bytes) -> None:
+        """Replace the status in the run's folder."""
+
+
+def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
+    while True:
+        for event in actions.events:
+            ports.trace(event)
+        if actions.write is not None:
+            ports.write(actions.write)
+        for kind, payload in actions.publish:
+            ports.publish(kind, payload)
+        for notice in actions.notices:
+            if notice.event is not None:
+                ports.trace(notice.event)
+            ports.tell(notice)
+        if actions.health:
+            ports.health(actions.health)
+        if not actions.settle:
+            return
+        if actions.publish:
+            give_way()
+        actions = endpoint.settle()
+
+
+CrashPoint = Literal["writing", "publishing", "tracing"]
+"""Before what a process dies."""
+
+
+class Killed(Exception):
+    """The process is dead: everything but its journal is gone."""
+
+
+class Mortal:
+    """Ports of a process that dies within the events that :meth:`doom` picks.
+
+    Parameters
+    ----------
+    ports : Ports
+        What really happens, up to that point.
+    """
+
+    def __init__(self, ports: Ports) -> None:
+        self._ports = ports
+        self._before: CrashPoint | None = None
+        self._left = -1
+
+    def doom(self, before: CrashPoint | None = None, after: int = -1) -> None:
+        """Die ``before`` the next thing of that kind, or ``after`` so many things of any kind.
+
+        The two defaults together take the sentence back.
+        """
+        self._before = before
+        self._left = after
+
+    def _passes(self, point: CrashPoint) -> None:
+        if point == self._before or self._left == 0:
+            raise Killed
+        self._left -= 1
+
+    def write(self, write: Write) -> None:
+        """Die, or write."""
+        self._passes("writing")
+        self._ports.write(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        """Die, or publish."""
+        self._passes("publishing")
+        self._ports.publish(kind, payload)
+
+    def trace(self, event: Event) -> None:
+        """Die, or trace."""
+        self._passes("tracing")
+        self._ports.trace(event)
+
+    def tell(self, notice: Notice) -> None:
+        """Log it: nobody's fate hangs on that."""
+        self._ports.tell(notice)
+
+    def health(self, status: bytes) -> None:
+        """Replace the status, which nobody goes on from."""
+        self._ports.health(status)

@@ -1,0 +1,51 @@
+"""What a bus is; :mod:`protocol.runtime.zenoh_bus` and :mod:`protocol.runtime.memory_bus` are."""
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol, Self
+
+Deliver = Callable[[str, bytes, int], None]
+"""Takes key, payload and t_ns: the publisher's time stamp in nanoseconds since 1970.
+
+It runs on the transport's own thread, which carries every other message too, so it may only put
+what it got on a queue. Time stamps order messages of one publisher, and an answer never comes
+before what it answers; where clocks disagree the two may carry the same nanosecond.
+"""
+
+
+class TransportError(Exception):
+    """The bus cannot be used; the text is one line that names the endpoint, key or file."""
+
+
+class Publisher(Protocol):
+    """Puts payloads on one key."""
+
+    def put(self, payload: bytes) -> None:
+        """Send ``payload``; it is lost without a word when nobody listens or the way is full."""
+
+    def matched(self) -> bool:
+        """Whether any subscriber of this key is known at this moment."""
+
+
+class Bus(Protocol):
+    """Publish and subscribe. A bus never delivers its own messages to itself."""
+
+    def publisher(self, key: str) -> Publisher:
+        """A publisher on one key (no wildcard)."""
+
+    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+        """Call ``deliver`` with every message of others that fits, until the bus is closed."""
+
+    def close(self) -> None:
+        """End all subscriptions and publishers; closing twice is allowed."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,86 @@
+"""The plant's clock: deadlines, repeats, swallowed ticks."""
+
+from math import inf
+
+import pytest
+
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
+
+
+def running(now_s: float = 0.0, step_s: float | None = 1.0) -> Pacing:
+    """A plant that runs, with four measurements a step."""
+    return Pacing(step_s, 4, now_s)
+
+
+def test_a_step_without_an_offer_is_missed_at_its_deadline_and_not_before() -> None:
+    pacing = running()
+    assert pacing.tick(0.999, running=True) == "nothing"
+    assert pacing.tick(1.0, running=True) == "missed"
+    assert pacing.tick(1.0, running=True) == "nothing"
+
+
+def test_a_step_whose_offer_was_applied_ends_at_the_tick() -> None:
+    pacing = running()
+    pacing.applied()
+    assert not pacing.measurement_due(0.9)
+    assert pacing.tick(0.9, running=True) == "nothing"
+    assert pacing.tick(1.0, running=True) == "ended"
+    assert not pacing.waiting
+    assert pacing.measurement_due(1.0)
+
+
+def test_ticks_that_a_stall_swallowed_are_not_made_up_for() -> None:
+    """A process that was stopped for 7.3 steps misses one; the next deadline is a whole step on."""
+    pacing = running()
+    assert pacing.tick(7.3, running=True) == "missed"
+    assert pacing.tick(7.3, running=True) == "nothing"
+    assert pacing.due_at(running=True, measuring=False) == pytest.approx(8.3)
+    assert pacing.tick(8.2, running=True) == "nothing"
+    assert pacing.tick(8.3, running=True) == "missed"
+
+
+def test_a_late_tick_does_not_move_the_deadlines_after_it() -> None:
+    pacing = running()
+    assert pacing.tick(1.9, running=True) == "missed"
+    assert pacing.tick(2.0, running=True) == "missed"
+    assert pacing.due_at(running=True, measuring=False) == pytest.approx(3.0)
+
+
+def test_before_the_plant_runs_the_deadline_moves_along() -> None:
+    pacing = running()
+    assert pacing.tick(50.0, running=False) == "nothing"
+    assert pacing.tick(50.9, running=True) == "nothing"
+    assert pacing.tick(51.0, running=True) == "missed"
+
+
+def test_a_measurement_is_repeated_so_often_a_step() -> None:
+    pacing = running()
+    due = [0.05 * i for i in range(20) if pacing.measurement_due(0.05 * i)]
+    assert due == pytest.approx([0.0, 0.25, 0.5, 0.75])
+    assert pacing.due_at(running=True, measuring=True) == pytest.approx(1.0)
+
+
+def test_after_a_tick_the_measurement_is_due_at_once() -> None:
+    pacing = running()
+    assert pacing.measurement_due(0.9)
+    assert not pacing.measurement_due(1.0)
+    assert pacing.tick(1.0, running=True) == "missed"
+    assert pacing.measurement_due(1.0)
+
+
+def test_in_lock_step_no_tick_ends_a_step_and_an_offer_asks_for_the_next_measurement() -> None:
+    pacing = running(5.0, None)
+    assert pacing.tick(1e9, running=True) == "nothing"
+    assert pacing.measurement_due(5.0)
+    assert not pacing.measurement_due(5.0 + 0.9 * LOCKSTEP_REPEAT_S)
+    pacing.applied()
+    assert not pacing.waiting
+    assert pacing.measurement_due(5.0)
+    assert pacing.due_at(running=True, measuring=True) == 5.0 + LOCKSTEP_REPEAT_S
+
+
+@pytest.mark.parametrize("step_s", [None, 1.0])
+def test_without_a_controller_only_ticks_are_due(step_s: float | None) -> None:
+    pacing = running(0.0, step_s)
+    assert pacing.due_at(running=False, measuring=False) == inf
+    assert pacing.due_at(running=True, measuring=False) == (inf if step_s is None else 1.0)

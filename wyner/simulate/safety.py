@@ -1,0 +1,47 @@
+"""What must hold of a simulated link under every schedule."""
+
+from collections.abc import Iterator
+
+from protocol.link.session import Transition
+from protocol.schemes.switched import MESSAGE
+from wyner.simulate.network import History
+
+
+def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
+    """What of the safety property does not hold, a line each.
+
+    What the plant has recovered is a prefix of what was sent; both automata agree on every
+    transition both have counted; no key symbol is used for two message symbols.
+    """
+    for at, mine in history.plant.items():
+        theirs = history.controller.get(at)
+        if theirs is not None and _counted(mine) != _counted(theirs):
+            yield f"transition {at}: plant {_counted(mine)}, controller {_counted(theirs)}"
+    for session in {s for s, _ in history.controller}:
+        counted = sorted(j for s, j in history.controller if s == session)
+        if counted != list(range(len(counted))):
+            yield f"session {session}: the controller counted {counted[:5]}..., with a gap"
+    ciphers: dict[tuple[str, int], int] = {}
+    for j, s, offer in history.offered:
+        first = ciphers.setdefault((offer.session, j), offer.cipher)
+        if first != offer.cipher and s == MESSAGE:
+            yield f"transition {offer.session}/{j}: cipher {first} and then {offer.cipher}"
+    yield from _out_of_order(history.inbox, payloads, again=history.amnesias > 0)
+
+
+def _counted(t: Transition) -> tuple[object, ...]:
+    return (
+        *(t.k, t.x, t.candidates, t.cipher, t.x_next, t.role),
+        *(t.symbol, t.key, t.message_symbol, t.p, t.s),
+    )
+
+
+def _out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: bool) -> Iterator[str]:
+    """Messages must arrive in order, once each; where a journal was lost one may come again."""
+    place = 0
+    for payload in inbox:
+        if place < len(payloads) and payload == payloads[place]:
+            place += 1
+        elif not (again and payload in payloads[:place]):
+            yield f"message {payload!r} arrived, expected {payloads[place : place + 1]!r}"
+            return
