@@ -1,0 +1,78 @@
+"""Every example runs as it stands, and says what its words promise."""
+
+import json
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAMS = sorted((ROOT / "examples").glob("*.py"))
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+
+SAYS = {
+    "first_run": "nearest-centre had 100% of the key symbols right",
+    "ladder_of_eavesdroppers": "oracle           100.0%",
+    "rate_against_alpha": "wrote rate.png",
+    "one_step": "wrote step.png",
+    "own_scenario": "control.inputs: got shape 2, expected 1",
+    "own_eavesdropper": "speed-watcher",
+    "data_frame": "True",
+    "certificate": "confidence 0.999: 688 sessions",
+}
+"""A part of what each program prints."""
+
+
+@pytest.fixture(autouse=True)
+def quiet_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    if "matplotlib.pyplot" in sys.modules:
+        import matplotlib.pyplot as plt
+
+        plt.switch_backend("Agg")
+
+
+def close_figures() -> None:
+    if "matplotlib.pyplot" in sys.modules:
+        import matplotlib.pyplot as plt
+
+        plt.close("all")
+
+
+def needs(text: str) -> None:
+    for library in ("matplotlib", "pandas", "gymnasium", "pymodbus"):
+        if library in text:
+            pytest.importorskip(library)
+    if ".frame(" in text:
+        pytest.importorskip("pandas")
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
+def test_a_program(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    needs(path.read_text(encoding="utf-8"))
+    runpy.run_path(str(path), run_name="__main__")
+    close_figures()
+    assert SAYS[path.stem] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook(path: Path) -> None:
+    """Cell after cell in one name space, as a kernel does; every assertion in it holds."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    needs("\n".join(code))
+    assert len(code) >= 5
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for number, source in enumerate(code, start=1):
+        exec(compile(source, f"{path.name}, code cell {number}", "exec"), names)
+    close_figures()
+    assert all(not cell.get("outputs") for cell in cells)
+
+
+def test_there_are_a_dozen_programs_and_three_notebooks() -> None:
+    assert {path.stem for path in PROGRAMS} == set(SAYS)
+    assert len(PROGRAMS) >= 12
+    assert len(NOTEBOOKS) == 3
