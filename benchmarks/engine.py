@@ -52,12 +52,12 @@ def scalar_run(scenario: Scenario, law: ControlLaw, steps: int) -> list[int]:
     rule = rules_of(scenario).agreement
     noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
     size = scenario.secrecy.candidates
-    x = scenario.plant.initial_state
+    x = scenario.initial_state
     symbols = []
     for k in range(steps):
         u = law.candidates(x)
         d = disturbance(scenario.plant.disturbance, k, noise.at(k))
-        centre = predict(scenario.plant.A, scenario.plant.B, x, u[int(coins.at(k)[0] * size)])
+        centre = predict(*scenario.plant_model, x, u[int(coins.at(k)[0] * size)])
         x_next = tuple([c + e for c, e in zip(centre, d, strict=True)])
         symbols.append(rule.verdict(x, u, x_next).symbol)
         x = x_next

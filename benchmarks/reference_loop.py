@@ -74,7 +74,7 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
     uniforms, coins = Draws(seed, range(run, run + 1), scenario.n).block(steps)
     d = disturbances(scenario.plant.disturbance, 0, uniforms)[:, :, 0]
     forms = ((2 * B.T @ B, 2 * B.T @ A), (2 * np.eye(B.shape[1]), np.zeros_like(B.T)))
-    x = np.array(scenario.plant.initial_state)
+    x = np.array(scenario.initial_state)
     symbols = []
     for k in range(steps):
         i = next(j for j, (H, h) in enumerate(design.T) if (H @ x <= h).all())

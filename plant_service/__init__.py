@@ -1,1 +1,5 @@
-"""The plant: its simulation, its coin, and the receiving end of the link."""
+"""The plant: simulated or driven, its coin, and the receiving end of the link."""
+
+from protocol.registry import provide
+
+provide("plant", "plant_service.adapters.registry")

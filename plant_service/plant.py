@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
+from protocol.link.fallback import Fallback
 from protocol.link.receiver import Receiver, ReceiverEffects, ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
@@ -53,9 +54,7 @@ class Move(NamedTuple):
 
 def first_record(scenario: Scenario, session: str) -> ReceiverRecord:
     """The record of a plant that has not moved yet."""
-    return ReceiverRecord(
-        session=session, k=0, x=scenario.plant.initial_state, u=(0.0,) * scenario.m
-    )
+    return ReceiverRecord(session=session, k=0, x=scenario.initial_state, u=(0.0,) * scenario.m)
 
 
 class Plant:
@@ -87,7 +86,8 @@ class Plant:
     ) -> None:
         self.receiver = Receiver(rules_of(scenario), instance, record, chunks)
         self._plant = scenario.plant
-        self._fallback = scenario.link.fallback
+        self._model = scenario.plant_model
+        self._fallback = Fallback.of(scenario)
         self._size = scenario.secrecy.candidates
         self._coin = coin
         self._noise = noise
@@ -111,9 +111,9 @@ class Plant:
         return Step(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
 
     def miss(self) -> Step:
-        """No offer came in time: hold the input in force, or apply zero (rule 4)."""
+        """No offer came in time: apply the fallback (rule 4)."""
         record = self.receiver.record
-        u = record.u if self._fallback == "hold" else (0.0,) * len(record.u)
+        u = self._fallback.input(record.x, record.u)
         x_next = self._advance(record, u, self._disturbance(record.k))
         self.receiver.missed(u, x_next)
         return Step(record.k, record.x, u, x_next, None, None)
@@ -135,8 +135,7 @@ class Plant:
         Failure
             When the state has grown beyond all numbers.
         """
-        plant = self._plant
-        x_next = tuple(map(add, predict(plant.A, plant.B, record.x, u), d))
+        x_next = tuple(map(add, predict(*self._model, record.x, u), d))
         if not all(map(isfinite, x_next)):
             raise Failure(f"the state is no longer finite at step {record.k + 1}")
         return x_next

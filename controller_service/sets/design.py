@@ -175,7 +175,7 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
 def _start(problem: Scenario) -> Start:
     """K and T_0 by the scenario's gain or regulator."""
     K = feedback_gain(problem)
-    larger = problem.defender.disturbance.scaled(1 + TERMINAL_MARGIN)
+    larger = problem.control_set.scaled(1 + TERMINAL_MARGIN)
     try:
         r = recursion(problem)
         T0, terminal = terminal_set(r.A + r.B @ K, larger, problem.control.terminal_order)

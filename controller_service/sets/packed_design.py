@@ -47,7 +47,7 @@ def alphabet_of(scenario: Scenario) -> Alphabet | None:
         return None
     D_c, U = scenario.defender.disturbance, scenario.control.inputs
     try:
-        limits = ceilings(scenario.A, scenario.B, D_c, U)
+        limits = ceilings(scenario.A, scenario.B, scenario.control_set, U)
 
         def of(size: int) -> Alphabet:
             return choose_alphabet(
@@ -74,14 +74,14 @@ def alphabet_of(scenario: Scenario) -> Alphabet | None:
 
 
 def reduced(scenario: Scenario, alphabet: Alphabet) -> Scenario:
-    """The scenario with D' for D_c and U' for U."""
+    """The scenario with D' for D_c (or for ``control.disturbance``) and U' for U."""
     inputs = smaller_inputs(scenario.control.inputs, alphabet.offsets)
     assert inputs is not None  # choose_alphabet saw to it
-    disturbance = larger_disturbance(scenario.defender.disturbance, scenario.B, alphabet.offsets)
+    disturbance = larger_disturbance(scenario.control_set, scenario.B, alphabet.offsets)
     return scenario.model_copy(
         update={
             "defender": scenario.defender.model_copy(update={"disturbance": disturbance}),
-            "control": scenario.control.model_copy(update={"inputs": inputs}),
+            "control": scenario.control.model_copy(update={"inputs": inputs, "disturbance": None}),
         }
     )
 

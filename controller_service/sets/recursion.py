@@ -54,7 +54,7 @@ class Recursion(ABC):
     least : float
         The smallest fraction by which a set is shrunk.
     DV, BU : array, shapes (corners, n)
-        Corners of D_c, and -B u at the corners of U.
+        Corners of D_c (of ``control.disturbance`` where given), and -B u at the corners of U.
     X : Polytope or None
         The state bounds.
     """
@@ -62,7 +62,8 @@ class Recursion(ABC):
     def __init__(self, scenario: Scenario) -> None:
         self.A, self.B = np.array(scenario.A), np.array(scenario.B)
         self.least = LEAST_DEFLATION if scenario.n <= 2 and scenario.m == 1 else SOLVED_DEFLATION
-        self.DV = _compact("defender.disturbance", scenario.defender.disturbance)
+        which = "defender" if scenario.control.disturbance is None else "control"
+        self.DV = _compact(f"{which}.disturbance", scenario.control_set)
         self.BU = -_compact("control.inputs", scenario.control.inputs) @ self.B.T
         self.X = None
         if scenario.control.states is not None:

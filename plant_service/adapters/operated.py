@@ -4,7 +4,7 @@ x = (y - y_operating) / scale and u_physical = u_operating + scale u: controller
 know deviations, the plant knows physical units, and this is where they meet.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from typing import TypeVar
@@ -19,6 +19,7 @@ from plant_service.adapters.base import (
     Vector,
 )
 from protocol.agreement import Gauge
+from protocol.link.fallback import clip
 
 _R = TypeVar("_R")
 
@@ -59,15 +60,6 @@ class OperatingPoint:
         """What the plant is to be actuated with."""
         rows = zip(u, self.input, self.input_scale, strict=True)
         return tuple([at + scale * v for v, at, scale in rows])
-
-
-def clip(u: Sequence[float], inputs: Gauge) -> Vector:
-    """The input nearest to ``u`` in a box U, by component; in another U, ``u`` made shorter."""
-    if inputs.half_widths is not None:
-        widths = inputs.half_widths
-        return tuple([min(max(v, -w), w) for v, w in zip(u, widths, strict=True)])
-    g = inputs(u)
-    return tuple(u) if g <= 1 else tuple([v / g for v in u])
 
 
 class Operated:

@@ -59,19 +59,28 @@ def _load_file(path: Path) -> Any:
     return module
 
 
-def stepped(found: Any, name: str) -> Stepped:
-    """``found`` itself, or an instance of it where it is a class, once it has both methods.
+def made(found: Any, name: str) -> Any:
+    """``found`` itself, or an instance of it where it is a class.
 
     Raises
     ------
     PlantError
     """
-    plant = found
-    if isinstance(found, type):
-        try:
-            plant = found()
-        except Exception as error:
-            raise PlantError(f"{name}: {type(error).__name__}: {error}") from error
+    if not isinstance(found, type):
+        return found
+    try:
+        return found()
+    except Exception as error:
+        raise PlantError(f"{name}: {type(error).__name__}: {error}") from error
+
+
+def stepped(plant: Any, name: str) -> Stepped:
+    """``plant``, once it has both methods of :class:`Stepped`.
+
+    Raises
+    ------
+    PlantError
+    """
     for method in ("reset", "step"):
         if not callable(getattr(plant, method, None)):
             raise PlantError(

@@ -7,12 +7,12 @@ made from it, and never this.
 """
 
 from protocol.scenario.control import Control, Cost, Regulator
-from protocol.scenario.defender import Defender
+from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
-from protocol.scenario.kinds import LAWS
+from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
 from protocol.scenario.parts import Part
-from protocol.scenario.plant import Disturbance, Plant
+from protocol.scenario.plant import Disturbance, OperatingPoint, Plant
 from protocol.scenario.reading import (
     ScenarioError,
     describe_errors,
@@ -27,7 +27,9 @@ from protocol.scenario.tap import TapView
 __all__ = [
     "DESIGN_VERSION",
     "LAWS",
+    "PLANTS",
     "RULES_VERSION",
+    "Calibration",
     "Control",
     "ConvexSet",
     "Cost",
@@ -35,6 +37,7 @@ __all__ = [
     "Disturbance",
     "Keys",
     "Link",
+    "OperatingPoint",
     "Part",
     "Plant",
     "Regulator",

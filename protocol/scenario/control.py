@@ -47,7 +47,8 @@ class Regulator(Part):
 class Control(Part):
     """The control law (27): sets, terminal gain, horizon and the costs.
 
-    A law with fields of its own reads a subclass, :data:`protocol.scenario.kinds.LAWS`.
+    A law with fields of its own reads a subclass, :data:`protocol.scenario.kinds.LAWS`. The sets
+    resist ``disturbance``, which contains D_c, and D_c itself where it is not given.
     """
 
     needs_gain: ClassVar[bool] = True
@@ -55,6 +56,7 @@ class Control(Part):
     horizon: Annotated[int, Field(ge=1, le=10000)]
     inputs: ConvexSet
     states: ConvexSet | None = None
+    disturbance: ConvexSet | None = None
     gain: Matrix | None = None
     regulator: Regulator | None = None
     terminal_order: Annotated[int, Field(ge=1, le=200)] | None = None
@@ -74,6 +76,8 @@ class Control(Part):
         yield from shape_problem("control.inputs", self.inputs.dimension, m)
         if self.states is not None:
             yield from shape_problem("control.states", self.states.dimension, n)
+        if self.disturbance is not None:
+            yield from shape_problem("control.disturbance", self.disturbance.dimension, n)
         if self.gain is not None:
             yield from shape_problem("control.gain", shape(self.gain), (m, n))
         if self.regulator is not None:
@@ -100,7 +104,7 @@ class Control(Part):
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:  # noqa: ARG002
         """What of the law the synthesis depends on; its costs are only solved online."""
-        return self.model_dump(exclude={"law", "costs"}, exclude_none=True)
+        return self.model_dump(exclude={"law", "costs", "disturbance"}, exclude_none=True)
 
     def policy(self, n: int, m: int) -> Policy | None:
         """The control policy (15) that Kerckhoffs grants the tap, without what depends on D_c."""

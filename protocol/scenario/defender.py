@@ -1,10 +1,28 @@
 """``[defender]``: the identified model that the agreement test asks."""
 
 from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
 
 from protocol.scenario.parts import Matrix, Part, shape, shape_problem
 from protocol.scenario.plant import Disturbance
 from protocol.scenario.sets import ConvexSet
+
+
+class Calibration(Part):
+    """What ``wyner fit`` promises of D_c, and under which law it found it.
+
+    A session of ``steps`` steps leaves D_c with probability at most ``violation``, at this
+    ``confidence``: of ``sessions`` fresh ones ``exceeded`` did. Not part of the fingerprint.
+    """
+
+    sessions: Annotated[int, Field(ge=1)]
+    steps: Annotated[int, Field(ge=1)]
+    exceeded: Annotated[int, Field(ge=0)]
+    violation: Annotated[float, Field(gt=0, le=1)]
+    confidence: Annotated[float, Field(gt=0, lt=1)]
+    law_fingerprint: str
 
 
 class Defender(Part):
@@ -13,6 +31,7 @@ class Defender(Part):
     A: Matrix | None = None
     B: Matrix | None = None
     disturbance: ConvexSet
+    calibration: Calibration | None = None
 
     def problems(self, n: int, m: int) -> Iterator[str]:
         """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""

@@ -14,9 +14,13 @@ from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 from protocol.registry import Registry
 from protocol.scenario.control import Control
 from protocol.scenario.parts import Part
+from protocol.scenario.plant import Plant
 
 LAWS: Registry[type[Control]] = Registry("law")
 """For each name of ``control.law`` the table ``[control]`` that this law reads."""
+
+PLANTS: Registry[type[Plant]] = Registry("plant")
+"""For each kind of plant the table ``[plant]`` that it reads."""
 
 P = TypeVar("P", bound=Part)
 
@@ -29,6 +33,10 @@ class UncheckedControl(Control, extra="allow"):
     def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
         """None that could be known."""
         yield from ()
+
+
+class UncheckedPlant(Plant, extra="allow"):
+    """``[plant]`` of a kind that this process does not know."""
 
 
 def by_kind(

@@ -8,7 +8,11 @@ from protocol.scenario.parts import Part
 
 
 class Link(Part):
-    """How the loop behaves when the network does not."""
+    """How the loop behaves when the network does not.
 
-    fallback: Literal["hold", "zero"] = "hold"
+    On a missed step the plant holds its input, applies zero, or the ``regulator``: u = K x by
+    itself, clipped to U, which asks for a stated ``control.gain``.
+    """
+
+    fallback: Literal["hold", "zero", "regulator"] = "hold"
     repeats_per_period: Annotated[int, Field(ge=1, le=100)] = 4

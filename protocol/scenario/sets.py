@@ -56,6 +56,24 @@ class ConvexSet(Part):
         rows = [row for e in unit for row in (e, tuple(-v for v in e))]
         return tuple(rows), tuple(w for w in self.half_widths for _ in range(2))
 
+    def contains(self, other: "ConvexSet") -> bool:
+        """Whether ``other`` lies within this set, to rounding."""
+        if other.half_widths is not None:
+            for row, bound in zip(*self.rows(), strict=True):
+                reach = sum(abs(a) * w for a, w in zip(row, other.half_widths, strict=True))
+                if reach > bound * (1 + 1e-12):
+                    return False
+            return True
+        from protocol.convex import corners
+
+        H, h = self.rows()
+        points = corners(*other.rows()).tolist()
+        return all(
+            sum(a * v for a, v in zip(row, point, strict=True)) <= bound * (1 + 1e-9)
+            for row, bound in zip(H, h, strict=True)
+            for point in points
+        )
+
     def scaled(self, factor: float) -> "ConvexSet":
         """The set ``factor`` times as large."""
         if self.half_widths is not None:

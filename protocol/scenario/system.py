@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterator
 from typing import Annotated, Self
 
 from pydantic import Field, SerializeAsAny, model_validator
@@ -10,11 +11,18 @@ from protocol.knowledge import Knowledge
 from protocol.scenario.control import Control
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
-from protocol.scenario.kinds import LAWS, UncheckedControl, by_kind
+from protocol.scenario.kinds import (
+    LAWS,
+    PLANTS,
+    UncheckedControl,
+    UncheckedPlant,
+    by_kind,
+)
 from protocol.scenario.link import Link
-from protocol.scenario.parts import Matrix, Part
+from protocol.scenario.parts import Matrix, Part, Vector
 from protocol.scenario.plant import Plant
 from protocol.scenario.secrecy import Secrecy
+from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
 
 RULES_VERSION = 2
@@ -30,7 +38,7 @@ class Scenario(Part):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
     description: str = ""
     source: str = ""
-    plant: Plant
+    plant: SerializeAsAny[Annotated[Plant, by_kind(PLANTS, Plant, UncheckedPlant, "kind")]]
     defender: Defender
     control: SerializeAsAny[Annotated[Control, by_kind(LAWS, Control, UncheckedControl, "law")]]
     secrecy: Secrecy
@@ -41,33 +49,61 @@ class Scenario(Part):
     @property
     def A(self) -> Matrix:
         """State matrix of the defender's model f_c, shape (n, n)."""
-        return self.defender.A or self.plant.A
+        A = self.defender.A or self.plant.A
+        assert A is not None, "validated"
+        return A
 
     @property
     def B(self) -> Matrix:
         """Input matrix of the defender's model f_c, shape (n, m)."""
-        return self.defender.B or self.plant.B
+        B = self.defender.B or self.plant.B
+        assert B is not None, "validated"
+        return B
+
+    @property
+    def plant_model(self) -> tuple[Matrix, Matrix]:
+        """The plant's own A and B where it is linear, else the defender's."""
+        return self.plant.A or self.A, self.plant.B or self.B
 
     @property
     def n(self) -> int:
         """Number of states."""
-        return len(self.plant.A)
+        return len(self.plant_model[0])
 
     @property
     def m(self) -> int:
         """Number of inputs."""
-        return len(self.plant.B[0])
+        return len(self.plant_model[1][0])
+
+    @property
+    def initial_state(self) -> Vector:
+        """x(0); zero, the operating point, where the plant starts as it stands."""
+        return self.plant.initial_state or (0.0,) * self.n
+
+    @property
+    def control_set(self) -> ConvexSet:
+        """The disturbances that the sets T_i resist: ``control.disturbance``, else D_c."""
+        return self.control.disturbance or self.defender.disturbance
 
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:
+        for name in ("A", "B"):
+            if getattr(self.defender, name) is None and getattr(self.plant, name) is None:
+                raise ValueError(
+                    f"defender.{name}: expected the model's matrix, as a plant of kind "
+                    f"{self.plant.kind!r} has none"
+                )
         problems = [
-            *self.plant.problems(),
+            *self.plant.problems(self.n, self.m),
             *self.defender.problems(self.n, self.m),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
         d = self.plant.disturbance
         may_leave = d.may_leave_defender_set or d.kind == "gaussian"
-        if not problems and not may_leave and not self.defender.covers(d):
+        if not problems:
+            problems += self._safety_problems()
+        in_state = d.enters in (None, "state")
+        if not problems and in_state and not may_leave and not self.defender.covers(d):
             problems.append(
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
@@ -75,6 +111,38 @@ class Scenario(Part):
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+    def _safety_problems(self) -> Iterator[str]:
+        D_c = self.defender.disturbance
+        if self.control.disturbance is not None and not self.control.disturbance.contains(D_c):
+            yield "control.disturbance: expected a set that contains defender.disturbance, D_c"
+        if self.link.fallback == "regulator" and self.control.gain is None:
+            yield (
+                "control.gain: expected a stated gain, as link.fallback = 'regulator' has the "
+                "plant apply it by itself (wyner design shows the regulator's)"
+            )
+        found = self.defender.calibration
+        if found is not None and LAWS and found.law_fingerprint != self.law_fingerprint():
+            yield (
+                f"defender.calibration.law_fingerprint: got {found.law_fingerprint[:16]}..., "
+                f"expected {self.law_fingerprint()[:16]}...: the certificate is stale, as the law, "
+                "D_c or the start has changed since; run wyner fit, or take the table out"
+            )
+
+    def law_fingerprint(self) -> str:
+        """SHA-256 (hex) over what a calibration of D_c depends on, the plant itself aside."""
+        return _digest(
+            {
+                "A": self.A,
+                "B": self.B,
+                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "control": self.control.model_dump(mode="json", exclude_none=True),
+                "candidates": self.secrecy.candidates,
+                "period_s": self.plant.period_s,
+                "initial_state": self.initial_state,
+                "fallback": self.link.fallback,
+            }
+        )
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over what both ends must share for their verdicts to be the same.
@@ -116,7 +184,7 @@ class Scenario(Part):
                 "design": DESIGN_VERSION,
                 "A": self.A,
                 "B": self.B,
-                "D_c": self.defender.disturbance.model_dump(exclude_none=True),
+                "D_c": self.control_set.model_dump(exclude_none=True),
                 "control": control,
             }
         )

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from plant_service.adapters import Operated, OperatingPoint, PlantError, Simulated
-from plant_service.adapters.operated import clip
 from protocol.agreement import Gauge
+from protocol.link.fallback import clip
 from tests.adapters.plants import KINDS, START, Device, PythonLine, line, operated
 
 INPUTS = [(0.25,), (-1.0,), (0.7,), (1.0,), (-0.3,)]

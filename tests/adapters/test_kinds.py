@@ -8,7 +8,7 @@ import pytest
 
 from plant_service.adapters import PlantError
 from plant_service.adapters.ode import Ode, runge_kutta_step
-from plant_service.adapters.python_object import load_attribute, stepped
+from plant_service.adapters.python_object import load_attribute, made, stepped
 from tests.adapters.plants import build_fmu
 
 
@@ -65,7 +65,7 @@ number = 3
 def test_code_is_found_beside_the_scenario_and_by_module_name(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(CODE)
     for name in ("mine.py:Tank", "mine.py:tank"):
-        plant = stepped(load_attribute(name, tmp_path), name)
+        plant = stepped(made(load_attribute(name, tmp_path), name), name)
         assert plant.reset(None) == [1.0]
     assert load_attribute("math:pi", tmp_path) == math.pi
 
@@ -88,7 +88,7 @@ def test_code_that_cannot_be_used_is_named(tmp_path: Path, name: str, says: str)
     (tmp_path / "mine.py").write_text(CODE)
     (tmp_path / "bad.py").write_text("def")
     with pytest.raises(PlantError, match=says):
-        stepped(load_attribute(name, tmp_path), name)
+        stepped(made(load_attribute(name, tmp_path), name), name)
 
 
 # --- FMUs -----------------------------------------------------------------------------------------

@@ -97,7 +97,7 @@ def problems(data: Table) -> tuple[str, ...]:
         ("secrecy.alpha", 0.9, "greater than or equal to 1"),
         ("secrecy.alpha", DELETE, "field required"),
         ("secrecy.candidates", 1, "greater than or equal to 2"),
-        ("link.fallback", "panic", "input should be 'hold' or 'zero'"),
+        ("link.fallback", "panic", "input should be 'hold', 'zero' or 'regulator'"),
         ("link.repeats_per_period", 0, "greater than or equal to 1"),
         ("tap.loss", 1.5, "less than or equal to 1"),
         ("tap.view", "none", "input should be 'both'"),

@@ -68,7 +68,7 @@ def by_hand(scenario: Scenario, law: ControlLaw, seed: int, run: int, steps: int
         u = law.candidates(x)
         b = int(coins.at(k)[0] * size)
         d = disturbance(scenario.plant.disturbance, k, noise.at(k))
-        centre = predict(scenario.plant.A, scenario.plant.B, x, u[b])
+        centre = predict(*scenario.plant_model, x, u[b])
         following = tuple(c + e for c, e in zip(centre, d, strict=True))
         verdict = rule.verdict(x, u, following)
         xs.append(following)

@@ -101,9 +101,9 @@ def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[
         elif scenario.n == 2:
             entry["area"] = planar_area(Polytope(*design.set(i)))
         sets.append(entry)
-    start: dict[str, Any] = {"state": list(scenario.plant.initial_state)}
+    start: dict[str, Any] = {"state": list(scenario.initial_state)}
     try:
-        start["index"] = law.index(scenario.plant.initial_state)
+        start["index"] = law.index(scenario.initial_state)
     except OutsideError as error:
         start["outside"] = str(error)
     return {
@@ -150,7 +150,7 @@ def expected_rate(scenario: "Scenario", law: "ControlLaw") -> dict[str, Any] | N
             rng = np.random.default_rng(child)
             noise = (rng.uniform(-1, 1, (STEPS, scenario.n)) * widths).tolist()
             choices = rng.integers(0, M, STEPS).tolist()
-            x = tuple(scenario.plant.initial_state)
+            x = tuple(scenario.initial_state)
             tested = agreed = 0
             carrying = False
             for d, b in zip(noise, choices, strict=True):

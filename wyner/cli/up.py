@@ -158,7 +158,7 @@ def _design(scenario: "Scenario") -> None:
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{scenario.name}: {error}") from None
     try:
-        law.index(scenario.plant.initial_state)
+        law.index(scenario.initial_state)
     except LookupError as error:
         raise UsageError(f"plant.initial_state: {error}") from None
 

@@ -194,7 +194,10 @@ def canonical(value: object) -> str:
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
     """What of a scenario the numbers depend on."""
-    return scenario.model_dump(mode="json", exclude=set(NEUTRAL), exclude_none=True)
+    found = scenario.model_dump(mode="json", exclude=set(NEUTRAL), exclude_none=True)
+    if scenario.plant.kind == "linear":
+        del found["plant"]["kind"]  # as before there were others: what was measured stays named
+    return found
 
 
 def _hash(value: object) -> str:

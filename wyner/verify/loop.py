@@ -3,6 +3,7 @@
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL, predict
+from protocol.link.fallback import Fallback
 from wyner.verify.clause import EDGE, Tally, may_leave, need, sides
 from wyner.verify.evidence import Counted, Evidence
 
@@ -36,10 +37,12 @@ def switching(e: Evidence, tally: Tally) -> None:
     if not need(tally, plant_trace=e.plant):
         return
     assert e.plant is not None
-    hold = e.scenario.link.fallback == "hold"
+    fallback = Fallback.of(e.scenario)
     missed = 0
     for life in e.plant.lives:
-        x, u = e.scenario.plant.initial_state, (0.0,) * e.scenario.m
+        first = life[min(life)]
+        x = e.scenario.plant.initial_state or first.x  # else it starts as it stands
+        u = (0.0,) * e.scenario.m
         for place, k in enumerate(sorted(life)):
             step = life[k]
             j = step.j if isinstance(step, Counted) else -1
@@ -57,7 +60,7 @@ def switching(e: Evidence, tally: Tally) -> None:
                 u = step.u or u
             else:
                 missed += 1
-                expected = u if hold else (0.0,) * e.scenario.m
+                expected = fallback.input(step.x, u)
                 if step.u != expected:
                     tally.fail(*where, f"a missed step applied {step.u}, expected {expected}")
                 u = step.u

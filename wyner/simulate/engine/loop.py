@@ -98,13 +98,19 @@ class _Loop:
         self.n, self.m, self.M = scenario.n, scenario.m, scenario.secrecy.candidates
         self.A, self.B = scenario.A, scenario.B
         plant = scenario.plant
-        self.true_A: Matrix = plant.A
-        self.true_B: Matrix = plant.B
-        self.same_model = (plant.A, plant.B) == (self.A, self.B)
+        if plant.kind != "linear" or plant.disturbance.enters not in (None, "state"):
+            raise SimulationError(
+                f"plant.kind: got {plant.kind!r}, expected 'linear' with a disturbance of the "
+                "state: the engine steps nothing else"
+            )
+        self.true_A: Matrix
+        self.true_B: Matrix
+        self.true_A, self.true_B = scenario.plant_model
+        self.same_model = (self.true_A, self.true_B) == (self.A, self.B)
         self.gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
         self.draws = Draws(seed, runs, self.n)
         R = len(runs)
-        self.x = np.repeat(np.array(plant.initial_state)[:, None], R, axis=1)
+        self.x = np.repeat(np.array(scenario.initial_state)[:, None], R, axis=1)
         self.following = np.empty((self.n, R))
         self.free = np.empty((self.n, R))  # A x
         self.centres = np.empty((self.M, self.n, R))

@@ -135,7 +135,7 @@ def simulate(
     rule = AgreementRule(scenario.A, scenario.B, Gauge.from_rows(H, h), alpha)
     widths = scenario.plant.disturbance.half_widths
     session = f"{rng.getrandbits(64):016x}"
-    x = scenario.plant.initial_state
+    x = scenario.initial_state
     state = INITIAL
     applied = -1
     after: tuple[float, ...] = ()

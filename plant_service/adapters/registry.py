@@ -1,0 +1,183 @@
+"""The kinds of plants by name: the table ``[plant]`` that a kind reads, and what opens it.
+
+A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper. Nothing of a
+user's is loaded before that.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator
+
+from plant_service.adapters.base import PlantAdapter, PlantError, Simulated
+from plant_service.adapters.linear import Linear
+from plant_service.adapters.operated import Operated, OperatingPoint
+from protocol.agreement import Gauge
+from protocol.scenario import PLANTS, Plant, Scenario
+from protocol.scenario.parts import Matrix, Positive, Vector
+
+
+class LinearPlant(Plant):
+    """x+ = A x + B u + d."""
+
+    kind: Literal["linear"] = "linear"
+    A: Matrix
+    B: Matrix
+    initial_state: Vector
+
+    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+        """The plant at the reading ``start``."""
+        return Simulated(Linear(self.A, self.B, start), self.period_s)
+
+
+class ModelledElsewhere(Plant):
+    """A plant that is no matrices: those of its model stand under ``[defender]``."""
+
+    @field_validator("A", "B")
+    @classmethod
+    def _no_matrices(cls, matrix: Matrix | None) -> Matrix | None:
+        if matrix is not None:
+            raise ValueError("expected it under [defender]: a plant of this kind has none")
+        return matrix
+
+
+class OdePlant(ModelledElsewhere):
+    """dx/dt = f(t, x, u), the function ``object``, in physical units."""
+
+    kind: Literal["ode"]
+    object: str
+    substeps: Annotated[int, Field(ge=1, le=10000)] = 10
+    initial_state: Vector
+
+    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:
+        """The plant at the reading ``start``."""
+        from plant_service.adapters.ode import Ode
+        from plant_service.adapters.python_object import load_attribute
+
+        function = load_attribute(self.object, folder)
+        if not callable(function):
+            raise PlantError(f"{self.object}: expected a function of t, x and u")
+        return Simulated(Ode(function, start, self.period_s, self.substeps), self.period_s)
+
+
+class PythonPlant(ModelledElsewhere):
+    """The object or class ``object``, a :class:`Stepped` plant or a :class:`PlantAdapter`."""
+
+    kind: Literal["python"]
+    object: str
+    settle_s: Positive | None = None
+    initial_state: tuple[()] = ()
+
+    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+        """The plant as it stands."""
+        from plant_service.adapters.python_object import load_attribute, made, stepped
+
+        plant = made(load_attribute(self.object, folder), self.object)
+        if all(callable(getattr(plant, name, None)) for name in ("start", "apply", "sample")):
+            found: PlantAdapter = plant
+            return found
+        return Simulated(stepped(plant, self.object), self.period_s)
+
+
+class FmuPlant(ModelledElsewhere):
+    """A co-simulation FMU, pinned by its hash; its outputs are the state."""
+
+    kind: Literal["fmu"]
+    file: str
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    start: dict[str, float] | None = None
+    settle_s: Positive | None = None
+    initial_state: tuple[()] = ()
+
+    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+        """The plant as the file has it."""
+        from plant_service.adapters.fmu import Fmu
+
+        path = folder / self.file
+        fmu = Fmu(path, self.sha256, self.inputs, self.outputs, self.start)
+        return Simulated(fmu, self.period_s)
+
+
+class GymnasiumPlant(ModelledElsewhere):
+    """The environment ``id``; ``state`` names the attribute that is read in full precision."""
+
+    kind: Literal["gymnasium"]
+    id: str
+    state: str | None = None
+    arguments: dict[str, Any] | None = None
+
+    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+        """The environment, at ``start`` where the file has an initial state."""
+        from plant_service.adapters.gymnasium_env import make
+
+        if self.initial_state and self.state is None:
+            raise PlantError(
+                "initial_state: an environment starts where it wants, expected none, or state = "
+                "the attribute that can be set"
+            )
+        at = start if self.initial_state else None
+        env = make(self.id, self.state, at, self.period_s, self.arguments)
+        return Simulated(env, self.period_s)
+
+
+KINDS: tuple[type[Plant], ...] = (LinearPlant, OdePlant, PythonPlant, FmuPlant, GymnasiumPlant)
+for kind in KINDS:
+    (name,) = kind.model_fields["kind"].annotation.__args__  # type: ignore[union-attr]
+    PLANTS.register(name, kind)
+
+
+def open_plant(scenario: Scenario, folder: Path = Path()) -> Operated:
+    """The scenario's plant in deviations; it is not started yet.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    folder : Path
+        Where the files that the scenario names are looked for.
+
+    Raises
+    ------
+    PlantError
+        With one line that begins with ``plant``: something that it names is missing or unfit.
+    """
+    plant, n, m = scenario.plant, scenario.n, scenario.m
+    point = _point(scenario, n, m)
+    start = point.reading(scenario.initial_state)
+    code = getattr(plant, "object", None)
+    if code is not None:
+        print(f"wyner: plant.object: running {code} from {folder.resolve()}", file=sys.stderr)
+    try:
+        adapter: PlantAdapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
+    except PlantError as error:
+        raise PlantError(f"plant: {error}") from error.__cause__
+    settle_s = getattr(plant, "settle_s", None)
+    operated = Operated(
+        adapter,
+        point,
+        Gauge.from_rows(*scenario.control.inputs.rows()),
+        settle_steps=0 if settle_s is None else round(settle_s / plant.period_s),
+        limits=plant.limits,
+    )
+    if plant.disturbance.enters in (None, "state") and not operated.displaceable:
+        operated.close()
+        raise PlantError(
+            "plant.disturbance.enters: got 'state', expected 'input' or 'none': the state of a "
+            f"plant of kind {plant.kind!r} cannot be written to"
+        )
+    return operated
+
+
+def _point(scenario: Scenario, n: int, m: int) -> OperatingPoint:
+    table = scenario.plant.operating_point
+    origin = OperatingPoint.origin(n, m)
+    if table is None:
+        return origin
+    return OperatingPoint(
+        table.state or origin.state,
+        table.input,
+        table.state_scale or origin.state_scale,
+        table.input_scale or origin.input_scale,
+    )
