@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError, make_law
 from controller_service.sets.design import Design, SynthesisError, cached_design
+from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
+from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.knowledge import Knowledge
@@ -36,6 +38,7 @@ from wyner.shipped import SCENARIOS, scenario_file_of
 from wyner.simulate.engine import Runs, SimulationError, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow
 from wyner.simulate.engine.taps import Heard, listen
+from wyner.simulate.single import simulate_plant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,11 +55,15 @@ __all__ = [
     "Knowledge",
     "KnowledgeError",
     "OutsideError",
+    "PlantAdapter",
+    "PlantError",
     "ProgramError",
+    "Sample",
     "Scenario",
     "ScenarioError",
     "Simulated",
     "SimulationError",
+    "Stepped",
     "SynthesisError",
     "System",
     "TapScore",
@@ -326,8 +333,12 @@ def run(
     runs: int = 1,
     seed: int = 1,
     message: bytes = b"",
+    plant: Stepped | PlantAdapter | None = None,
+    folder: str | Path = ".",
 ) -> Simulated:
     """Simulate runs of a system; run r of a seed is the same however many others there are.
+
+    Linear plants go through the engine, all runs at once; any other is stepped by itself.
 
     Parameters
     ----------
@@ -338,14 +349,33 @@ def run(
         Of coins, disturbances and ciphertext symbols.
     message : bytes
         Sent once, then idle symbols.
+    plant : Stepped or PlantAdapter, optional
+        An object of one's own in place of the scenario's plant, in physical units; it is reset, or
+        started, for each run.
+    folder : path
+        Where the files that the scenario's plant names are looked for.
 
     Raises
     ------
     SimulationError
-        When a state leaves every set; the message names run and step.
+        When a state leaves every set or a plant fails; the message names run and step.
+    PlantError
+        When the plant cannot be opened.
     """
     s = system if isinstance(system, System) else design(system)
-    record = simulate_runs(s.scenario, s.law, seed=seed, runs=range(runs), steps=steps, record=True)
+    if plant is None and s.scenario.plant.kind == "linear":
+        record = simulate_runs(
+            s.scenario, s.law, seed=seed, runs=range(runs), steps=steps, record=True
+        )
+    else:
+        record = simulate_plant(
+            s.scenario,
+            s.law,
+            lambda: open_plant(s.scenario, Path(folder), plant),
+            seed=seed,
+            runs=range(runs),
+            steps=steps,
+        )
     return Simulated(s, seed, record, transfer(record, payloads=[message] if message else []))
 
 

@@ -7,6 +7,7 @@ know deviations, the plant knows physical units, and this is where they meet.
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
+from operator import add
 from typing import TypeVar
 
 from plant_service.adapters.base import (
@@ -141,15 +142,18 @@ class Operated:
         assert isinstance(core, Resumable)
         self._guarded("resume", lambda: core.resume(self.point.reading(x), k))
 
-    def apply(self, u: Vector) -> Vector:
+    def apply(self, u: Vector, d: Vector | None = None) -> Vector:
         """Actuate; returns what was applied, ``u`` clipped to U.
+
+        ``d`` disturbs the input on its way, beyond U if need be, and is nobody's to know.
 
         Raises
         ------
         PlantError
         """
         applied = clip(u, self._inputs) if self._inputs(u) > 1 else u
-        physical = self.point.physical_input(applied)
+        arrived = applied if d is None else tuple(map(add, applied, d))
+        physical = self.point.physical_input(arrived)
         self._guarded("apply", lambda: self.adapter.apply(physical))
         return applied
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from plant_service.adapters.base import PlantAdapter, PlantError, Simulated
+from plant_service.adapters.base import PlantAdapter, PlantError, Simulated, Stepped
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
@@ -71,13 +71,10 @@ class PythonPlant(ModelledElsewhere):
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as it stands."""
-        from plant_service.adapters.python_object import load_attribute, made, stepped
+        from plant_service.adapters.python_object import load_attribute, made
 
         plant = made(load_attribute(self.object, folder), self.object)
-        if all(callable(getattr(plant, name, None)) for name in ("start", "apply", "sample")):
-            found: PlantAdapter = plant
-            return found
-        return Simulated(stepped(plant, self.object), self.period_s)
+        return _adapted(plant, self.object, self.period_s)
 
 
 class FmuPlant(ModelledElsewhere):
@@ -129,7 +126,9 @@ for kind in KINDS:
     PLANTS.register(name, kind)
 
 
-def open_plant(scenario: Scenario, folder: Path = Path()) -> Operated:
+def open_plant(
+    scenario: Scenario, folder: Path = Path(), own: Stepped | PlantAdapter | None = None
+) -> Operated:
     """The scenario's plant in deviations; it is not started yet.
 
     Parameters
@@ -137,6 +136,8 @@ def open_plant(scenario: Scenario, folder: Path = Path()) -> Operated:
     scenario : Scenario
     folder : Path
         Where the files that the scenario names are looked for.
+    own : Stepped or PlantAdapter, optional
+        In place of what the scenario names.
 
     Raises
     ------
@@ -147,10 +148,14 @@ def open_plant(scenario: Scenario, folder: Path = Path()) -> Operated:
     point = _point(scenario, n, m)
     start = point.reading(scenario.initial_state)
     code = getattr(plant, "object", None)
-    if code is not None:
+    if code is not None and own is None:
         print(f"wyner: plant.object: running {code} from {folder.resolve()}", file=sys.stderr)
     try:
-        adapter: PlantAdapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
+        adapter: PlantAdapter
+        if own is None:
+            adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
+        else:
+            adapter = _adapted(own, type(own).__name__, plant.period_s)
     except PlantError as error:
         raise PlantError(f"plant: {error}") from error.__cause__
     settle_s = getattr(plant, "settle_s", None)
@@ -168,6 +173,16 @@ def open_plant(scenario: Scenario, folder: Path = Path()) -> Operated:
             f"plant of kind {plant.kind!r} cannot be written to"
         )
     return operated
+
+
+def _adapted(plant: Any, name: str, period_s: float) -> PlantAdapter:
+    """A device as it is, a simulation within its wrapper."""
+    if all(callable(getattr(plant, method, None)) for method in ("start", "apply", "sample")):
+        found: PlantAdapter = plant
+        return found
+    from plant_service.adapters.python_object import stepped
+
+    return Simulated(stepped(plant, name), period_s)
 
 
 def _point(scenario: Scenario, n: int, m: int) -> OperatingPoint:

@@ -89,9 +89,10 @@ def progress_bar() -> "Iterator[Progress | None]":
 def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[str, Any]:
     """The design's figures as one object for machines."""
     from controller_service.laws.paper import OutsideError
+    from controller_service.sets.dead_link import dead_link_budget
     from protocol.convex import Polytope, corners, planar_area
 
-    N = design.horizon
+    N, found = design.horizon, scenario.defender.calibration
     shown = sorted({i for i in (0, 1, 2, 5, 10, 20, 50, 100, 150, 200, 250, N) if i <= N})
     sets = []
     for i in shown:
@@ -106,6 +107,7 @@ def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[
         start["index"] = law.index(scenario.initial_state)
     except OutsideError as error:
         start["outside"] = str(error)
+    D_c = scenario.control.disturbance
     return {
         "scenario": scenario.name,
         "law": scenario.control.law,
@@ -119,6 +121,10 @@ def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
         "start": start,
+        "fallback": scenario.link.fallback,
+        "dead_link_steps": dead_link_budget(scenario, design),
+        "control_set": None if D_c is None else D_c.model_dump(exclude_none=True),
+        "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
     }
@@ -226,6 +232,7 @@ def render(r: dict[str, Any]) -> str:
         f"initial state {start['state']}: "
         + (f"index {start['index']}" if "index" in start else start["outside"])
     )
+    lines += safety_lines(r)
     rate = r["rate"]
     if rate is None:
         lines.append("expected rate: none, the loop cannot start or leaves the sets")
@@ -240,3 +247,24 @@ def render(r: dict[str, Any]) -> str:
             f"{rhigh:.3g}] bit/s, ceiling {rate['ceiling_bits_per_second']:.3g} bit/s",
         ]
     return "\n".join(lines)
+
+
+def safety_lines(r: dict[str, Any]) -> list[str]:
+    """What a dead link may do, which sets are in use, and what was promised of D_c."""
+    steps = r["dead_link_steps"]
+    lasts = (
+        "no number of steps leads outside T_N"
+        if steps is None
+        else f"every state of T_0 lasts {steps} steps, whatever d, before it may leave T_N"
+    )
+    lines = [f"dead link, fallback {r['fallback']}: {lasts}"]
+    if r["control_set"] is not None:
+        lines.append("the sets resist control.disturbance, which is larger than the test's D_c")
+    c = r["calibration"]
+    if c is not None:
+        lines.append(
+            f"D_c: a session of {c['steps']} steps leaves it with probability at most "
+            f"{c['violation']:.3g}, confidence {c['confidence']:g} ({c['exceeded']} of "
+            f"{c['sessions']} fresh sessions did)"
+        )
+    return lines

@@ -36,7 +36,6 @@ def simulate_plant(
     seed: int,
     runs: range,
     steps: int,
-    enters: str = "state",
 ) -> Runs:
     """Simulate ``runs`` of a plant, with a record.
 
@@ -51,8 +50,6 @@ def simulate_plant(
     runs : range
         Numbers of the runs, each with its own streams.
     steps : int
-    enters : {"state", "input", "none"}
-        Where the scenario's disturbance enters.
 
     Raises
     ------
@@ -60,6 +57,8 @@ def simulate_plant(
         When a state leaves every set, or the plant fails; the message names run and step.
     """
     n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
+    spec = scenario.plant.disturbance
+    width, in_state = len(spec.half_widths), spec.enters in (None, "state")
     R = len(runs)
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
@@ -71,7 +70,7 @@ def simulate_plant(
     gs = np.empty((steps, M, R))
     for place, run in enumerate(runs):
         coins = SeededSymbols(seed, COIN, run=run)
-        noise = Stream(seed, DISTURBANCE, width=n, run=run)
+        noise = Stream(seed, DISTURBANCE, width=width, run=run)
         plant = open_plant()
         try:
             x = plant.start(seed + run)
@@ -80,12 +79,9 @@ def simulate_plant(
                 try:
                     candidates = law.candidates(x)
                     b = coins.symbol(k, M)
-                    d = disturbance(scenario.plant.disturbance, k, noise.at(k))
-                    u = candidates[b]
-                    if enters == "input":
-                        u = tuple([v + e for v, e in zip(u, d, strict=False)])
-                    plant.apply(u)
-                    x_next = plant.sample(d if enters == "state" else None)
+                    d = None if width == 0 else disturbance(spec, k, noise.at(k))
+                    plant.apply(candidates[b], d if spec.enters == "input" else None)
+                    x_next = plant.sample(d if in_state else None)
                 except (LookupError, PlantError) as error:
                     raise SimulationError(f"run {run}, step {k}: {error}") from None
                 verdict = verdict_of(x, candidates, x_next)
