@@ -23,7 +23,8 @@ def dead_link_budget(scenario: Scenario, design: Design) -> int | None:
     Returns
     -------
     int or None
-        0 where T_0 was not made for the stated gain, so that nothing is known; None where no number of steps up to :data:`MOST_STEPS` leads outside.
+        0 where T_0 was not made for the stated gain, so that nothing is known; None where no
+        number of steps up to :data:`MOST_STEPS` leads outside.
     """
     if scenario.link.fallback == "regulator":
         gain = scenario.control.gain
