@@ -20,7 +20,7 @@ import pytest
 
 from protocol.messages import PlantStatus
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
-from wyner.dashboard.app import Ending, Watch, has_screen, speaks_unicode
+from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen, speaks_unicode
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
 from wyner.dashboard.model import Arrival, Board, reduce_all
@@ -66,7 +66,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert watch.board.received == 50
     watch.press(" ", SIZE, 0)
     assert "FROZEN" not in text_of(watch)
-    assert "step k 100 " in text_of(watch)
+    assert "step 100 " in text_of(watch)
 
 
 def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> None:
@@ -79,7 +79,7 @@ def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> No
     watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
     assert "FROZEN, new session" in text_of(watch)
     watch.press(" ", SIZE, 0)
-    assert "step k 3 " in text_of(watch)
+    assert "step 3 " in text_of(watch)
 
 
 def test_frozen_before_the_plant_was_heard_counts_no_steps(watch: Watch) -> None:
@@ -152,7 +152,8 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
     ("typed", "keys"),
     [
         ("q", ["q"]),
-        ("\x1b[A", []),
+        ("\x1b[A\x1bOD", ["up", "left"]),
+        ("\x1b[5~", []),
         ("a\x1b[1;5Cb", ["a", "b"]),
         ("\x1bOPz", ["z"]),
         ("\x1b", ["\x1b"]),
@@ -162,6 +163,66 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
 )
 def test_keys_are_split_and_sequences_swallowed(typed: str, keys: list[str]) -> None:
     assert split_keys(typed) == keys
+
+
+def test_steps_and_taps_are_chosen_while_frozen(watch: Watch) -> None:
+    script = source()
+    for _ in range(20):
+        watch.take(script)
+    watch.press("left", SIZE, 0)
+    assert "FROZEN" in text_of(watch)
+    held = sorted(watch.board.pictures)
+    shown = watch.wishes.step
+    assert shown is not None
+    assert f"Agreement at step {shown} " in text_of(watch)
+    watch.press("left", SIZE, 0)
+    assert watch.wishes.step == held[held.index(shown) - 1]
+    for _ in range(300):
+        watch.press("right", SIZE, 0)
+    assert watch.wishes.step == held[-1]
+    for _ in range(300):
+        watch.press("left", SIZE, 0)
+    assert watch.wishes.step == held[0]
+    for key, name in (("down", "list-decoder"), ("down", "nearest-centre"), ("up", "list-decoder")):
+        watch.press(key, SIZE, 0)
+        assert watch.wishes.tap == name
+        assert f"\n>{name} " in text_of(watch)
+    watch.press("\r", SIZE, 0)
+    assert f"── Step {held[0]} ──" in text_of(watch)
+    watch.press(ESCAPE, SIZE, 0)
+    assert f"Agreement at step {held[0]} " in text_of(watch)
+    watch.press(" ", SIZE, 0)
+    assert watch.wishes.step is None
+    nobody = Watch(unicode=True, folder=Path())
+    for key in ("left", "down", "\n"):
+        nobody.press(key, SIZE, 0)
+    assert "No step pictured yet" in text_of(nobody)
+
+
+def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path) -> None:
+    watch = Watch(unicode=True, folder=tmp_path, story=True)
+    script = source(1500)
+    while not script.exhausted:
+        watch.take(script)
+    watch.end(["had it at step 1163"])
+    seen = []
+    while watch.wishes.press == GO_ON:
+        text = text_of(watch)
+        assert "…" not in text
+        seen.append(watch.wishes.caption[0])
+        watch.press(" ", SIZE, 0)
+    assert [title.split(",")[0].split(":")[0] for title in seen] == [
+        "The first agreement seen",
+        "The first ciphertext under a key",
+        "What the nearest prediction tells",
+        "Her list",
+        "She has the message",
+    ]
+    assert "had it at step 1163" in text_of(watch)
+    watch.press("s", SIZE, 0)
+    assert not watch.quit, "saving the last screen does not leave it"
+    watch.press("x", SIZE, 0)
+    assert watch.quit
 
 
 # --- the terminal ------------------------------------------------------------------------------
@@ -213,7 +274,7 @@ def until():
     print("complaint behind the screen", file=sys.stderr)
     if sys.argv[1] == "raise" and source.now_ns() > 5e8:
         raise RuntimeError("on purpose")
-    return sys.argv[1] == "finish" and source.now_ns() > 5e8
+    return sys.argv[1] in ("finish", "conclude") and source.now_ns() > 5e8
 if sys.argv[1] == "half":
     from rich.console import Console
     show = Console.set_alt_screen
@@ -222,7 +283,8 @@ if sys.argv[1] == "half":
         if enable:
             raise KeyboardInterrupt
     Console.set_alt_screen = show_and_be_interrupted
-print(run_dashboard(source, until=until, run_dir=Path(sys.argv[2])))
+conclude = (lambda: ["the point of it"]) if sys.argv[1] == "conclude" else None
+print(run_dashboard(source, until=until, run_dir=Path(sys.argv[2]), conclude=conclude))
 """
 
 
@@ -281,7 +343,7 @@ class Screen:
 
 def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
-    screen.wait_for("step k")
+    screen.wait_for(" steps/s")
     screen.type("s")
     screen.wait_for("saved screen-1.svg")
     screen.type("?")
@@ -296,7 +358,7 @@ def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path:
 
 def test_control_c_is_an_interruption_and_restores_the_terminal(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
-    screen.wait_for("step k")
+    screen.wait_for(" steps/s")
     os.killpg(screen.process.pid, signal.SIGINT)
     assert "Ending.INTERRUPTED" in screen.end()
 
@@ -312,9 +374,19 @@ def test_the_end_of_the_watch_and_an_error_restore_the_terminal(tmp_path: Path) 
     assert "RuntimeError: on purpose" in failed.end()
 
 
+def test_the_last_screen_stays_until_a_key_is_pressed(tmp_path: Path) -> None:
+    screen = Screen("conclude", tmp_path)
+    screen.wait_for("Any key leaves")
+    assert b"the point of it" in screen.seen
+    time.sleep(0.3)
+    assert screen.process.poll() is None
+    screen.type("x")
+    assert "Ending.QUIT" in screen.end()
+
+
 def test_a_resize_is_followed(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
-    screen.wait_for("step k")
+    screen.wait_for(" steps/s")
     assert "Last steps" not in screen.seen.decode()
     screen.resize(120, 40)
     screen.wait_for("Last steps")
@@ -378,9 +450,9 @@ def test_headless_lines_tell_the_story_without_control_codes(
         "plant running",
         "controller running",
         "tap nearest-centre heard",
-        f'message 1 recovered at k 1170: "{MESSAGE_TEXT}"',
-        f'tap list-decoder holds the true message at k 1100: "{MESSAGE_TEXT}"',
-        "tap list-decoder was sure of a message at k 1163, and it is the true one",
+        f'message 1 recovered at step 1170: "{MESSAGE_TEXT}"',
+        f'tap list-decoder holds the true message at step 1100: "{MESSAGE_TEXT}"',
+        "tap list-decoder was sure of a message at step 1163, and it is the true one",
     ):
         assert text.count(told) == 1, told
     assert "CLAIMED EXCEEDS TRUE" in text.splitlines()[-1]
@@ -454,9 +526,9 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
         said += lines
     assert said == [
         "plant refused: another model",
-        "2 symbols decoded unlike b_r at k 20",
-        "1 frames refused by their check at k 20",
-        'message 1 recovered at k 20: "Hello"',
+        "2 symbols decoded unlike b_r at step 20",
+        "1 frames refused by their check at step 20",
+        'message 1 recovered at step 20: "Hello"',
     ]
     back, _ = reporter.report(with_plant(trouble, phase="running", detail=""), 0)
     assert back == ["plant running"]
@@ -467,7 +539,7 @@ def test_progress_is_told_of_a_new_session_that_stands_at_the_same_step() -> Non
     _, reporter = Reporter().report(board, 0)
     lines, _ = reporter.report(with_plant(board, session="f" * 16), 3_000_000_000)
     assert lines[0].startswith(f"session {'f' * 16} began: ")
-    assert lines[-1].startswith("k 20  x (")
+    assert lines[-1].startswith("step 20  x (")
 
 
 def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
@@ -485,7 +557,7 @@ def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
     assert lines[0].startswith("session 3f2a9c51d07be684: rehearsal")
     assert f'message 1 is the last recovered: "{MESSAGE_TEXT}"' in lines
     assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
-    assert "tap list-decoder was sure of a message at k 1163" in lines
+    assert "tap list-decoder was sure of a message at step 1163" in lines
     assert not any(word in "\n".join(lines) for word in (" began", " at k 2000", " steps:"))
     assert lines[-1].endswith("62/62 characters, old")
     assert progress(whole).endswith("62/62 characters")
@@ -509,7 +581,7 @@ def test_only_who_was_heard_before_is_called_wrong(heard: bool, judged: str) -> 
     sure = {"solved_k": 490, "message": "wrong", "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
     later = reduce_all(board, [Arrival(board.plant_seen_ns, tap.model_copy(update=sure))])
     lines, _ = Reporter(board).report(later, 0)
-    assert f"tap list-decoder was sure of a message at k 490{judged}" in lines
+    assert f"tap list-decoder was sure of a message at step 490{judged}" in lines
 
 
 def test_lines_stay_short_when_the_state_runs_away() -> None:

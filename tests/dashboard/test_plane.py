@@ -70,7 +70,7 @@ def test_axes_follow_the_input_in_widths_of_the_defenders_set() -> None:
     B = ((1.0,), (0.0,), (-3.0,))
     assert axes_of(B, *box(1, 1, 1)) == Axes(2, 0)
     assert axes_of(B, *box(0.1, 1, 1)) == Axes(0, 2)
-    assert Axes(2, 0).words == "x3 across, x1 up"
+    assert Axes(2, 0).words == "horizontal x3, vertical x1"
 
 
 @pytest.mark.parametrize("unicode", [True, False])
@@ -80,9 +80,7 @@ def test_the_picture_has_its_size_both_centres_and_the_next_state(unicode: bool)
         assert [len(row) for row in rows] == [60] * 20
         cells = [cell for row in rows for cell in row]
         shown = {cell.character for cell in cells if cell.kind == "centre"}
-        hidden = {"0", "1"} - shown
-        # x(k+1) is drawn last, so it may hide the one centre that it fell on.
-        assert len(hidden) <= 1
+        assert shown == {"0", "1"}, "a number makes way for the state, and stays"
         assert sum(cell.kind == "next" for cell in cells) == 1
         assert {"defender", "eavesdropper"} <= {cell.kind for cell in cells}
         assert unicode or all(cell.character.isascii() for cell in cells)
@@ -100,6 +98,22 @@ def test_marks_lie_as_the_points_do() -> None:
     # The second candidate is larger and B is positive: its centre lies further right and higher.
     assert where["1"][0] > where["0"][0]
     assert where["1"][1] <= where["0"][1]
+
+
+def test_the_frame_is_that_of_the_small_sets_and_arrows_say_what_goes_on() -> None:
+    status = statuses()[-1]
+    narrow = status.model_copy(update={"alpha": 1.1})
+    for drawn, arrows in ((status, 2), (narrow, 0)):
+        cells = [cell for row in draw(drawn, 60, 20, unicode=True) for cell in row]
+        assert sum(cell.character in "◀▶" for cell in cells) == arrows
+        # half of the frame and more is what the two small sets and the state span
+        columns = {
+            x
+            for row in draw(drawn, 60, 20, unicode=True)
+            for x, cell in enumerate(row)
+            if cell.kind == "defender"
+        }
+        assert max(columns) - min(columns) > 40
 
 
 def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
@@ -123,11 +137,11 @@ def test_before_the_first_step_the_picture_is_blank() -> None:
 @pytest.mark.parametrize(
     ("gauges", "symbol", "words"),
     [
-        ((0.5, 3.0), 0, "AGREED key 0"),
-        ((3.0, 0.5), 1, "AGREED key 1"),
-        ((0.5, 0.9), -1, "inside several D_c"),
-        ((1.5, 2.0), -1, "outside every D_c"),
-        ((0.5, 9.0), -1, "outside one D_e"),
+        ((0.5, 3.0), 0, "KEY 0: only input 0 explains it"),
+        ((3.0, 0.5), 1, "KEY 1: only input 1 explains it"),
+        ((0.5, 0.9), -1, "2 inputs explain it"),
+        ((1.5, 2.0), -1, "no input explains it"),
+        ((0.5, 9.0), -1, "outside a D_e"),
     ],
 )
 def test_the_verdict_says_why(gauges: tuple[float, ...], symbol: int, words: str) -> None:

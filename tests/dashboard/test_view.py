@@ -21,6 +21,7 @@ from protocol.messages import PlantStatus
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.keymap import KEYS, Action, action_of
 from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
+from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
 from wyner.dashboard.text import (
     MARKS,
@@ -102,6 +103,13 @@ GOLDEN = {
     "80x24-four-states": (board_after(700, FOUR_STATES), 80, 24, PLAIN),
     "80x24-ascii": (board_after(700), 80, 24, Wishes(unicode=False)),
     "80x24-help": (board_after(700), 80, 24, Wishes(help=True)),
+    "80x24-detail": (board_after(700), 80, 24, Wishes(detail=True, tap="nearest-centre")),
+    "80x24-end": (
+        board_after(3000),
+        80,
+        24,
+        Wishes(caption=("What this run shows", "One.", "Two.", "Three."), press="Any key leaves."),
+    ),
     "80x24-frozen": (board_after(700), 80, 24, Wishes(frozen=True, held_steps=40)),
     "80x24-filter": (board_after(700), 80, 24, Wishes(typing=True, filter="near")),
     "120x40-under-way": (board_after(700), 120, 40, PLAIN),
@@ -178,10 +186,10 @@ def test_every_state_and_every_count_is_drawn(
 
 
 PANELS = {
-    "picture": "Agreement at k",
-    "key symbols and automata": "receiver",
-    "taps": "broke it",
-    "loop": "set i(k)",
+    "picture": "Agreement at step",
+    "key symbols and automata": "both ends",
+    "taps": "keys right",
+    "loop": "bit/s",
     "message": "recovered ",
 }
 
@@ -243,9 +251,7 @@ def test_wrong_key_symbols_are_marked_too() -> None:
     board = board_after(700)
     blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
     lines = shown(blind, 80, 24).splitlines()
-    at = next(
-        i for i, line in enumerate(lines) if line[1:].startswith("363 keys") or " keys " in line
-    )
+    at = next(i for i, line in enumerate(lines) if re.match(r" \d+ keys ", line))
     for x in range(16, 39):
         truth, guess, mark = lines[at][x], lines[at + 1][x], lines[at + 2].ljust(80)[x]
         assert (mark == "^") == (truth != guess)
@@ -261,8 +267,8 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
     assert any("red" in str(span.style) for span in line.spans)
     blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
     assert "EXCEEDS" not in shown(blind, 80, 24)
-    assert "true: at most" in shown(blind, 80, 24)
-    assert "no tap was scored" in shown(replace(board, taps={}), 80, 24)
+    assert "(set-membership)" in shown(blind, 80, 24)
+    assert "nobody was scored" in shown(replace(board, taps={}), 80, 24)
 
 
 def test_a_silent_service_is_named() -> None:
@@ -338,37 +344,98 @@ def test_states_that_find_no_room_are_counted(states: int) -> None:
     assert (f" {states - 8} more" in text) == (states > 9)
 
 
-@pytest.mark.parametrize("missed", [0, 999, 1234, 99_999, 10**8])
-def test_missed_and_late_steps_are_told_whatever_their_number(missed: int) -> None:
+@pytest.mark.parametrize("missed", [1, 999, 1234, 99_999, 10**8])
+def test_missed_steps_are_told_whatever_their_number(missed: int) -> None:
     board = with_plant(board_after(700), missed=missed, late=missed)
     for size in ((80, 24), (40, 24), (120, 40)):
-        text = shown(board, *size)
-        assert f"i(k) 0 of 250  missed {missed}" in text or missed > 999
-        told = re.escape(count(missed))
-        assert re.search(rf"i\(k\) 0\b.*  missed {told}  late {told}\b", text)
+        assert re.search(rf" bit/s  .*  missed {re.escape(count(missed))}\b", shown(board, *size))
+    assert f"  late {count(missed)}" in shown(board, 120, 40)
+
+
+def test_a_few_missed_steps_are_no_alarm() -> None:
+    for missed, red in ((0, False), (30, False), (60, True)):
+        board = with_plant(board_after(700), missed=missed)
+        lines = screen(board, 80, 24, PLAIN, 0)
+        spans = [(line, span) for line in lines for span in line.spans if "red" in str(span.style)]
+        assert any("missed" in line.plain[s.start : s.end] for line, s in spans) is red
+
+
+def test_where_the_state_is_among_the_sets_is_told_in_words() -> None:
+    board = board_after(700)
+    assert "control: inside the target set" in shown(board, 120, 40)
     far = with_controller(board, set_index=250)
-    assert f"i(k) 250  missed {count(missed)}" in shown(far, 80, 24) or missed < 99_999
+    assert "control: at most 250 steps to the target set" in shown(far, 120, 40)
+    lost = with_controller(board, set_index=-1)
+    assert "control: outside of every set" in shown(lost, 120, 40)
 
 
-def test_symbols_unlike_the_coin_are_told_at_any_rate() -> None:
+def test_keys_that_are_wrong_at_the_plant_are_told_at_any_rate() -> None:
     board = with_plant(board_after(700), rate_hz=12345.6, sessions=123, symbol_errors=54321)
-    assert " 1e4/s  session 123  unlike b_r 54321 " in shown(board, 80, 24)
-    assert "12345.6 steps/s  session 123  unlike b_r 54321 " in shown(board, 120, 40)
+    assert " wrong keys at the plant 54321 " in shown(board, 80, 24)
+    wide = shown(board, 120, 40)
+    assert " 12345.6 steps/s" in wide
+    assert " wrong keys at the plant 54321  late 0  session 123" in wide
+
+
+def test_the_time_left_counts_the_symbols_that_are_missing() -> None:
+    board = board_after(700)
+    seen = plant_of(board)
+    assert board.controller is not None
+    missing = board.controller.frame_length - board.controller.frame_symbols
+    left = time_left_s(board)
+    assert left == pytest.approx(missing / (seen.recovered_symbols / seen.transitions) / 100.0)
+    assert time_left_s(board_after(3000)) is None
+    assert rate_of(board) == pytest.approx(seen.recovered_symbols / 70.0)
+    assert time_left_s(Board()) is None
+    assert rate_of(Board()) == 0.0
+
+
+def test_the_course_of_claimed_and_true_ends_where_the_figures_stand() -> None:
+    board = board_after(700)
+    curve = course(board, 20)
+    assert len(curve) == 20
+    assert curve[-1] == (secrecy(board).claimed_bits, secrecy(board).left_bits)
+    assert [c for c, _ in curve] == sorted(c for c, _ in curve)
+    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    left = course(blind, 20)[-1][1]
+    assert left is not None
+    assert left == pytest.approx(secrecy(blind).left_bits)
+    assert course(Board(), 20) == []
+
+
+@pytest.mark.parametrize("count_of", [2, 3, 5, 16])
+def test_every_number_of_candidates_has_its_bars(count_of: int) -> None:
+    gauges = tuple(0.5 + 2 * i for i in range(count_of))
+    board = board_after(700)
+    assert board.pictured is not None
+    pictured = board.pictured.model_copy(
+        update={
+            "pictured_gauges": gauges,
+            "pictured_candidates": tuple((0.3 * i,) for i in range(count_of)),
+        }
+    )
+    text = shown(replace(board, pictured=pictured), 120, 50)
+    drawn = [line for line in text.splitlines() if re.search(r"\d (in D_c|outside|beyond)", line)]
+    assert len(drawn) == count_of
+    small = shown(replace(board, pictured=pictured), 80, 24)
+    assert "0.50 in D_c" in small
+    if count_of > 5:
+        assert "more" in small
 
 
 def test_a_large_gauge_is_short() -> None:
     board = board_after(700)
     assert board.pictured is not None
     pictured = board.pictured.model_copy(update={"pictured_gauges": (0.75, 4e200)})
-    assert "g0 0.75  g1 4e200  (D_c 1" in shown(replace(board, pictured=pictured), 80, 24)
+    assert "▶ 4e200 beyond" in shown(replace(board, pictured=pictured), 80, 24)
 
 
 @pytest.mark.parametrize(
     ("width", "tail"),
     [
         (120, "350 messages, 5 garbage"),
-        (80, "  5 garbage"),
-        (72, "  5 garbage"),
+        (80, "350 messages, 5 garbage"),
+        (72, "350 messages, 5 garbage"),
         (60, "350 messages, 5 garbage"),
         (40, "  5 garbage"),
     ],
@@ -389,28 +456,28 @@ def test_a_filter_that_lets_nobody_through_does_not_say_that_nobody_was_heard() 
 
 @pytest.mark.parametrize(
     ("watched", "exact", "told"),
-    [(True, True, "k 650 exact"), (True, False, "k 650 WRONG"), (False, False, "k 650")],
+    [(True, True, "650 exact"), (True, False, "650 WRONG"), (False, False, "650")],
 )
 def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool, told: str) -> None:
     board = with_tap(board_after(700), "list-decoder", solved_k=650)
     tap = replace(board.taps["list-decoder"], watched=watched, exact=exact)
     text = shown(replace(board, taps={"list-decoder": tap}), 80, 24)
-    assert next(line for line in text.splitlines() if " % 1.00 " in line).endswith(f" {told}")
+    assert next(line for line in text.splitlines() if " 100 % " in line).endswith(f" {told}")
 
 
 def test_figures_of_the_table_keep_to_their_columns() -> None:
     board = with_controller(board_after(700), sending="x" * 65_000)
     board = with_tap(board, "list-decoder", message="x" * 2000, solved_k=1_234_567)
     line = next(line for line in shown(board, 80, 24).splitlines() if " WRONG" in line)
-    assert line.endswith("       3 %  k 1234k WRONG")
+    assert line.endswith("       3 %  1234567 WRONG")
     assert len(line) == len(
-        next(row for row in shown(board, 80, 24).splitlines() if " P_g " in row)
+        next(row for row in shown(board, 80, 24).splitlines() if " hides/key " in row)
     )
 
 
 def test_the_filter_leaves_the_verdict_to_all_taps() -> None:
     text = shown(board_after(3000), 80, 24, Wishes(filter="MEMBER"))
-    assert "list-decoder leaves 0 bit" in text
+    assert "0 bit (list-decoder)" in text
     assert " nearest-centre" not in text
     assert "/MEMBER: 1 of 3 taps" in text
     assert "none by that name" in shown(board_after(3000), 80, 24, Wishes(filter="zzz"))
@@ -432,7 +499,7 @@ def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
 def test_the_strongest_taps_name_moves_no_cursor_in_the_verdict() -> None:
     board = with_tap(board_after(700), "list-decoder", name="\x1b[31m")
     text = shown(replace(board, taps={"x": board.taps["list-decoder"]}), 80, 24)
-    assert "TRUE: ·[31m leaves" in text
+    assert " 0 bit (·[31m)" in text
     assert "\x1b" not in text
 
 
@@ -466,7 +533,7 @@ def test_a_wide_guess_of_a_narrow_character_moves_nothing() -> None:
     board = with_tap(board, "list-decoder", message="a手c手手")
     board = replace(board, taps={"list-decoder": board.taps["list-decoder"]})
     assert under(board, "sent")[0] == "abcd"
-    assert under(board, "list-decoder") == ("a·c·手", " ^ ^^")
+    assert under(board, "list-decoder") == ("a·c·", " ^ ^")
 
 
 def test_combining_marks_stay_with_their_character() -> None:
@@ -563,6 +630,26 @@ def test_help_is_made_from_the_key_table_and_covers_every_key_and_action() -> No
     assert all(f"\n {line}\n" in text for line in HELP)
     assert all(panel in " ".join(HELP) for panel in DROPPED_FIRST)
     assert all(key.short in shown(board_after(700), 80, 24) for key in KEYS)
+
+
+def test_the_end_of_a_run_keeps_its_lines_on_every_screen() -> None:
+    caption = ("What this run shows", "first line", "second line", "third line")
+    wishes = Wishes(caption=caption, press="Any key leaves.")
+    for width, height in ((80, 24), (60, 16), (40, 12), (120, 40)):
+        text = shown(board_after(3000), width, height, wishes)
+        assert all(line in text for line in caption)
+        assert text.splitlines()[-1] == " Any key leaves."
+
+
+def test_the_page_of_a_step_and_a_tap_tells_all_that_is_known() -> None:
+    board = board_after(700)
+    k = max(board.pictures)
+    text = shown(board, 80, 24, Wishes(detail=True, step=k, tap="nearest-centre"))
+    assert f"── Step {k} ──" in text
+    assert "── nearest-centre ──" in text
+    assert "applied, tested for a key" in text
+    assert "her A, true A" in text
+    assert "No step pictured yet" in shown(Board(), 80, 24, Wishes(detail=True))
 
 
 @pytest.mark.parametrize("value", [0, 1e-9, 0.00123, 0.5, 12.345, 999.9, 1e5, -2.5e-7, 1e12])

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
@@ -61,6 +61,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--eavesdropper", metavar="NAME[,NAME...]", help="as for the tap (default: the scenario's)"
     )
+    parser.add_argument(
+        "--story", action="store_true", help="pause at what matters, with a caption each time"
+    )
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
@@ -75,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
-    from wyner.scoring.summary import render, summarise
+    from wyner.scoring.summary import render, summarise, verdict_lines
 
     for option, least in (("steps", 1), ("seed", 0)):
         value = getattr(args, option)
@@ -95,6 +98,15 @@ def run(args: argparse.Namespace) -> int:
         supervisor, loop = _children(args, scenario, eavesdroppers, run_dir, payload)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
+    summary: dict[str, Any] = {}
+
+    def conclude() -> list[str]:
+        """Stop the services and sum up: once, and the tap's last thoughts are part of it."""
+        if not summary:
+            supervisor.stop()
+            summary.update(summarise(run_dir, payload))
+        return verdict_lines(summary)
+
     watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)
     screen = not args.headless and not args.json and has_screen()
     failure: Failure | None = None
@@ -111,17 +123,22 @@ def run(args: argparse.Namespace) -> int:
             ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(ops, intel_bus, DEFAULT_LOOP)
             if screen:
-                ending = run_dashboard(source, until=watching.over, run_dir=run_dir)
+                ending = run_dashboard(
+                    source,
+                    until=watching.over,
+                    run_dir=run_dir,
+                    story=args.story,
+                    conclude=conclude,
+                )
             else:
                 out = sys.stderr if args.json else sys.stdout
-                ending = run_headless(source, until=watching.over, out=out)
+                ending = run_headless(source, until=watching.over, out=out, story=args.story)
     except Failure as error:
         failure = error
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     finally:
-        supervisor.stop()
-    summary = summarise(run_dir, payload)
+        conclude()
     write_atomically(
         run_dir / SUMMARY, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n"
     )

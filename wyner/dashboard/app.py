@@ -2,7 +2,8 @@
 
 import os
 import sys
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
@@ -13,9 +14,11 @@ from rich.live import Live
 from rich.text import Text
 
 from wyner.dashboard.keymap import Action, action_of
-from wyner.dashboard.model import Board, reduce_all
+from wyner.dashboard.model import Board, reduce
+from wyner.dashboard.score import ranked
 from wyner.dashboard.screenshot import save
 from wyner.dashboard.source import Source
+from wyner.dashboard.story import MOMENTS, Moment, next_moment
 from wyner.dashboard.terminal import BACKSPACES, ENTERS, ESCAPE, cbreak, hold_stderr
 from wyner.dashboard.view import Wishes, screen
 
@@ -24,6 +27,14 @@ REFRESH_S: Final = 0.1
 
 REDRAW_NS: Final = 1_000_000_000
 """A screen without news is drawn again after so long, so that silence shows."""
+
+STOPPING: Final = "The run is over; its services stop. She thinks to the end of what she heard."
+GO_ON: Final = "Space goes on.  Left, Right: other steps.  Enter: more.  q leaves."
+LEAVE: Final = "The run is over.  Any key leaves; Enter, Left, Right, s and ? look at it first."
+"""What the last line says while a caption is shown."""
+
+LOOKING: Final = frozenset(Action) - {Action.QUIT, Action.FREEZE, Action.FILTER}
+"""What can be asked of the last screen without leaving it."""
 
 NAME_LENGTH: Final = 32
 """Characters of a filter."""
@@ -43,10 +54,15 @@ class Watch:
     """The live screen's state: the board that grows, the one that is shown, and the wishes.
 
     It touches neither terminal nor clock, so a test can press keys and look at what is drawn.
+    With ``story`` it pauses at the moments of `wyner.dashboard.story`; what comes meanwhile is
+    reduced all the same, and later moments wait for their turn.
     """
 
-    def __init__(self, *, unicode: bool, folder: Path) -> None:
+    def __init__(self, *, unicode: bool, folder: Path, story: bool = False) -> None:
         self.board = Board()
+        self._told = set() if story else set(range(len(MOMENTS)))
+        self._moments: deque[tuple[Moment, Board, int]] = deque()
+        self._ending: tuple[str, ...] = ()
         self.wishes = Wishes(unicode=unicode)
         self.quit = False
         self.saved: list[Path] = []
@@ -60,9 +76,45 @@ class Watch:
         """Reduce what came; also while the view is frozen."""
         arrivals = source.drain()
         if arrivals or self.board.unreadable != source.garbage:
-            self.board = reduce_all(self.board, arrivals)
+            for arrival in arrivals:
+                self.board = reduce(self.board, arrival)
+                self._look_for_moments(arrival.t_ns)
             self.board = replace(self.board, unreadable=source.garbage)
             self._dirty = True
+
+    def _look_for_moments(self, t_ns: int) -> None:
+        found = next_moment(self.board, self._told)
+        if found is not None:
+            place, moment = found
+            self._told.add(place)
+            self._moments.append((moment, self.board, t_ns))
+            self._show_moment()
+
+    def _show_moment(self) -> None:
+        """Hold the view at the next moment of the story, unless one is shown already."""
+        if not self._moments or self.wishes.caption or self._held is not None:
+            return
+        moment, self._held, self._held_ns = self._moments.popleft()
+        self.wishes = replace(self.wishes, caption=moment.caption, press=GO_ON, frozen=True)
+
+    def end(self, lines: Sequence[str]) -> None:
+        """The run is over: show its last lines, and what they say."""
+        self._ending = ("What this run shows", *lines)
+        self._dirty = True
+        if not self.wishes.caption:
+            self._release()
+
+    def _release(self) -> None:
+        """Leave a pause, a freeze or a page; the next moment or the end of the run follows."""
+        self._held = None
+        self.wishes = replace(
+            self.wishes, caption=(), press="", frozen=False, step=None, detail=False
+        )
+        self._show_moment()
+        if self._ending and not self.wishes.caption:
+            # Nobody speaks any more, and that is no silence to be told.
+            self._held, self._held_ns = self.board, self.board.last_seen_ns
+            self.wishes = replace(self.wishes, caption=self._ending, press=LEAVE)
 
     def press(self, key: str, size: Size, now_ns: int) -> None:
         """Act on one key."""
@@ -71,23 +123,57 @@ class Watch:
         if self.wishes.typing:
             self._type(key)
             return
-        match action_of(key):
+        action = action_of(key)
+        if self.wishes.press == LEAVE and action not in LOOKING:
+            self.quit = True
+            return
+        match action:
             case Action.QUIT:
                 self.quit = True
             case Action.HELP:
                 self.wishes = replace(self.wishes, help=not self.wishes.help)
+            case Action.FREEZE if self.wishes.frozen:
+                self._release()
             case Action.FREEZE:
-                frozen = not self.wishes.frozen
-                self._held = self.board if frozen else None
-                self._held_ns = now_ns
-                self.wishes = replace(self.wishes, frozen=frozen)
+                self._hold(now_ns)
+            case Action.BACK | Action.ON:
+                self._hold(now_ns)
+                self._choose_step(-1 if action is Action.BACK else 1)
+            case Action.UP | Action.DOWN:
+                self._choose_tap(-1 if action is Action.UP else 1)
+            case Action.DETAIL:
+                self.wishes = replace(self.wishes, detail=not self.wishes.detail)
             case Action.FILTER:
                 self.wishes = replace(self.wishes, typing=True, help=False, filter="")
             case Action.SAVE:
                 self._save(size, now_ns)
             case None:
                 if key == ESCAPE:
-                    self.wishes = replace(self.wishes, filter="", help=False)
+                    self.wishes = replace(self.wishes, filter="", help=False, detail=False)
+
+    def _hold(self, now_ns: int) -> None:
+        if self._held is None:
+            self._held, self._held_ns = self.board, now_ns
+            self.wishes = replace(self.wishes, frozen=True)
+
+    def _choose_step(self, by: int) -> None:
+        """The pictured step before or after the one chosen."""
+        board = self._held or self.board
+        known = sorted(board.pictures)
+        if not known:
+            return
+        now = self.wishes.step
+        if now is None and board.pictured is not None:
+            now = board.pictured.pictured_k
+        at = known.index(now) if now in known else len(known) - 1
+        self.wishes = replace(self.wishes, step=known[min(max(at + by, 0), len(known) - 1)])
+
+    def _choose_tap(self, by: int) -> None:
+        """The tap above or below the one chosen, the strongest first."""
+        names = [tap.status.name for tap, _ in ranked(self._held or self.board)]
+        if names:
+            at = names.index(self.wishes.tap) + by if self.wishes.tap in names else 0
+            self.wishes = replace(self.wishes, tap=names[at % len(names)])
 
     def due(self, size: Size, now_ns: int) -> bool:
         """Whether the screen is worth drawing: news, a key, another size, or a second gone."""
@@ -139,6 +225,8 @@ def run_dashboard(
     run_dir: Path | None = None,
     out: IO[str] | None = None,
     keyboard: int | None = None,
+    story: bool = False,
+    conclude: Callable[[], Sequence[str]] | None = None,
 ) -> Ending:
     """Show the live screen until ``q``, Ctrl-C, or ``until()``, which is asked ten times a second.
 
@@ -154,6 +242,11 @@ def run_dashboard(
         A terminal; standard output if not given.
     keyboard : int, optional
         Descriptor of the terminal to read keys from; standard input if not given.
+    story : bool, optional
+        Pause at the moments of `wyner.dashboard.story`.
+    conclude : callable, optional
+        Called once ``until()`` holds; what it returns is shown on the last screen, which then stays
+        until a key is pressed. Without it, or without a keyboard, the screen closes at once.
 
     Returns
     -------
@@ -163,7 +256,8 @@ def run_dashboard(
     """
     stream = out or sys.stdout
     console = Console(file=stream, force_terminal=True, highlight=False)
-    watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path())
+    watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path(), story=story)
+    over = False
     ending = Ending.FINISHED
     try:
         with (
@@ -178,15 +272,23 @@ def run_dashboard(
             ) as live,
         ):
             while not watch.quit:
-                finished = until()
+                finished = over or until()
                 size = _size(stream)
                 watch.take(source)
                 if watch.due(size, source.now_ns()):
                     console.size = ConsoleDimensions(*size)
-                    lines = watch.draw(size, source.now_ns())
-                    live.update(Text("\n").join(lines), refresh=True)
-                if finished:
-                    break
+                    live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
+                if finished and not over:
+                    over = True
+                    if conclude is None or not keys.connected:
+                        break
+                    watch.wishes = replace(watch.wishes, note=STOPPING)
+                    live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
+                    lines = conclude()
+                    watch.take(source)
+                    watch.wishes = replace(watch.wishes, note="")
+                    watch.end(lines)
+                    continue
                 for key in keys.read(REFRESH_S):
                     watch.press(key, size, source.now_ns())
             # Left as it is, a screen that grew while it was shown stays behind in some terminals.

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
+from protocol.messages import PlantStatus
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import Board, TapView, reduce_all
 from wyner.dashboard.score import characters_right, score, secrecy, truth_for
 from wyner.dashboard.source import Source
+from wyner.dashboard.story import next_moment
 from wyner.dashboard.text import component, letters, percent, printable
 
 PROGRESS_NS: Final = 2_000_000_000
@@ -48,7 +50,7 @@ def progress(board: Board) -> str:
     assert plant is not None
     recovered, sent = len(letters(board.recovered)), len(letters(board.sent))
     parts = [
-        f"k {plant.k}",
+        f"step {plant.k}",
         f"x ({', '.join(component(v) for v in plant.x)})",
         f"keys {plant.agreements}",
         f"missed {plant.missed}",
@@ -84,6 +86,7 @@ def run_headless(
     *,
     until: Callable[[], bool],
     out: IO[str] | None = None,
+    story: bool = False,
 ) -> Ending:
     """Print lines until ``until()`` or Ctrl-C; as `wyner.dashboard.app.run_dashboard` draws.
 
@@ -91,6 +94,7 @@ def run_headless(
     """
     stream = out or sys.stdout
     board, reporter = Board(), Reporter()
+    told: set[int] = set()
 
     def say(lines: list[str]) -> None:
         encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -106,6 +110,10 @@ def run_headless(
             board = replace(reduce_all(board, source.drain()), unreadable=source.garbage)
             lines, reporter = reporter.report(board, source.now_ns())
             say(lines)
+            while story and (found := next_moment(board, told)) is not None:
+                told.add(found[0])
+                title, *captions = found[1].caption
+                say([f"* {title}", *(f"  {line}" for line in captions)])
             if finished:
                 break
             time.sleep(REFRESH_S)
@@ -131,12 +139,14 @@ def _events(before: Board, board: Board) -> Iterator[str]:
             yield f"plant {plant.phase}{_because(plant.detail)}"
         if was is not None and plant.symbol_errors > was.symbol_errors:
             more = plant.symbol_errors - was.symbol_errors
-            yield f"{more} symbols decoded unlike b_r at k {plant.k}"
+            yield f"{more} symbols decoded unlike b_r at step {plant.k}"
         if was is not None and plant.frames_refused > was.frames_refused:
             more = plant.frames_refused - was.frames_refused
-            yield f"{more} frames refused by their check at k {plant.k}"
+            yield f"{more} frames refused by their check at step {plant.k}"
         if plant.messages > (was.messages if was is not None else 0):
-            how = "is the last recovered" if was is None else f"recovered at k {plant.k}"
+            how = (
+                "is the last recovered" if was is None else f"recovered at step {_whole_at(plant)}"
+            )
             yield f"message {plant.messages} {how}: {_quoted(plant.last_message)}"
     controller, was_controller = board.controller, before.controller
     if controller is not None and (
@@ -149,6 +159,11 @@ def _events(before: Board, board: Board) -> Iterator[str]:
         yield f"{board.garbage - before.garbage} messages were garbage"
 
 
+def _whole_at(plant: PlantStatus) -> int:
+    """The step of the last message, or where the plant does not know any more, the step now."""
+    return plant.message_k if plant.message_k >= 0 else plant.k
+
+
 def _tap_events(name: str, before: Board, tap: TapView, board: Board) -> Iterator[str]:
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
@@ -156,7 +171,7 @@ def _tap_events(name: str, before: Board, tap: TapView, board: Board) -> Iterato
     if tap.exact and (was is None or not was.exact):
         # Where the truth is what came last, she may have held the message for long.
         new = board.plant is not None and was is not None and text in before.texts
-        at = f" at k {board.plant.k}" if board.plant is not None and new else ""
+        at = f" at step {board.plant.k}" if board.plant is not None and new else ""
         yield f"tap {name} holds the true message{at}: {_quoted(text)}"
     solved = tap.status.solved_k
     if solved >= 0 and (was is None or was.status.solved_k != solved):
@@ -165,7 +180,7 @@ def _tap_events(name: str, before: Board, tap: TapView, board: Board) -> Iterato
             judged = f": {_quoted(text)}"
         elif not tap.watched:  # it may have been another message than the one that she holds now
             judged = ""
-        yield f"tap {name} was sure of a message at k {solved}{judged}"
+        yield f"tap {name} was sure of a message at step {solved}{judged}"
 
 
 def _because(detail: str) -> str:

@@ -13,11 +13,19 @@ class Action(Enum):
     FREEZE = "freeze"
     FILTER = "filter"
     SAVE = "save"
+    BACK = "back"
+    ON = "on"
+    UP = "up"
+    DOWN = "down"
+    DETAIL = "detail"
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One row of the table: what is typed, how it is written, its short and its whole meaning."""
+    """One row of the table: what is typed, how it is written, its short and its whole meaning.
+
+    A key without a short meaning stands in the help only.
+    """
 
     character: str
     label: str
@@ -32,9 +40,15 @@ KEYS: Final[tuple[Key, ...]] = (
     Key(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
     Key("/", "/", Action.FILTER, "filter", "show only taps whose name holds a text (Esc: all)"),
     Key("s", "s", Action.SAVE, "save", "save the screen as SVG and as text; the names are printed"),
+    Key("\r", "Enter", Action.DETAIL, "more", "all about the chosen step and tap; again: back"),
+    Key("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
+    Key("right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"),
+    Key("up", "Up", Action.UP, "", "choose the tap above, in the table of taps"),
+    Key("down", "Down", Action.DOWN, "", "choose the tap below"),
 )
 
 
 def action_of(character: str) -> Action | None:
-    """The action bound to a character, if there is one."""
+    """The action bound to a character, or to a named key such as ``left``, if there is one."""
+    character = "\r" if character == "\n" else character
     return next((key.action for key in KEYS if key.character == character), None)

@@ -22,6 +22,9 @@ STATES_KEPT: Final = 240
 TEXTS_KEPT: Final = 8
 """True messages remembered, so that a tap still on an earlier one is judged against that one."""
 
+PICTURES_KEPT: Final = 128
+"""Pictured steps that can be gone back to while the view is frozen."""
+
 PICTURE_NS: Final = 500_000_000
 """How long a pictured step stays: at many steps a second the eye needs time, and an agreement that
 came meanwhile is preferred to what came after it."""
@@ -89,7 +92,8 @@ class Automata:
 class Board:
     """All that the screen and the plain lines are made from.
 
-    ``pictured`` is the plant's status whose step is drawn; ``automata`` is the last moment at
+    ``pictured`` is the plant's status whose step is drawn, ``pictures`` holds those of the last
+    steps by k; ``automata`` is the last moment at
     which both automata were known, None before the first one of a session.
     """
 
@@ -99,6 +103,7 @@ class Board:
     controller_seen_ns: int = -1
     pictured: PlantStatus | None = None
     pictured_ns: int = -1
+    pictures: Mapping[int, PlantStatus] = field(default_factory=dict)
     automata: Automata | None = None
     taps: Mapping[str, TapView] = field(default_factory=dict)
     truths: Mapping[int, Truth] = field(default_factory=dict)
@@ -112,6 +117,12 @@ class Board:
     def garbage(self) -> int:
         """Payloads that the source could not read, and statuses of more taps than are kept."""
         return self.unreadable + self.refused
+
+    @property
+    def last_seen_ns(self) -> int:
+        """When anybody was heard last."""
+        taps = (tap.seen_ns for tap in self.taps.values())
+        return max(self.plant_seen_ns, self.controller_seen_ns, *taps)
 
     @property
     def candidates(self) -> int:
@@ -185,6 +196,7 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
             board,
             automata=None,
             pictured=None,
+            pictures={},
             truths={},
             states={},
             taps={name: replace(tap, guesses={}) for name, tap in board.taps.items()},
@@ -219,6 +231,8 @@ def _picture(board: Board, status: PlantStatus, t_ns: int) -> Board:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
     if status.pictured_k < 0:
         return board
+    kept = {**board.pictures, status.pictured_k: status}
+    board = replace(board, pictures=_newest(kept, PICTURES_KEPT))
     shown = board.pictured
     over = t_ns - board.pictured_ns >= PICTURE_NS
     better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)

@@ -9,9 +9,18 @@ from typing import Final
 from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
-from wyner.dashboard import plane
+from protocol.messages import PlantStatus
 from wyner.dashboard.model import Board, TapView
-from wyner.dashboard.score import Score, Secrecy, ranked, secrecy, truth_for
+from wyner.dashboard.picture import agreement
+from wyner.dashboard.score import (
+    Score,
+    Secrecy,
+    ranked,
+    rate_of,
+    secrecy,
+    time_left_s,
+    truth_for,
+)
 from wyner.dashboard.text import (
     ASCII,
     LABEL,
@@ -19,16 +28,23 @@ from wyner.dashboard.text import (
     UNICODE,
     component,
     count,
-    fit,
+    duration,
     glyph,
     letters,
     longest,
     number,
     row,
+    rule,
     sparkline,
 )
 
 Letters = tuple[str, ...]
+
+DOING: Final = ("-", "wait for a key", "use the key")
+"""What an end is at, by the state of its automaton; 0 is not known."""
+
+TOO_MANY: Final = 20
+"""One missed step in so many is shown as trouble."""
 
 STATE_CELLS: Final = 13
 """Cells of a component of the state with its name, its history aside."""
@@ -40,7 +56,9 @@ class Wishes:
 
     ``held_steps`` counts the steps made since the view was frozen, None when another session began
     meanwhile; ``typing`` is set while the filter is being typed; ``note`` stands in the last line
-    instead of the keys.
+    instead of the keys. ``step`` and ``tap`` are what was chosen, ``detail`` asks for all about
+    them. ``caption`` is a title and its lines: a pause of the story, or the end of the run,
+    and ``press`` says how to go on.
     """
 
     frozen: bool = False
@@ -48,6 +66,11 @@ class Wishes:
     help: bool = False
     filter: str = ""
     typing: bool = False
+    step: int | None = None
+    tap: str = ""
+    detail: bool = False
+    caption: tuple[str, ...] = ()
+    press: str = ""
     note: str = ""
     unicode: bool = True
 
@@ -66,55 +89,73 @@ class Panels:
 
     def rule(self, title: str, width: int, *notes: str) -> Text:
         """A titled rule, with the longest of the notes that there is room for."""
-        line = Text()
-        line.append(self.glyphs.rule * 2 + " ", style=STYLES["rule"])
-        line.append(title, style=STYLES["title"])
-        line.append(" ")
-        note = longest(width - cell_len(line.plain) - 1, *notes)
-        if note:
-            line.append(note + " ")
-        line.append(self.glyphs.rule * max(0, width - cell_len(line.plain)), style=STYLES["rule"])
-        return fit(line, width)
+        return rule(self.glyphs, title, width, *notes)
 
     def loop(self, width: int, extra: int) -> list[Text]:
-        """Step, state with history, set index, missed and late steps."""
-        plant, controller = self.board.plant, self.board.controller
+        """Step, state with history, rate and time left, missed and late steps."""
+        plant = self.board.plant
         lines = [self.rule("Loop", width)]
         if plant is None:
             return [*lines, Text(" no word from the plant yet"), Text(), Text(), Text()]
         seconds = plant.k * plant.period_s
-        step = f" step k {plant.k}"
-        time = longest(width - len(step), f"   {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
-        lines.append(Text(step + time))
+        step = f" step {plant.k}"
+        pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
+        room = width - len(step) - len(pace)
+        time = longest(room, f"  {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
+        lines.append(Text(step + time + pace))
         states = [self.board.states[k] for k in sorted(self.board.states)]
         lines += self._states(plant.x, states, width, 2 + max(0, extra))
-        trouble = Text("  missed ")
-        trouble.append(count(plant.missed), style=STYLES["bad"] if plant.missed else "")
-        trouble.append("  late ")
-        trouble.append(count(plant.late), style=STYLES["bad"] if plant.late else "")
-        index = ""
-        if controller is not None:
-            at, horizon = count(controller.set_index), count(controller.horizon)
-            index = longest(
-                width - trouble.cell_len,
-                f" set i(k) {at} of {horizon}",
-                f" set i(k) {at}",
-                f" i(k) {at}",
-            )
-        lines.append(Text.assemble(index, trouble))
+        lines.append(self._carried(width))
         if extra > 0:
-            errors = f"unlike b_r {count(plant.symbol_errors)}"
-            session = f"session {count(plant.sessions)}"
-            rate = number(plant.rate_hz)
-            line = longest(
-                width,
-                f" {plant.rate_hz:.1f} steps/s  {session}  {errors}",
-                f" {rate} steps/s  {session}  {errors}",
-                f" {rate}/s  {session}  {errors}",
-                f" {rate}/s  {errors}",
-            )
-            lines.append(Text(line))
+            lines.append(self._trouble(plant, width))
+        if extra > 1:
+            lines.append(self._control(width))
         return lines
+
+    def _carried(self, width: int) -> Text:
+        """What the link carries, and how long the message on its way still takes."""
+        rate = f" {number(rate_of(self.board))} bit/s"
+        left = time_left_s(self.board)
+        missed = self._missed_short()
+        room = width - len(rate) - len(missed)
+        wait = "" if left is None else f"  message whole in {duration(left)}"
+        short = "" if left is None else f"  {duration(left)} to go"
+        return Text.assemble(rate, longest(room, wait, short), (missed, self._missed_style()))
+
+    def _missed_short(self) -> str:
+        plant = self.board.plant
+        assert plant is not None
+        return f"  missed {count(plant.missed)}" if plant.missed else ""
+
+    def _missed_style(self) -> str:
+        """Red from one step in twenty on: a few are what a busy machine makes."""
+        plant = self.board.plant
+        assert plant is not None
+        steps = plant.transitions + plant.missed
+        return STYLES["bad"] if plant.missed * TOO_MANY > steps else ""
+
+    def _trouble(self, plant: PlantStatus, width: int) -> Text:
+        wrong = f"wrong keys at the plant {count(plant.symbol_errors)}"
+        late = f"late {count(plant.late)}"
+        session = f"session {count(plant.sessions)}"
+        style = STYLES["bad"] if plant.symbol_errors else ""
+        told = longest(width, f" {wrong}  {late}  {session}", f" {wrong}  {late}", f" {wrong}")
+        return Text(told, style=style)
+
+    def _control(self, width: int) -> Text:
+        """Where the state is, among the controller's sets."""
+        controller = self.board.controller
+        if controller is None or controller.set_index < 0:
+            return Text(" control: outside of every set, or silent")
+        at = controller.set_index
+        if at == 0:
+            return Text(" control: inside the target set")
+        told = longest(
+            width,
+            f" control: at most {count(at)} steps to the target set",
+            f" control: {count(at)} steps off",
+        )
+        return Text(told)
 
     def _states(
         self, x: Sequence[float], states: Sequence[Sequence[float]], width: int, rows: int
@@ -178,54 +219,39 @@ class Panels:
             truth = self.board.truths[k]
             what = f"key {truth.symbol}" if truth.symbol >= 0 else "no key"
             if truth.role == "message":
-                what = "m[p]"
-            line = Text(f" k {k:<7} b_r {truth.coin}  {what:<7}")
+                what = "message"
+            line = Text(f" {k:<7} input {truth.coin}  {what:<7} ")
             guess = tap.guesses.get(k) if tap is not None else None
             if guess is not None:
                 wrong = truth.symbol >= 0 and guess.symbol != truth.symbol
-                line.append(f" tap says {guess.symbol}, {guess.probability:.2f}")
+                line.append(f" she says {guess.symbol}, {guess.probability:.2f}")
                 line.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
             lines.append(line)
         return lines
 
     def automata(self) -> list[Text]:
-        """The states of sender and receiver, what they mean, and whether they are in step."""
+        """What both ends are at, and whether they agree on it."""
         plant, controller, both = self.board.plant, self.board.controller, self.board.automata
-        s = both.sender if both else controller.automaton if controller else 0
-        sender = ("-", "1 random symbol", "2 m[p] under key")[s]
-        s = both.receiver if both else plant.automaton if plant else 0
-        line = Text(f" receiver {('-', '1 tests for a key', '2 takes m[p]')[s]}")
+        if both is not None and both.in_step:
+            line = row("both ends", Text(DOING[both.sender] + ", "))
+            line.append("in step", style=STYLES["good"])
+            return [line]
+        sender = both.sender if both else controller.automaton if controller else 0
+        receiver = both.receiver if both else plant.automaton if plant else 0
         if both is not None:
-            line.append("  ")
-            line.append(
-                "in step" if both.in_step else "OUT OF STEP",
-                style=STYLES["good" if both.in_step else "bad"],
-            )
-        return [Text(f" sender   {sender}"), line]
+            line = row("both ends", Text("OUT OF STEP ", style=STYLES["bad"]))
+            line.append(f"controller {sender}, plant {receiver}")
+            return [line]
+        if not sender and not receiver:
+            return [row("both ends", Text("not heard yet"))]
+        return [row("controller", Text(f"{DOING[sender]}; plant: {DOING[receiver]}"))]
 
     def picture(self, width: int, rows: int) -> list[Text]:
-        """Figure 4 for the last pictured step, with the verdict in words."""
-        plant = self.board.pictured
-        if plant is None:
-            lines = [self.rule("Agreement", width), Text(" no step pictured yet")]
-            return [fit(line, width) for line in lines + [Text()] * (rows - len(lines))]
-        axes = plane.axes_of(plant.B, plant.defender_H, plant.defender_h)
-        lines = [self.rule(f"Agreement at k {plant.pictured_k}", width, axes.words, axes.short)]
-        inner = rows - 3
-        cells = plane.draw(plant, width - 2, inner, unicode=self.wishes.unicode)
-        for cell_row in cells:
-            line = Text(" ")
-            for kind, run in itertools.groupby(cell_row, key=lambda cell: cell.kind):
-                line.append("".join(cell.character for cell in run), style=STYLES[kind])
-            lines.append(line)
-        agreed = plant.pictured_symbol >= 0
-        lines.append(Text(f" {plane.verdict(plant)}", style=STYLES["good"] if agreed else ""))
-        gauges = "  ".join(
-            f"g{i} {longest(6, f'{g:.2f}', number(g))}" for i, g in enumerate(plant.pictured_gauges)
-        )
-        edges = f"  (D_c 1, D_e {number(plant.alpha)})"
-        lines.append(Text(f" {gauges}" + longest(width - len(gauges) - 1, edges)))
-        return [fit(line, width) for line in lines]
+        """The agreement test of the last pictured step, or of the one chosen while frozen."""
+        status = self.board.pictured
+        if self.wishes.step is not None:
+            status = self.board.pictures.get(self.wishes.step, status)
+        return agreement(status, width, rows, self.glyphs, unicode=self.wishes.unicode)
 
     def message(self, taps: int) -> list[Text]:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
@@ -245,7 +271,9 @@ class Panels:
         for tap in shown:
             truth = letters(truth_for(board, tap.status.message))
             same = truth == sent
-            guess, marks = self._marked(letters(tap.status.message), truth, start if same else 0)
+            hers = letters(tap.status.message)
+            hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
+            guess, marks = self._marked(hers, truth, start if same else 0)
             lines.append(row(tap.status.name, guess))
             wrong = f"{marks.plain.count('^')} wrong"
             lines.append(row(wrong if same else f"{wrong}, old", marks))

@@ -1,8 +1,9 @@
 """The agreement picture: the paper's Fig. 4 for one real step, in characters.
 
-Around each centre c_i = A x + B u_i stand the outlines of D_c (solid) and D_e = alpha D_c (dotted),
-and a mark shows where x(k+1) fell. With more than two states the sets are projected on the two
-axes along which the candidates lie furthest apart.
+Around each centre c_i = A x + B u_i stands the outline of D_c (solid); a mark shows where x(k+1)
+fell. The frame is as wide as these need. D_e = alpha D_c (dotted) is often many times wider: what
+leaves the frame ends in arrows at its sides. With more than two states the sets are projected on
+the two axes along which the candidates lie furthest apart.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,8 +23,13 @@ Matrix = tuple[Vector, ...]
 VERTEX_TOLERANCE: Final = 1e-9
 """A point counts as inside a set's row when it leaves it by no more than this, relative to h."""
 
+MARGIN: Final = 0.06
+"""Share of the frame that is left free around what is drawn."""
+
 COMBINATIONS_TRIED: Final = 40_000
 """Row subsets tried to find a set's corners; beyond it the set is drawn as its bounding box."""
+
+DIGITS: Final = "0123456789abcdef"
 
 _BRAILLE: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
@@ -46,7 +52,8 @@ class Axes:
     @property
     def words(self) -> str:
         """The axes as a reader counts them."""
-        return f"x{self.across + 1} across" + (f", x{self.up + 1} up" if self.up >= 0 else "")
+        up = f", vertical x{self.up + 1}" if self.up >= 0 else ""
+        return f"horizontal x{self.across + 1}{up}"
 
     @property
     def short(self) -> str:
@@ -73,15 +80,16 @@ def verdict(status: PlantStatus) -> str:
     gauges = status.pictured_gauges
     role = dict(zip(status.tail_k, status.tail_role, strict=False)).get(status.pictured_k)
     if role == "message":
-        return "not tested: it carries m[p]"
-    if status.pictured_symbol >= 0:
-        return f"AGREED key {status.pictured_symbol}: in one D_c, in every D_e"
+        return "not tested: carries a message symbol"
+    symbol = status.pictured_symbol
+    if symbol >= 0:
+        return f"KEY {symbol}: only input {symbol} explains it"
     inside = sum(g <= 1 for g in gauges)
     if inside == 0:
-        return "no key: x(k+1) outside every D_c"
+        return "no key: no input explains it"
     if inside > 1:
-        return "no key: x(k+1) inside several D_c"
-    return "no key: x(k+1) outside one D_e"
+        return f"no key: {inside} inputs explain it"
+    return "no key: outside a D_e, so she knows"
 
 
 def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list[list[Cell]]:
@@ -100,7 +108,7 @@ def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list
     ]
     fallen = _project(status.pictured_x_next, axes)
     wide = [(status.alpha * a, status.alpha * b) for a, b in shape]
-    points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in wide] + [fallen]
+    points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in shape] + [fallen]
     if not isfinite(sum(abs(v) for point in points for v in point)):
         return blank
     canvas = _Canvas(width, height, points, unicode)
@@ -108,9 +116,13 @@ def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in wide], "eavesdropper")
     for c in centres:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in shape], "defender")
-    for i, c in enumerate(centres):
-        canvas.mark(c, str(i % 10), "centre")
     canvas.mark(fallen, "●" if unicode else "*", "next")
+    for i, c in enumerate(centres):
+        canvas.mark(c, DIGITS[i % len(DIGITS)], "centre")
+    spread = max(abs(a) for a, _ in wide)
+    leaves_left = min(c[0] for c in centres) - spread
+    leaves_right = max(c[0] for c in centres) + spread
+    canvas.arrows(leaves_left, leaves_right, "◀▶" if unicode else "<>")
     return canvas.rows()
 
 
@@ -191,8 +203,9 @@ class _Canvas:
         self._width, self._height, self._unicode = width, height, unicode
         self._columns, self._lines = (width * 2, height * 4) if unicode else (width, height)
         xs, ys = [p[0] for p in points], [p[1] for p in points]
-        self._left, self._right = min(xs), max(xs)
-        self._bottom, self._top = min(ys), max(ys)
+        wider, higher = ((max(v) * MARGIN - min(v) * MARGIN) for v in (xs, ys))
+        self._left, self._right = min(xs) - wider, max(xs) + wider
+        self._bottom, self._top = min(ys) - higher, max(ys) + higher
         self._dots: dict[tuple[int, int], Kind] = {}
         self._marks: dict[tuple[int, int], Cell] = {}
 
@@ -202,24 +215,60 @@ class _Canvas:
         return round(across * (self._columns - 1)), round((1 - up) * (self._lines - 1))
 
     def polygon(self, corners: Sequence[Point], kind: Kind) -> None:
-        """Draw a closed outline; that of the eavesdropper is dotted."""
+        """Draw what the frame holds of a closed outline; that of the eavesdropper is dotted."""
         for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
-            (ax, ay), (bx, by) = self._dot(a), self._dot(b)
+            inside = self._clipped(a, b)
+            if inside is None:
+                continue
+            (ax, ay), (bx, by) = map(self._dot, inside)
             steps = max(abs(bx - ax), abs(by - ay), 1)
             for i in range(steps + 1):
                 dot = (round(ax + (bx - ax) * i / steps), round(ay + (by - ay) * i / steps))
-                if kind == "defender" or sum(dot) % 2 == 0 or i in (0, steps):
+                if kind == "defender" or sum(dot) % 2 == 0:
                     self._dots[dot] = kind
 
+    def _clipped(self, a: Point, b: Point) -> tuple[Point, Point] | None:
+        """The part of a line that lies in the frame (Liang and Barsky), if any."""
+        begin, end = 0.0, 1.0
+        dx, dy = b[0] - a[0], b[1] - a[1]
+        for step, room in (
+            (-dx, a[0] - self._left),
+            (dx, self._right - a[0]),
+            (-dy, a[1] - self._bottom),
+            (dy, self._top - a[1]),
+        ):
+            if step == 0:
+                if room < 0:
+                    return None
+            elif step < 0:
+                begin = max(begin, room / step)
+            else:
+                end = min(end, room / step)
+        if begin > end:
+            return None
+        return (
+            (a[0] + begin * dx, a[1] + begin * dy),
+            (a[0] + end * dx, a[1] + end * dy),
+        )
+
     def mark(self, p: Point, character: str, kind: Kind) -> None:
-        """Put one character where a point lies, over whatever is there."""
+        """Put one character where a point lies, or beside it where another one stands."""
         x, y = self._dot(p)
-        place = (x // 2, y // 4) if self._unicode else (x, y)
-        taken = self._marks.get(place)
-        if taken is not None and kind == "centre" and place[0] + 1 < self._width:
-            # Two centres in one cell: their digits stand side by side.
-            place = (place[0] + 1, place[1])
-        self._marks[place] = Cell(character, kind)
+        column, line = (x // 2, y // 4) if self._unicode else (x, y)
+        for step in (0, 1, -1, 2, -2):
+            place = (column + step, line)
+            if 0 <= place[0] < self._width and place not in self._marks:
+                self._marks[place] = Cell(character, kind)
+                return
+
+    def arrows(self, left: float, right: float, characters: str) -> None:
+        """Say at the frame's sides that the eavesdropper's sets go on beyond them."""
+        middle = self._height // 2
+        if left < self._left:
+            self._marks.setdefault((0, middle), Cell(characters[0], "eavesdropper"))
+        if right > self._right:
+            end = (self._width - 1, middle)
+            self._marks.setdefault(end, Cell(characters[1], "eavesdropper"))
 
     def rows(self) -> list[list[Cell]]:
         """The picture, top row first."""

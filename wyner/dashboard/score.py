@@ -133,6 +133,59 @@ def secrecy(board: Board, taps: Sequence[tuple[TapView, Score]] | None = None) -
     return Secrecy(claimed, left_bits, best[1], exceeds, when, best[2])
 
 
+def course(board: Board, points: int) -> list[tuple[float, float | None]]:
+    """Claimed bits, and bits left by the strongest tap, over the steps that are held.
+
+    Of her guesses up to each of ``points`` moments, evenly spread; None while too few were scored.
+    From the step on at which she was sure of a true message, nothing is left.
+    """
+    agreed = [k for k in sorted(board.truths) if board.truths[k].symbol >= 0]
+    its = secrecy(board)
+    if not agreed or points < 1 or board.plant is None:
+        return []
+    tap = board.taps.get(its.strongest)
+    bits = math.log2(board.candidates)
+    before = max(0, board.plant.agreements - len(agreed))
+    first, last = min(board.truths), max(board.truths)
+    found: list[tuple[float, float | None]] = []
+    scored = right = at = 0
+    for i in range(points):
+        until = first + (last - first) * (i + 1) / points
+        while at < len(agreed) and agreed[at] <= until:
+            guess = tap.guesses.get(agreed[at]) if tap is not None else None
+            if guess is not None:
+                scored += 1
+                right += guess.symbol == board.truths[agreed[at]].symbol
+            at += 1
+        left: float | None = None
+        if scored >= SCORED_AT_LEAST:
+            share = max(right / scored, 1.0 / board.candidates)
+            left = (before + at) * abs(math.log2(share))
+        if tap is not None and tap.exact and 0 <= tap.status.solved_k <= until:
+            left = 0.0
+        found.append(((before + at) * bits, left))
+    return found
+
+
+def rate_of(board: Board) -> float:
+    """Message bits per second of plant time, over the session."""
+    plant = board.plant
+    if plant is None or plant.k == 0 or plant.period_s <= 0:
+        return 0.0
+    return plant.recovered_symbols * math.log2(board.candidates) / (plant.k * plant.period_s)
+
+
+def time_left_s(board: Board) -> float | None:
+    """Seconds on the wall clock until the message on its way is whole; None: not to be said."""
+    plant, controller = board.plant, board.controller
+    if plant is None or controller is None or not plant.recovered_symbols or not plant.rate_hz:
+        return None
+    missing = controller.frame_length - controller.frame_symbols
+    if missing <= 0:
+        return None
+    return missing * plant.transitions / plant.recovered_symbols / plant.rate_hz
+
+
 def truth_for(board: Board, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
     best, best_right = board.sent, _right(board.sent, text)

@@ -4,27 +4,42 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from rich.cells import cell_len
 from rich.text import Text
 
 from wyner.dashboard.model import Board, TapView
-from wyner.dashboard.score import Score, Secrecy, characters_right, model_error
-from wyner.dashboard.text import LABEL, STYLES, count, drawn, figure, longest, number, percent, row
+from wyner.dashboard.score import Score, Secrecy, characters_right, course, model_error
+from wyner.dashboard.text import (
+    LABEL,
+    STYLES,
+    Glyphs,
+    bars_of,
+    count,
+    drawn,
+    figure,
+    longest,
+    number,
+    percent,
+    row,
+)
 
 _COLUMNS: Final = (
-    ("right", 6),
-    ("of steps", 8),
-    ("P_g", 4),
-    ("bit/key", 7),
-    ("left", 6),
+    ("keys right", 10),
+    ("of", 6),
+    ("hides/key", 9),
+    ("follows", 7),
     ("model off", 9),
     ("text", 9),
-    ("broke it", 14),
+    ("has it since", 14),
     ("behind", 6),
-    ("lost", 6),
+    ("holes", 6),
 )
 """Columns of the table of taps, left to right, with their widths."""
 
-_KEPT_FIRST: Final = (0, 7, 6, 2, 3, 4, 5, 1, 8, 9)
+CURVE: Final = 60
+"""Most cells of the curves of claimed and true bits."""
+
+_KEPT_FIRST: Final = (0, 6, 5, 2, 3, 4, 1, 7, 8)
 """Columns by how telling they are; a narrow screen does without the last ones."""
 
 
@@ -68,14 +83,43 @@ def explanation(its: Secrecy, width: int) -> Text:
     return Text(f" {text}", style=STYLES["label"])
 
 
-def table(board: Board, shown: Sequence[tuple[TapView, Score]], width: int) -> list[Text]:
+def curves(board: Board, its: Secrecy, width: int, glyphs: Glyphs) -> list[Text]:
+    """Claimed and true over time, on one scale, each with its last figure; two lines."""
+    claimed = f" {its.claimed_bits:.0f} bit"
+    left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
+    figures = max(len(claimed), len(left))
+    loud, who = "", " (nobody was scored)"
+    room = width - LABEL - 2 - figures
+    if its.exceeds:
+        loud = longest(room, " CLAIMED EXCEEDS TRUE", " EXCEEDS TRUE")
+    if its.strongest:
+        who = longest(room, f" ({drawn(its.strongest)})")
+    shown = course(board, max(0, min(CURVE, room - max(cell_len(loud), cell_len(who)))))
+    lines = []
+    for label, values, told, note, style in (
+        ("claimed", [c for c, _ in shown], claimed, loud, "bad"),
+        ("true, at most", [t for _, t in shown], left, who, "label"),
+    ):
+        bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)
+        line = row(label, Text(bars, style=STYLES["claimed" if style == "bad" else "true"]))
+        line.append(told.rjust(figures))
+        line.append(longest(width - line.cell_len, note), style=STYLES[style])
+        lines.append(line)
+    return lines
+
+
+def table(
+    board: Board, shown: Sequence[tuple[TapView, Score]], width: int, chosen: str = ""
+) -> list[Text]:
     """A row for each tap, under the columns that the width has room for."""
     columns = _columns(board, width)
     head = "".join(f" {column.title:>{column.width}}" for column in columns)
-    lines = [Text(f" {'tap':<{LABEL}}{head}", style=STYLES["label"])]
+    lines = [Text(f" {'eavesdropper':<{LABEL}}{head}", style=STYLES["label"])]
     for tap, its in shown:
         line = row(tap.status.name, Text())
         line.right_crop(1)
+        if chosen and tap.status.name == chosen:
+            line = Text.assemble((">", STYLES["title"]), line[1:])
         for column in columns:
             line.append(f" {column.value(tap, its):>{column.width}}")
         lines.append(line)
@@ -93,18 +137,17 @@ def _columns(board: Board, width: int) -> list[_Column]:
             kept.add(i)
             room -= _COLUMNS[i][1] + 1
     value = {
-        "right": lambda _, its: percent(its.right, its.scored),
-        "of steps": lambda _, its: count(its.scored),
-        "P_g": lambda _, its: figure(its.guessing),
-        "bit/key": lambda _, its: figure(its.bits_per_key),
-        "left": lambda tap, _: (
+        "keys right": lambda _, its: percent(its.right, its.scored),
+        "of": lambda _, its: count(its.scored),
+        "hides/key": lambda _, its: figure(its.bits_per_key),
+        "follows": lambda tap, _: (
             count(tap.status.candidates_left or 0) if tap.status.candidates_left else "-"
         ),
         "model off": lambda tap, _: _model_off(board, tap),
         "text": lambda tap, _: _message_right(board, tap),
-        "broke it": lambda tap, _: _broke(tap),
+        "has it since": lambda tap, _: _broke(tap),
         "behind": lambda tap, _: count(tap.status.behind),
-        "lost": lambda tap, _: count(tap.status.lost),
+        "holes": lambda tap, _: count(tap.status.lost),
     }
     return [_Column(*_COLUMNS[i], value[_COLUMNS[i][0]]) for i in sorted(kept)]
 
@@ -127,5 +170,5 @@ def _broke(tap: TapView) -> str:
         return "exact, unsure" if tap.exact else "not yet"
     if tap.exact or tap.watched:
         judged = "exact" if tap.exact else "WRONG"
-        return longest(14, f"k {solved} {judged}", f"k {count(solved)} {judged}")
-    return f"k {solved}"  # a replay, or heard late: nobody here knows what it was
+        return longest(14, f"{solved} {judged}", f"{count(solved)} {judged}")
+    return f"{solved}"  # a replay, or heard late: nobody here knows what it was

@@ -14,6 +14,9 @@ ESCAPE: Final = "\x1b"
 BACKSPACES: Final = ("\x7f", "\x08")
 ENTERS: Final = ("\r", "\n")
 
+ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
+"""Names of the arrow keys, by the last character of what a terminal sends."""
+
 HELD_BYTES: Final = 16_384
 """Newest bytes of standard error that are repeated after the screen closed."""
 
@@ -26,10 +29,15 @@ class Keyboard:
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
 
+    @property
+    def connected(self) -> bool:
+        """Whether keys can come."""
+        return self._descriptor is not None
+
     def read(self, timeout_s: float) -> list[str]:
         """Characters typed within ``timeout_s`` seconds, at once when there are some.
 
-        Sequences that begin with Escape (arrows, function keys) are swallowed; Escape alone is not.
+        Arrows come as words (`ARROWS`); other sequences that begin with Escape are swallowed.
         Without a keyboard this only waits. After the end of input there is no keyboard any more.
         """
         if self._descriptor is None:
@@ -50,9 +58,12 @@ def split_keys(text: str) -> list[str]:
     i = 0
     while i < len(text):
         if text[i] == ESCAPE and i + 1 < len(text) and text[i + 1] in "[O":
-            i += 2
+            begin = i + 2
+            i = begin
             while i < len(text) and not ("@" <= text[i] <= "~"):
                 i += 1
+            if i == begin and i < len(text) and text[i] in ARROWS:
+                keys.append(ARROWS[text[i]])
         else:
             keys.append(text[i])
         i += 1

@@ -31,21 +31,27 @@ STYLES: Final[dict[str, str]] = {
     "defender": "green",
     "centre": "bold",
     "next": "bold magenta",
+    "claimed": "yellow",
+    "true": "green",
     "": "",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """Characters of rules and sparklines."""
+    """Characters of rules, sparklines and bars."""
 
     rule: str
     levels: str
+    edge: str
+    faint: str
+    dot: str
+    beyond: str
 
 
-UNICODE: Final = Glyphs("─", "▁▂▃▄▅▆▇█")
+UNICODE: Final = Glyphs("─", "▁▂▃▄▅▆▇█", "┤", "·", "●", "▶")
 """For terminals whose encoding is Unicode."""
-ASCII: Final = Glyphs("-", "_.:-=+*#")
+ASCII: Final = Glyphs("-", "_.:-=+*#", "|", ".", "*", ">")
 """For all others."""
 
 
@@ -174,3 +180,34 @@ def row(label: str, value: Text) -> Text:
     """A labelled line."""
     label = fit(Text(drawn(label)), LABEL).plain
     return Text.assemble((f" {label} ", STYLES["label"]), value)
+
+
+def rule(glyphs: Glyphs, title: str, width: int, *notes: str) -> Text:
+    """A titled rule, with the longest of the notes that there is room for."""
+    line = Text()
+    line.append(glyphs.rule * 2 + " ", style=STYLES["rule"])
+    line.append(title, style=STYLES["title"])
+    line.append(" ")
+    note = longest(width - cell_len(line.plain) - 1, *notes)
+    if note:
+        line.append(note + " ")
+    line.append(glyphs.rule * max(0, width - cell_len(line.plain)), style=STYLES["rule"])
+    return fit(line, width)
+
+
+def duration(seconds: float) -> str:
+    """A time to wait, to two figures that matter."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 360_000 else "days"
+
+
+def bars_of(values: Sequence[float | None], top: float, levels: str) -> str:
+    """Values as bars from 0 to ``top``; a blank where there is none."""
+    last = len(levels) - 1
+    return "".join(
+        " " if v is None else levels[min(last, round(v / top * last)) if top > 0 else 0]
+        for v in values
+    )

@@ -10,9 +10,10 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from wyner.dashboard import keymap
+from wyner.dashboard.detail import detail
 from wyner.dashboard.model import Board
 from wyner.dashboard.panels import Panels, Wishes
-from wyner.dashboard.secrecy_panel import explanation, table, verdict
+from wyner.dashboard.secrecy_panel import curves, explanation, table, verdict
 from wyner.dashboard.text import count, drawn, fit, in_ascii, longest, number, row
 
 __all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "Wishes", "screen"]
@@ -35,25 +36,24 @@ DETAIL_AT_LEAST: Final = 12
 DETAIL_RANK: Final = 6
 """Where a reason stands among the parts of the first line, of which the highest goes first."""
 
-FOOTER_NAMED: Final = 60
+MORE_LOOP: Final = 4
+"""Rows that the panel of the loop takes of those to spare; the last steps have the others."""
+
+FOOTER_NAMED: Final = 72
 """From this width on the last line says what its keys do; ? always does."""
 
 HELP: Final = (
-    "Agreement: digits are the centres c_i = A x + B u_i, around each the outline of",
-    "D_c (solid) and of D_e = alpha D_c (dotted); the dot is x(k+1). A key is agreed",
-    "when every D_e holds it (g <= alpha) and exactly one D_c does (g <= 1).",
+    "Bars: how far the next state lies from where each input would have led, in",
+    "widths of D_c: 0 to D_c, then to D_e = alpha D_c. A key is agreed when one bar",
+    "alone ends in D_c and none beyond D_e. Below: the same in the plane of states.",
     "keys: true key symbols, the strongest tap's below; ^ stands under wrong ones.",
-    "right: the tap's share of right key symbols on agreed steps. P_g: the same, at",
-    "least 1/M. bit/key: -log2 P_g. left: messages she still holds possible. model",
-    "off: her A, B against the true ones. text: right characters of the message.",
-    "broke it: the step at which she was sure of it, and whether it is the true one.",
-    "missed: steps without an offer; late: offers past the deadline; unlike b_r: key",
-    "symbols that are not the coin which the plant drew.",
-    "claimed: every key symbol counted as secret. true: what the strongest tap",
-    "leaves of it, measured. Stronger taps may exist: true is never more than that.",
-    "When keys were agreed may stay hidden: at most 2 log2(N + 1) bit in N steps.",
-    "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
-    "message. It is whole from 80x24 on.",
+    "claimed: all keys as secret bits. true: what the strongest tap leaves of it.",
+    "keys right: on agreed steps. hides/key: -log2 of her chance to guess one, bit.",
+    "follows: readings she keeps. model off: her A, B, relative. text: characters",
+    "right. has it since: the step at which she was sure. When keys were agreed may",
+    "stay hidden: at most 2 log2(N + 1) bit in N steps. A small screen drops, in",
+    "turn: picture; key symbols and automata; taps; loop; message. It is whole",
+    "from 80x24 on.",
 )
 
 
@@ -67,6 +67,8 @@ def screen(board: Board, width: int, height: int, wishes: Wishes, now_ns: int) -
         ]
     elif wishes.help:
         lines = page.help(height)
+    elif wishes.detail:
+        lines = page.detail(height)
     else:
         lines = page.whole(height)
     lines = [fit(line, width) for line in lines[:height]]
@@ -81,6 +83,8 @@ class _Page(Panels):
         shown = {"message", "loop", "taps", "key symbols and automata", "picture"}
         if self.width < WHOLE[0]:
             shown.discard("picture")
+        if self.wishes.caption:
+            shown.discard("taps")
         for panel in DROPPED_FIRST:
             if self._needed(shown) <= height:
                 break
@@ -96,28 +100,37 @@ class _Page(Panels):
         if "message" in shown and spare >= 8:
             tap_messages += max(0, min((spare - 4) // 2, len(self.filtered()) - 1))
             spare -= 2 * (tap_messages - 1)
-        top_extra = max(0, min(spare, 20)) if "picture" in shown else 0
+        top_extra = max(0, spare) if shown & {"picture", "loop"} else 0
         lines = [self.header()]
         lines += self._top(shown, top_extra)
         if "message" in shown:
             lines += self.message(tap_messages)
         lines += self.secrecy_panel("taps" in shown, tap_rows, explained)
+        lines += self._caption()
         lines += [Text()] * (height - 1 - len(lines))
         return [*lines[: height - 1], self.footer()]
 
     def _needed(self, shown: set[str]) -> int:
-        rows = 1 + 1 + 2  # header, footer, rule and verdict of the secrecy panel
+        rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
+        rows += len(self.wishes.caption)
         rows += self._top_rows(shown)
         rows += 5 if "message" in shown else 0
         rows += 2 if "taps" in shown else 0
         return rows
+
+    def _caption(self) -> list[Text]:
+        """A pause of the story, or the end of the run: a title and its lines."""
+        if not self.wishes.caption:
+            return []
+        title, *lines = self.wishes.caption
+        return [self.rule(drawn(title), self.width)] + [Text(f" {drawn(line)}") for line in lines]
 
     def _top_rows(self, shown: set[str]) -> int:
         left = 0
         if "loop" in shown:
             left += 1 + 4
         if "key symbols and automata" in shown:
-            left += 5
+            left += 4
         return left
 
     def header(self) -> Text:
@@ -187,6 +200,8 @@ class _Page(Panels):
 
     def footer(self) -> Text:
         """One line: the filter being typed, a note, or the keys."""
+        if self.wishes.caption and not self.wishes.note:
+            return Text(f" {self.wishes.press}", style="reverse")
         if self.wishes.typing:
             return Text(f" show taps whose name holds: {drawn(self.wishes.filter)}_")
         if self.wishes.note:
@@ -196,15 +211,17 @@ class _Page(Panels):
         tails = (f"{messages}, {garbage}", garbage) if self.board.garbage else (messages,)
         line = self._keys(named=self.width >= FOOTER_NAMED)
         if self.board.garbage and line.cell_len + len(garbage) + 2 > self.width:
-            line = self._keys(named=False)
+            line = self._keys(named=False, room=self.width - len(garbage) - 2)
         tail = longest(self.width - line.cell_len - 2, *tails)
         if tail:
             line.append(tail.rjust(self.width - line.cell_len - 1), style="dim")
         return line
 
-    def _keys(self, *, named: bool) -> Text:
+    def _keys(self, *, named: bool, room: int | None = None) -> Text:
         line = Text()
         for key in keymap.KEYS:
+            if not key.short or (room is not None and line.cell_len + len(key.label) + 3 > room):
+                continue
             line.append(f" {key.label} ", style="reverse")
             line.append(f" {key.short}  " if named else " ")
         return line
@@ -218,10 +235,10 @@ class _Page(Panels):
         width = left_width if picture else self.width
         left: list[Text] = []
         if "loop" in shown:
-            left += self.loop(width, extra)
+            left += self.loop(width, min(extra, MORE_LOOP))
         if "key symbols and automata" in shown:
             left += self.keys(width)
-        if rows - len(left) >= 4:
+        if rows - len(left) >= 4 and picture:
             left += self.last_steps(width, rows - len(left))
         left = left[:rows] + [Text()] * (rows - len(left))
         if not picture:
@@ -237,12 +254,25 @@ class _Page(Panels):
             note = f"/{drawn(self.wishes.filter)}: {len(shown)} of {len(self.taps)} taps"
         elif len(shown) > rows and with_table:
             note = f"the strongest {rows} of {len(shown)} taps"
-        lines = [self.rule("Secrecy", self.width, note), verdict(self.secrecy, self.width)]
+        lines = [self.rule("Secrecy", self.width, note)]
+        lines += curves(self.board, self.secrecy, self.width, self.glyphs)
         if with_table:
-            lines += table(self.board, shown[:rows], self.width)
+            lines += table(self.board, shown[:rows], self.width, self.wishes.tap)
         if explained:
             lines.append(explanation(self.secrecy, self.width))
         return lines
+
+    def detail(self, height: int) -> list[Text]:
+        """The chosen step and tap."""
+        chosen = next((p for p in self.taps if p[0].status.name == self.wishes.tap), None)
+        if chosen is None and self.filtered():
+            chosen = self.filtered()[0]
+        lines = [self.header()]
+        lines += detail(
+            self.board, self.wishes.step, chosen, self.filtered(), self.width, self.glyphs
+        )
+        lines += [Text()] * (height - 1 - len(lines))
+        return [*lines[: height - 1], self.footer()]
 
     def help(self, height: int) -> list[Text]:
         """The keys from their table, then how to read the screen."""

@@ -99,9 +99,9 @@ def render(summary: dict[str, Any]) -> str:
     lines = [
         f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
         f"recovered  {got}",
-        f"loop       {summary['steps']} steps ({summary['missed']} missed) in "
-        f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed"
-        + (f", {errors} of them WRONG at the plant" if errors else ", none wrong at the plant"),
+        f"loop       {summary['steps']} steps ({summary['missed']} missed), "
+        f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed, "
+        + (f"{errors} WRONG" if errors else "none wrong"),
         f"carried    {summary['bits']:.0f} message bits, "
         f"{summary['bits_per_second']:.2f} a second of plant time",
     ]
@@ -143,10 +143,10 @@ def _got(tap: dict[str, Any]) -> str:
     def share(value: float | None) -> str:
         return "    -  " if value is None else f"{100 * value:5.1f} %"
 
-    whole = "the message whole" if tap["messages_exact"] else "no whole message"
+    whole = "whole message" if tap["messages_exact"] else "not whole"
     return (
-        f"{share(tap['symbol_accuracy'])} of the keys, "
-        f"{share(tap['message_bit_accuracy'])} of the message bits, {whole}"
+        f"{share(tap['symbol_accuracy'])} of keys, "
+        f"{share(tap['message_bit_accuracy'])} of message bits, {whole}"
     )
 
 

@@ -1,0 +1,118 @@
+"""The moments of a run at which ``wyner up --story`` pauses, each with a caption.
+
+A pure function of the board: the moments are found in the order in which they can be understood,
+and each is told once. The pictures are of what was really published.
+"""
+
+from collections.abc import Callable, Set
+from dataclasses import dataclass
+from typing import Final
+
+from wyner.dashboard.model import Board
+from wyner.dashboard.score import score
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A title and its lines, for a screen of 80 columns."""
+
+    title: str
+    lines: tuple[str, ...]
+
+    @property
+    def caption(self) -> tuple[str, ...]:
+        """The title first."""
+        return (self.title, *self.lines)
+
+
+Tell = Callable[[Board], Moment | None]
+
+
+def _first_agreement(board: Board) -> Moment | None:
+    shown = board.pictured
+    if shown is None or shown.pictured_symbol < 0:
+        return None
+    key = shown.pictured_symbol
+    return Moment(
+        f"The first agreement seen, at step {shown.pictured_k}",
+        (
+            f"Two inputs were offered; the plant tossed a coin and applied input {key}.",
+            f"The state came into D_c around prediction {key} and around no other, so both",
+            f"ends know the coin: key symbol {key}. Every D_e holds it: she cannot tell?",
+        ),
+    )
+
+
+def _first_message_symbol(board: Board) -> Moment | None:
+    steps = [k for k, truth in board.truths.items() if truth.role == "message"]
+    if not steps:
+        return None
+    return Moment(
+        f"The first ciphertext under a key, at step {min(steps)}",
+        (
+            "In the step after an agreement the offer carries message bit plus key bit.",
+            "Everyone reads that sum; whoever has the key subtracts it. In other steps a",
+            "random bit stands in its place, so that nobody sees which ones count.",
+        ),
+    )
+
+
+def _nearest_centre(board: Board) -> Moment | None:
+    tap = board.taps.get("nearest-centre")
+    if tap is None:
+        return None
+    its = score(board, tap)
+    if its.scored < 8:
+        return None
+    return Moment(
+        f"What the nearest prediction tells: {its.right} of {its.scored} keys right",
+        (
+            "She does not know D_c. But whenever a key is agreed, the state lies nearer",
+            "to the true prediction than to any other: the rule itself says so. Possible",
+            "is not likely. She lacks one thing: in which steps was a key agreed?",
+        ),
+    )
+
+
+def _list(board: Board) -> Moment | None:
+    tap = board.taps.get("list-decoder")
+    if tap is None or tap.status.candidates_left < 2 or not tap.status.message.strip("·"):
+        return None
+    return Moment(
+        f"Her list: {tap.status.candidates_left} ways to read the same steps",
+        (
+            "Which steps agreed a key depends on two thresholds that she does not know.",
+            "Only so many of them make a difference. She decodes under each, and keeps",
+            "what reads like a message.",
+        ),
+    )
+
+
+def _she_has_it(board: Board) -> Moment | None:
+    for name, tap in board.taps.items():
+        if tap.exact and tap.status.solved_k >= 0:
+            return Moment(
+                f"She has the message, at step {tap.status.solved_k}",
+                (
+                    f"{name} is sure of it, and it is the true one: its check fits. No key was",
+                    "broken, nothing was stolen. It followed from what everyone could read.",
+                ),
+            )
+    return None
+
+
+MOMENTS: Final[tuple[Tell, ...]] = (
+    _first_agreement,
+    _first_message_symbol,
+    _nearest_centre,
+    _list,
+    _she_has_it,
+)
+
+
+def next_moment(board: Board, told: Set[int]) -> tuple[int, Moment] | None:
+    """The first moment not ``told`` yet that the board shows by now, and its place."""
+    for place, tell in enumerate(MOMENTS):
+        if place not in told and (moment := tell(board)) is not None:
+            return place, moment
+    return None
