@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.reference_loop import plain_run
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import Design, cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import Design
 from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.session import rules_of
@@ -31,8 +32,8 @@ PARTS: Final = {
     ("wyner/simulate/engine/seeding.py", "generator_states"): "seeding",
     ("wyner/simulate/engine/draws.py", "block"): "random numbers",
     ("wyner/simulate/engine/draws.py", "disturbances"): "disturbances",
-    ("controller_service/laws/paper.py", "indices"): "set index",
-    ("controller_service/laws/paper.py", "candidates_many"): "both programs",
+    ("controller_service/laws/base.py", "indices"): "set index",
+    ("controller_service/laws/base.py", "candidates_many"): "both programs",
     ("wyner/simulate/engine/loop.py", "step"): "next state and gauges",
     ("wyner/simulate/engine/loop.py", "verdict"): "verdicts",
     ("wyner/simulate/engine/link.py", "follow"): "automata",
@@ -47,7 +48,7 @@ def shipped(name: str) -> Scenario:
     return scenario_of(name)
 
 
-def scalar_run(scenario: Scenario, law: ControlLaw, steps: int) -> list[int]:
+def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> list[int]:
     """One run through the functions of the services, step by step."""
     rule = rules_of(scenario).agreement
     noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
@@ -64,7 +65,7 @@ def scalar_run(scenario: Scenario, law: ControlLaw, steps: int) -> list[int]:
     return symbols
 
 
-def engine_run(scenario: Scenario, law: ControlLaw, runs: int, steps: int) -> None:
+def engine_run(scenario: Scenario, law: CandidateLaw, runs: int, steps: int) -> None:
     """Many runs with the automata at the scenario's alpha."""
     for part in chunks(scenario, law, seed=SEED, runs=range(runs), steps=steps):
         follow(part, [scenario.secrecy.alpha])

@@ -125,8 +125,7 @@ class TimedPorts:
 def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> dict[str, float]:
     """Plant and controller in lock-step, everything but transport and telemetry."""
     from controller_service.endpoint import ControllerEndpoint
-    from controller_service.laws.paper import make_law
-    from controller_service.sets.design import cached_design
+    from controller_service.laws.registry import cached_design, make_law
     from plant_service.from_journal import plant_endpoint
     from protocol.link.perform import perform
     from protocol.link.sender import Sender
@@ -202,9 +201,8 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     """
     import logging
 
-    from controller_service.laws.paper import make_law
+    from controller_service.laws.registry import cached_design, make_law
     from controller_service.service import ControllerConfig, ControllerService
-    from controller_service.sets.design import cached_design
     from plant_service.service import PlantConfig, PlantService
     from protocol.runtime.memory_bus import MemoryBus, MemoryHub
     from protocol.runtime.process import Pace, logger

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from controller_service.laws.paper import make_law
+from controller_service.laws.base import ProgramLaw
 from controller_service.laws.programs import Quadratic, solve_daqp, solve_osqp
 from controller_service.sets.design import Design, synthesise
 from protocol.convex import Array, Polytope, corners
@@ -113,7 +113,7 @@ def _solvers(
     import osqp
     from scipy.sparse import csc_matrix, triu
 
-    law = make_law(scenario, design)
+    law = ProgramLaw(scenario, design)
     H, h = design.target(j)
     U = Polytope.from_rows(*scenario.control.inputs.rows())
     G = np.ascontiguousarray(np.vstack([H @ design.B, U.H]))

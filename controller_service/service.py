@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from controller_service.endpoint import ControllerEndpoint
-from controller_service.laws.paper import ControlLaw
+from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import Telemetry
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
@@ -30,7 +30,7 @@ class ControllerConfig:
     """
 
     scenario: Scenario
-    law: ControlLaw
+    law: CandidateLaw
     run_dir: Path
     loop: str
     message: bytes | None = None

@@ -3,7 +3,7 @@
 import time
 from typing import Literal, Protocol
 
-from controller_service.laws.paper import ControlLaw
+from controller_service.laws.base import CandidateLaw
 from protocol.link.sender import Outbox, Sender
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length, readable
@@ -29,7 +29,7 @@ class Telemetry:
     ``phase`` and ``detail`` are the endpoint's to set.
     """
 
-    def __init__(self, scenario: str, law: ControlLaw, *, seeded: bool) -> None:
+    def __init__(self, scenario: str, law: CandidateLaw, *, seeded: bool) -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
         self._scenario = scenario

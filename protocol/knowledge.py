@@ -38,6 +38,8 @@ class Policy(BaseModel):
         J_0, J_1, ..., one for each candidate.
     gain : tuple of tuple of float, shape (m, n), optional
         K of the terminal set; None where the designer did not state one.
+    together : bool
+        Whether every candidate is K x inside the terminal set.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -45,6 +47,7 @@ class Policy(BaseModel):
     law: str
     costs: tuple[PolicyCost, ...]
     gain: Matrix | None = None
+    together: bool = False
 
 
 class Knowledge(BaseModel):

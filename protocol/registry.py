@@ -52,8 +52,11 @@ class Registry(Generic[T]):
     @contextmanager
     def registered(self, name: str, entry: T) -> Iterator[T]:
         """Within the block, ``entry`` is registered."""
-        yield self.register(name, entry)
-        del self._entries[name]
+        self._all()
+        try:
+            yield self.register(name, entry)
+        finally:
+            del self._entries[name]
 
     def __getitem__(self, name: str) -> T:
         entries = self._all()

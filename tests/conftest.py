@@ -5,7 +5,8 @@ import signal
 import pytest
 from hypothesis import settings
 
-from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import make_law
 from controller_service.sets.design import synthesise
 from protocol.scenario import Scenario
 from wyner.cli.options import scenario_of
@@ -26,5 +27,5 @@ def sustained() -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def sustained_law(sustained: Scenario) -> ControlLaw:
+def sustained_law(sustained: Scenario) -> CandidateLaw:
     return make_law(sustained, synthesise(sustained))

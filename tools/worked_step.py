@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from controller_service.sets.design import cached_design
+from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
 from protocol.link.session import Transition
 from protocol.runtime.process import DONE, USAGE
@@ -45,7 +45,7 @@ class Worked(NamedTuple):
 
 def worked() -> Worked:
     """Run the scenario ``sustained`` to the step after the one that is told."""
-    from controller_service.laws.paper import make_law
+    from controller_service.laws.registry import make_law
 
     scenario = scenario_of("sustained")
     law = make_law(scenario, cached_design(scenario))

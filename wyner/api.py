@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError, make_law
-from controller_service.sets.design import Design, SynthesisError, cached_design
+from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import Design, SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
 from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
@@ -154,12 +155,12 @@ class System:
     scenario : Scenario
     design : Design
         The sets T_0..T_N.
-    law : ControlLaw
+    law : CandidateLaw
     """
 
     scenario: Scenario
     design: Design
-    law: ControlLaw
+    law: CandidateLaw
 
     @property
     def gain(self) -> Array:

@@ -99,10 +99,8 @@ class Planar:
         u_min: float,
         u_max: float,
         costs: Sequence[Cost],
-        sustained: bool,
     ) -> None:
         self.N = design.horizon
-        self.sustained = sustained
         self.u_min, self.u_max = u_min, u_max
         shrink = 1 - np.array(design.margins)
         self.sectors = Sectors(design.T)
@@ -121,7 +119,6 @@ class Planar:
         self.shift = 4.0 * np.arange(len(scale))
         forms = [Quadratic.of(design.A, design.B, cost) for cost in costs]
         self.gains = [-q.F[0] / q.P[0, 0] for q in forms]
-        self.K = design.K[0]
         self._lists()
 
     def _lists(self) -> None:
@@ -138,7 +135,6 @@ class Planar:
             zip(self.line1.tolist(), self.line2.tolist(), self.shift.tolist(), strict=True)
         )
         self._gains = [(float(k[0]), float(k[1])) for k in self.gains]
-        self._K = (float(self.K[0]), float(self.K[1]))
 
     def index(self, x: Sequence[float]) -> int:
         """i(k), or N + 1 outside every set: T_0 first, where a closed loop nearly always is."""
@@ -205,10 +201,6 @@ class Planar:
     def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
         """One input for each cost at index i; ValueError when the interval is empty."""
         x1, x2 = float(x[0]), float(x[1])
-        if i == 0 and not self.sustained:
-            k1, k2 = self._K
-            u = k1 * x1 + k2 * x2
-            return ((u,),) * len(self._gains)
         low, high = self.interval(x1, x2, i - 1 if i > 0 else 0)
         if not low <= high:
             raise ValueError(f"no input in [{low!r}, {high!r}]")
@@ -226,15 +218,7 @@ class Planar:
         """One input for each row and cost, shape (R, M, 1); ValueError where none is left."""
         x1, x2 = np.ascontiguousarray(X[:, 0]), np.ascontiguousarray(X[:, 1])
         out = np.empty((len(self._gains), len(X)))
-        if self.sustained:
-            self._clip(x1, x2, indices, out)
-            return out.T[:, :, None]
-        out[:] = self._K[0] * x1 + self._K[1] * x2
-        rest = np.flatnonzero(indices)
-        if len(rest):
-            clipped = np.empty((len(self._gains), len(rest)))
-            self._clip(x1[rest], x2[rest], indices[rest], clipped)
-            out[:, rest] = clipped
+        self._clip(x1, x2, indices, out)
         return out.T[:, :, None]
 
     def _clip(self, x1: Array, x2: Array, indices: Indices, out: Array) -> None:

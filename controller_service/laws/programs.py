@@ -138,12 +138,10 @@ class General:
         design: Design,
         inputs: ConvexSet,
         costs: Sequence[Cost],
-        sustained: bool,
     ) -> None:
         self.N = design.horizon
-        self.A, self.B, self.K = design.A, design.B, design.K
+        self.A, self.B = design.A, design.B
         self.n, self.m = self.B.shape
-        self.sustained = sustained
         # By columns, as they are read.
         self.sets = [Polytope(np.asfortranarray(H), h) for H, h in design.T]
         U = Polytope.from_rows(*inputs.rows())
@@ -247,8 +245,6 @@ class General:
 
     def _answers(self, X: Array, i: int) -> Array:
         """The candidates of rows of index i, shape (R, M, m)."""
-        if i == 0 and not self.sustained:
-            return np.repeat(products(self.K, X)[:, None, :], len(self.costs), axis=1)
         program = self.programs[max(i - 1, 0)]
         room = program.h - products(program.HA, X)
         if self.m == 1:

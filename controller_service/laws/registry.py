@@ -1,8 +1,118 @@
-"""The control laws by name: the table that a law reads, and what makes it of a design."""
+"""The control laws by name: the table that a law reads, and what makes it of a design.
 
-from controller_service.laws.tables import PackedControl
-from protocol.scenario import LAWS, Control
+A law is a class and a row here. The rows name the classes and do not load them: who only reads a
+scenario needs no numerics.
+"""
 
-LAWS.register("paper", Control)
-LAWS.register("sustained", Control)
-LAWS.register("packed", PackedControl)
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from controller_service.laws.tables import PackedControl, PaperControl
+from protocol.registry import Registry
+from protocol.scenario import LAWS, Control, Scenario
+
+if TYPE_CHECKING:
+    from controller_service.laws.base import CandidateLaw
+    from controller_service.sets.design import Design, Progress
+
+
+class LawFactory(Protocol):
+    """A law's class: the design that it needs, and the law on that design."""
+
+    def __call__(self, scenario: Scenario, design: "Design") -> "CandidateLaw": ...  # noqa: D102
+
+    def synthesise(self, scenario: Scenario, progress: "Progress | None" = None) -> "Design": ...  # noqa: D102
+
+
+_LAWS: Registry[LawFactory | str] = Registry("law")
+
+
+def register(name: str, law: LawFactory | str, table: type[Control] = Control) -> None:
+    """Make ``control.law = name`` mean ``law``.
+
+    Parameters
+    ----------
+    name : str
+    law : LawFactory or str
+        The class, or where it is: ``module:Class``, loaded when it is needed.
+    table : type, optional
+        The table ``[control]`` that it reads, and what of it the tap is granted.
+    """
+    _LAWS.register(name, law)
+    LAWS.register(name, table)
+
+
+@contextmanager
+def registered(name: str, law: LawFactory, table: type[Control] = Control) -> Iterator[None]:
+    """Within the block, the law is registered."""
+    with _LAWS.registered(name, law), LAWS.registered(name, table):
+        yield
+
+
+register("paper", "controller_service.laws.paper:PaperLaw", PaperControl)
+register("sustained", "controller_service.laws.sustained:SustainedLaw")
+register("packed", "controller_service.laws.packed:PackedLaw", PackedControl)
+
+
+def law_named(name: str) -> LawFactory:
+    """The law of that name.
+
+    Raises
+    ------
+    UnknownError
+        When there is none.
+    """
+    found = _LAWS[name]
+    if isinstance(found, str):
+        module, _, attribute = found.partition(":")
+        law: LawFactory = getattr(import_module(module), attribute)
+        return law
+    return found
+
+
+def make_law(scenario: Scenario, design: "Design") -> "CandidateLaw":
+    """The law ``control.law`` of the scenario, on its design.
+
+    Raises
+    ------
+    ProgramError
+        When its programs have no unique answers.
+    """
+    return law_named(scenario.control.law)(scenario, design)
+
+
+def synthesise(scenario: Scenario, progress: "Progress | None" = None) -> "Design":
+    """Compute the design that the scenario's law needs.
+
+    Raises
+    ------
+    SynthesisError
+        With one line, when there is none.
+    """
+    return law_named(scenario.control.law).synthesise(scenario, progress)
+
+
+def cached_design(
+    scenario: Scenario, progress: "Progress | None" = None, cache_dir: Path | None = None
+) -> "Design":
+    """Read the scenario's design from the cache, or compute and store it.
+
+    The default folder is ``$XDG_CACHE_HOME/wyner/designs``, else ``~/.cache/wyner/designs``.
+
+    Raises
+    ------
+    SynthesisError
+        As :func:`synthesise`.
+    """
+    from controller_service.sets.design_cache import load, store
+
+    fingerprint = scenario.design_fingerprint()
+    found = load(fingerprint, cache_dir)
+    if found is not None:
+        return found
+    design = synthesise(scenario, progress)
+    store(design, fingerprint, cache_dir)
+    return design

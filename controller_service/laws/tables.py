@@ -1,11 +1,20 @@
-"""Tables ``[control]`` of laws that read more than the common fields."""
+"""What the laws read of ``[control]``, and what of it the tap is granted; loads no numerics."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
+from protocol.knowledge import Policy
 from protocol.scenario import Control, Cost, Part, Secrecy
+
+
+class PaperControl(Control):
+    """``[control]`` of the law ``paper``."""
+
+    def policy(self, n: int, m: int) -> Policy:
+        """The costs and K; inside T_0 the candidates are one."""
+        return super().policy(n, m).model_copy(update={"together": True})
 
 
 class AlphabetTable(Part):

@@ -8,11 +8,9 @@ eroded once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from controller_service.sets.packed_design import Start, alphabet_of, reduced, search_terminal
 from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.terminal import (
     SynthesisError,
@@ -29,16 +27,20 @@ from protocol.scenario import Scenario
 __all__ = [
     "Design",
     "Progress",
+    "Start",
     "SynthesisError",
     "Terminal",
-    "cached_design",
     "feedback_gain",
     "input_interval",
     "set_corners",
+    "stated_start",
     "synthesise",
 ]
 
 Progress = Callable[[int, int], None]
+
+Start = tuple[Array, Polytope, Terminal]
+"""K, T_0 and how it was made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +127,45 @@ def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) ->
             )
 
 
-def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
-    """Compute a scenario's design; ``progress(done, total)`` is called after each set.
+def stated_start(scenario: Scenario) -> Start:
+    """K and T_0 by the scenario's gain or regulator.
 
     Raises
     ------
     SynthesisError
-        With one line: K does not stabilise, K T_0 not within U, an empty set at some index, an
-        alphabet that does not fit, or a plant with more states or inputs than the route serves.
+        When they give no terminal set within the bounds.
+    """
+    K = feedback_gain(scenario)
+    larger = scenario.control_set.scaled(1 + TERMINAL_MARGIN)
+    try:
+        r = recursion(scenario)
+        T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+        _check_terminal(T0, K, r, scenario)
+    except SetError as error:
+        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+    return K, T0, terminal
+
+
+def synthesise(
+    scenario: Scenario,
+    progress: Progress | None = None,
+    start: Callable[[Scenario], Start] = stated_start,
+) -> Design:
+    """Compute the sets for a scenario's D_c and U.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    progress : callable, optional
+        ``progress(done, total)`` is called after each set.
+    start : callable, optional
+        K and T_0; by the scenario's gain or regulator if not given.
+
+    Raises
+    ------
+    SynthesisError
+        With one line: K does not stabilise, K T_0 not within U, an empty set at some index, or a
+        plant with more states or inputs than the route serves.
     """
     import time
 
@@ -142,13 +175,8 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
             f"plant: got {scenario.n} states and {scenario.m} inputs, expected 1 to 4 states and "
             "1 or 2 inputs"
         )
-    alphabet = alphabet_of(scenario)
-    problem = scenario if alphabet is None else reduced(scenario, alphabet)
-    r = recursion(problem)
-    if alphabet is None:
-        K, T0, terminal = _start(problem)
-    else:
-        K, T0, terminal = search_terminal(problem, _start)
+    r = recursion(scenario)
+    K, T0, terminal = start(scenario)
     T: list[tuple[Array, Array]] = []
     targets: list[tuple[Array, Array]] = []
     margins: list[float] = []
@@ -168,41 +196,4 @@ def synthesise(scenario: Scenario, progress: Progress | None = None) -> Design:
         gain_given=scenario.control.gain is not None,
         margins=tuple(margins),
         seconds=time.perf_counter() - begin,
-        offsets=None if alphabet is None else alphabet.offsets,
     )
-
-
-def _start(problem: Scenario) -> Start:
-    """K and T_0 by the scenario's gain or regulator."""
-    K = feedback_gain(problem)
-    larger = problem.control_set.scaled(1 + TERMINAL_MARGIN)
-    try:
-        r = recursion(problem)
-        T0, terminal = terminal_set(r.A + r.B @ K, larger, problem.control.terminal_order)
-        _check_terminal(T0, K, r, problem)
-    except SetError as error:
-        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
-    return K, T0, terminal
-
-
-def cached_design(
-    scenario: Scenario, progress: Progress | None = None, cache_dir: Path | None = None
-) -> Design:
-    """Read the scenario's design from the cache, or compute and store it.
-
-    The default folder is ``$XDG_CACHE_HOME/wyner/designs``, else ``~/.cache/wyner/designs``.
-
-    Raises
-    ------
-    SynthesisError
-        As :func:`synthesise`.
-    """
-    from controller_service.sets.design_cache import load, store
-
-    fingerprint = scenario.design_fingerprint()
-    found = load(fingerprint, cache_dir)
-    if found is not None:
-        return found
-    design = synthesise(scenario, progress)
-    store(design, fingerprint, cache_dir)
-    return design

@@ -4,11 +4,8 @@ The law solves one program for v and offers v + p for each offset p. With D' = D
 U' = U less conv P every one of these inputs is in U and leads into the next set, whatever d in D_c.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
-from controller_service.laws.tables import PackedControl
 from controller_service.sets.alphabet import (
     Alphabet,
     ceilings,
@@ -17,15 +14,13 @@ from controller_service.sets.alphabet import (
     larger_disturbance,
     smaller_inputs,
 )
+from controller_service.sets.design import Start, stated_start
 from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.separation import AlphabetError
 from controller_service.sets.terminal import SynthesisError, Terminal
 from controller_service.tolerances import TERMINAL_MARGIN
-from protocol.convex import Array, Polytope, SetError, corners
+from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import Regulator, Scenario
-
-Start = tuple[Array, Polytope, Terminal]
-"""K, T_0 and how it was made."""
 
 WEIGHTS = sorted((10.0 ** (k / 5) for k in range(-15, 11)), key=lambda f: abs(float(np.log(f))))
 """Factors on a regulator's weights of the input, 0.001 to 100, the nearest to 1 first."""
@@ -34,17 +29,14 @@ STEPS = 200
 """Steps after which no invariant set is expected any more."""
 
 
-def alphabet_of(scenario: Scenario) -> Alphabet | None:
-    """The alphabet of a scenario whose law is ``packed``, else None.
+def alphabet_of(scenario: Scenario, spacing: float) -> Alphabet:
+    """The alphabet of a scenario, its offsets ``spacing`` half-lengths of D_c apart.
 
     Raises
     ------
     SynthesisError
         With one line, where it does not fit; the line names the most candidates that do.
     """
-    control = scenario.control
-    if not isinstance(control, PackedControl):
-        return None
     D_c, U = scenario.defender.disturbance, scenario.control.inputs
     try:
         limits = ceilings(scenario.A, scenario.B, scenario.control_set, U)
@@ -56,7 +48,7 @@ def alphabet_of(scenario: Scenario) -> Alphabet | None:
                 U,
                 alpha=scenario.secrecy.alpha,
                 size=size,
-                spacing=control.alphabet.spacing,
+                spacing=spacing,
             )
 
         size = scenario.secrecy.candidates
@@ -86,15 +78,13 @@ def reduced(scenario: Scenario, alphabet: Alphabet) -> Scenario:
     )
 
 
-def search_terminal(problem: Scenario, start: Callable[[Scenario], Start]) -> Start:
+def search_terminal(problem: Scenario) -> Start:
     """T_0 by the stated gain or regulator, else the nearest regulator, else of any control.
 
     Parameters
     ----------
     problem : Scenario
         With D' and U'.
-    start : callable
-        K and T_0 by the scenario's gain or regulator; raises SynthesisError where it is no start.
 
     Raises
     ------
@@ -102,7 +92,7 @@ def search_terminal(problem: Scenario, start: Callable[[Scenario], Start]) -> St
         When no bounded invariant set exists.
     """
     try:
-        return start(problem)
+        return stated_start(problem)
     except SynthesisError:
         pass
     stated = problem.control.regulator
@@ -113,7 +103,7 @@ def search_terminal(problem: Scenario, start: Callable[[Scenario], Start]) -> St
         )
         control = problem.control.model_copy(update={"gain": None, "regulator": regulator})
         try:
-            K, T0, terminal = start(problem.model_copy(update={"control": control}))
+            K, T0, terminal = stated_start(problem.model_copy(update={"control": control}))
         except SynthesisError:
             continue
         return K, T0, Terminal(**{**vars(terminal), "weight": factor})

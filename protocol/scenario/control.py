@@ -106,7 +106,7 @@ class Control(Part):
         """What of the law the synthesis depends on; its costs are only solved online."""
         return self.model_dump(exclude={"law", "costs", "disturbance"}, exclude_none=True)
 
-    def policy(self, n: int, m: int) -> Policy | None:
+    def policy(self, n: int, m: int) -> Policy:
         """The control policy (15) that Kerckhoffs grants the tap, without what depends on D_c."""
         costs = tuple(
             PolicyCost(next_state=_spread(cost.next_state, n), input=_spread(cost.input, m))

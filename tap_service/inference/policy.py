@@ -59,7 +59,7 @@ class KnownLaw:
     curvature : array, shape (M, m, m)
         Second derivatives of the costs, over two.
     together : array, shape (m, n), optional
-        The gain of the law ``paper``, whose candidates coincide in T_0.
+        K, where the law's candidates coincide in T_0.
     facets : tuple of Facets
         From below and from above; empty where they cannot be told.
     """
@@ -87,7 +87,7 @@ class KnownLaw:
         gain = None if k.policy.gain is None else np.array(k.policy.gain)
         together = None
         facets: tuple[Facets, ...] = ()
-        if gain is not None and k.policy.law == "paper":
+        if gain is not None and k.policy.together:
             together = gain
         elif gain is not None and B.shape == (2, 1) and k.disturbance_H and k.disturbance_h:
             facets = terminal_facets(

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 import wyner.cli.design as command
-from controller_service.sets import design as synthesis
+from controller_service.laws import registry
+from controller_service.sets.design import SynthesisError
 from wyner.cli.main import main
 
 PLANAR = """
@@ -201,9 +202,9 @@ def test_who_computes_a_design_shows_its_progress_on_a_terminal(
 
     def cached_design(_scenario: object, progress: object = None) -> None:
         told.append(progress)
-        raise synthesis.SynthesisError("far enough")
+        raise SynthesisError("far enough")
 
-    monkeypatch.setattr(synthesis, "cached_design", cached_design)
+    monkeypatch.setattr(registry, "cached_design", cached_design)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert main([name, "--scenario", "quadruple-tank"]) == 2
     assert callable(told[0])

@@ -10,14 +10,9 @@ from scipy.optimize import linprog
 
 from benchmarks.exact_sets import exact_sets
 from benchmarks.sets import relative_errors
+from controller_service.laws.registry import cached_design
 from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
-from controller_service.sets.design import (
-    Design,
-    SynthesisError,
-    cached_design,
-    set_corners,
-    synthesise,
-)
+from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from controller_service.sets.design_cache import design_path
 from controller_service.sets.terminal import feedback_gain, terminal_set
 from protocol.convex import corners

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_service.laws.paper import ControlLaw, make_law
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law, synthesise
 from controller_service.sets.alphabet import (
     Alphabet,
     choose_alphabet,
     larger_disturbance,
     line_offsets,
 )
-from controller_service.sets.design import Design, SynthesisError, cached_design, synthesise
+from controller_service.sets.design import Design, SynthesisError
 from controller_service.sets.packed_design import alphabet_of, invariant_set, reduced
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
@@ -45,7 +46,7 @@ def with_control(scenario: Scenario, **fields: Any) -> Scenario:
     return scenario.model_copy(update={"control": scenario.control.model_copy(update=fields)})
 
 
-def system(scenario: Scenario) -> tuple[ControlLaw, Design]:
+def system(scenario: Scenario) -> tuple[CandidateLaw, Design]:
     design = cached_design(scenario)
     return make_law(scenario, design), design
 
@@ -168,8 +169,7 @@ def test_one_state_and_many_states_give_the_same_candidates() -> None:
 
 def test_the_larger_disturbance_is_the_hull_of_all_sums() -> None:
     scenario = shipped("packed-quadruple-tank")
-    alphabet = alphabet_of(scenario)
-    assert alphabet is not None
+    alphabet = alphabet_of(scenario, 2.0)
     D = scenario.defender.disturbance
     H, h = (np.array(a) for a in larger_disturbance(D, scenario.B, alphabet.offsets).rows())
     sums = set_corners(D)[:, None] + (alphabet.offsets @ np.array(scenario.B).T)[None]

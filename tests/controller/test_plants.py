@@ -11,14 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_service.laws.paper import ControlLaw, OutsideError, make_law
-from controller_service.sets.design import (
-    Design,
-    SynthesisError,
-    cached_design,
-    set_corners,
-    synthesise,
-)
+from controller_service.laws.base import CandidateLaw, OutsideError
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from controller_service.sets.recursion import support
 from protocol.convex import Polytope, corners
 from protocol.link.session import rules_of
@@ -91,7 +86,7 @@ def spread(design: Design, count: int, seed: int) -> np.ndarray:
     return X[(h >= X @ H.T).all(axis=1)]
 
 
-def check_loop(scenario: Scenario, design: Design, law: ControlLaw, steps: int) -> None:
+def check_loop(scenario: Scenario, design: Design, law: CandidateLaw, steps: int) -> None:
     """Adversarial steps from the sets' edges: the constraints hold and the index falls."""
     rng = np.random.default_rng(7)
     D = set_corners(scenario.defender.disturbance)

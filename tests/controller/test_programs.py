@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import controller_service.laws.programs as programs_module
-from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError, make_law
+from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
 from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
+from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from protocol.convex import Polytope
 from protocol.scenario import Cost, Scenario, load_scenario
@@ -28,11 +29,13 @@ def design(tank: Scenario) -> Design:
 
 
 @pytest.fixture(scope="module")
-def law(tank: Scenario, design: Design) -> ControlLaw:
+def law(tank: Scenario, design: Design) -> CandidateLaw:
     return make_law(tank, design)
 
 
-def test_the_tanks_answers_hold_and_one_state_equals_many(law: ControlLaw, design: Design) -> None:
+def test_the_tanks_answers_hold_and_one_state_equals_many(
+    law: CandidateLaw, design: Design
+) -> None:
     X = np.random.default_rng(0).uniform(-0.999, 0.999, (300, 4)) * TOP
     index = law.indices(X)
     C = law.candidates_many(X, index)
@@ -45,7 +48,7 @@ def test_the_tanks_answers_hold_and_one_state_equals_many(law: ControlLaw, desig
             assert np.abs(u).max() <= 3
 
 
-def test_the_tanks_index_falls(law: ControlLaw, design: Design, tank: Scenario) -> None:
+def test_the_tanks_index_falls(law: CandidateLaw, design: Design, tank: Scenario) -> None:
     rng = np.random.default_rng(1)
     X = rng.uniform(-0.999, 0.999, (400, 4)) * TOP
     D = set_corners(tank.defender.disturbance)
@@ -61,7 +64,7 @@ def test_the_tanks_index_falls(law: ControlLaw, design: Design, tank: Scenario) 
     assert (index == 0).all()
 
 
-def test_daqp_and_osqp_agree(law: ControlLaw, design: Design, monkeypatch: Any) -> None:
+def test_daqp_and_osqp_agree(law: CandidateLaw, design: Design, monkeypatch: Any) -> None:
     X = np.random.default_rng(2).uniform(-0.99, 0.99, (40, 4)) * TOP
     index = law.indices(X)
     by_daqp = law.candidates_many(X, index)
@@ -70,7 +73,7 @@ def test_daqp_and_osqp_agree(law: ControlLaw, design: Design, monkeypatch: Any) 
     assert np.abs(by_daqp - by_osqp).max() < 1e-6
 
 
-def test_a_wrong_answer_is_replaced_or_refused(law: ControlLaw, monkeypatch: Any) -> None:
+def test_a_wrong_answer_is_replaced_or_refused(law: CandidateLaw, monkeypatch: Any) -> None:
     x = [3.0, -3.0, 0.5, -0.5]
     right = law.candidates(x)
 
@@ -118,7 +121,7 @@ def test_the_general_route_gives_what_the_planar_one_gives() -> None:
     scenario = scenario.model_copy(update={"control": control})
     design = synthesise(scenario)
     planar = make_law(scenario, design)
-    general = General(design, scenario.control.inputs, scenario.control.costs, sustained=True)
+    general = General(design, scenario.control.inputs, scenario.control.costs)
     X = np.random.default_rng(4).normal(size=(3000, 2)) * 2
     index = planar.indices(X)
     assert np.array_equal(general.indices(X), index)
@@ -181,7 +184,7 @@ def test_plants_beyond_the_route_are_refused() -> None:
         synthesise(Scenario.model_validate(data))
 
 
-def test_outside_the_tanks_sets(law: ControlLaw) -> None:
+def test_outside_the_tanks_sets(law: CandidateLaw) -> None:
     with pytest.raises(OutsideError):
         law.index([6.5, 0.0, 0.0, 0.0])
 

@@ -348,7 +348,7 @@ def test_the_sustained_scenario_is_the_papers_system_under_another_law() -> None
     papers = load_scenario(SCENARIOS / "paper.toml")
     mine = load_scenario(SCENARIOS / "sustained.toml")
     assert (papers.control.law, mine.control.law) == ("paper", "sustained")
-    assert mine.control.model_copy(update={"law": "paper"}) == papers.control
+    assert mine.control.model_dump(exclude={"law"}) == papers.control.model_dump(exclude={"law"})
     assert (mine.plant, mine.defender, mine.secrecy) == (
         papers.plant,
         papers.defender,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
 from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.scenario import Disturbance, Scenario, load_scenario
@@ -38,7 +38,7 @@ KINDS = ("uniform", "corners", "truncated-gaussian", "gaussian", "constant", "si
 
 
 @cache
-def system(name: str, **_: Any) -> tuple[Scenario, ControlLaw]:
+def system(name: str, **_: Any) -> tuple[Scenario, CandidateLaw]:
     scenario = load_scenario(SCENARIOS / f"{name}.toml")
     return scenario, make_law(scenario, cached_design(scenario))
 
@@ -51,7 +51,7 @@ def varied(scenario: Scenario, **tables: dict[str, Any]) -> Scenario:
     return Scenario.model_validate(data)
 
 
-def by_hand(scenario: Scenario, law: ControlLaw, seed: int, run: int, steps: int) -> Runs:
+def by_hand(scenario: Scenario, law: CandidateLaw, seed: int, run: int, steps: int) -> Runs:
     """One run through the scalar functions, in the engine's own form."""
     rule = AgreementRule(
         scenario.A,

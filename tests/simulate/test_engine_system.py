@@ -17,8 +17,8 @@ import pytest
 from pydantic_core import to_json
 
 from benchmarks.reference_loop import plain_run
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
 from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SUMMARY
 from protocol.runtime.trace import TraceReader, TraceWriter
 from protocol.scenario import Scenario, load_scenario
@@ -36,7 +36,7 @@ Event = dict[str, Any]
 
 
 @cache
-def system(name: str) -> tuple[Scenario, ControlLaw]:
+def system(name: str) -> tuple[Scenario, CandidateLaw]:
     scenario = load_scenario(ROOT / "wyner" / "scenarios" / f"{name}.toml")
     return scenario, make_law(scenario, cached_design(scenario))
 

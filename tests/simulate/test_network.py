@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from controller_service.laws.paper import ControlLaw
+from controller_service.laws.base import CandidateLaw
 from protocol.link.endpoint import Append, Write
 from protocol.runtime.journal import PlantJournal
 from protocol.scenario import Scenario
@@ -33,7 +33,7 @@ NETWORKS = {
 @pytest.mark.parametrize("network", NETWORKS)
 @pytest.mark.parametrize("seed", range(3))
 def test_safety_always_and_delivery_once_all_is_well(
-    network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: ControlLaw
+    network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
     faults = NETWORKS[network]
     sim = Simulation(
@@ -51,7 +51,7 @@ def test_safety_always_and_delivery_once_all_is_well(
 
 
 def test_without_faults_nothing_is_missed_and_time_does_not_pass(
-    sustained: Scenario, sustained_law: ControlLaw
+    sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
     history = simulate(sustained, sustained_law, seed=7, steps=2000, payload=b"abc")
     assert len(history.plant) == len(history.controller) == 2000
@@ -60,7 +60,7 @@ def test_without_faults_nothing_is_missed_and_time_does_not_pass(
     assert all(t.symbol == history.coins[at] for at, t in history.plant.items() if t.symbol >= 0)
 
 
-def test_a_seed_replays(sustained: Scenario, sustained_law: ControlLaw) -> None:
+def test_a_seed_replays(sustained: Scenario, sustained_law: CandidateLaw) -> None:
     def once() -> object:
         sim = Simulation(
             sustained, sustained_law, seed=3, payloads=PAYLOADS, faults=NETWORKS["everything"]
@@ -71,7 +71,9 @@ def test_a_seed_replays(sustained: Scenario, sustained_law: ControlLaw) -> None:
     assert once() == once()
 
 
-def test_the_check_finds_what_it_looks_for(sustained: Scenario, sustained_law: ControlLaw) -> None:
+def test_the_check_finds_what_it_looks_for(
+    sustained: Scenario, sustained_law: CandidateLaw
+) -> None:
     history = simulate(sustained, sustained_law, seed=1, steps=600, payload=b"x")
     assert list(violations(history, (b"x",))) == []
     at, t = next((at, t) for at, t in history.plant.items() if t.role == "message")
@@ -88,7 +90,7 @@ def test_the_check_finds_what_it_looks_for(sustained: Scenario, sustained_law: C
 
 
 def test_at_alpha_one_nothing_is_ever_agreed(
-    sustained: Scenario, sustained_law: ControlLaw
+    sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
     secrecy = sustained.secrecy.model_copy(update={"alpha": 1.0})
     scenario = sustained.model_copy(update={"secrecy": secrecy})
@@ -99,7 +101,7 @@ def test_at_alpha_one_nothing_is_ever_agreed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 160))
-def test_many_seeds(seed: int, sustained: Scenario, sustained_law: ControlLaw) -> None:
+def test_many_seeds(seed: int, sustained: Scenario, sustained_law: CandidateLaw) -> None:
     faults = Faults(
         loss=(seed % 5) / 10,
         repeat=(seed % 3) / 5,
@@ -141,7 +143,7 @@ class Watched(PlantJournal):
 
 def test_what_the_plant_saves_has_the_same_shape_in_both_states(
     sustained: Scenario,
-    sustained_law: ControlLaw,
+    sustained_law: CandidateLaw,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

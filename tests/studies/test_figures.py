@@ -12,8 +12,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from controller_service.laws.paper import make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from wyner.cli.main import main
 from wyner.scoring.statistics import normal_mean, wilson

@@ -309,6 +309,7 @@ def test_the_version_covers_what_the_numbers_come_from(
     others = others | {
         "wyner/shipped.py",
         "wyner/scoring/statistics.py",
+        *(f"protocol/secret/{path.name}" for path in (ROOT / "protocol/secret").glob("*.py")),
         *(f"wyner/studies/{name}.py" for name in ("grid", "results")),
     }
     covered = {path for pattern in sources for path in ROOT.glob(pattern)}

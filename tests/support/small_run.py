@@ -11,8 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
 from plant_service.plant import Plant, first_record
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
@@ -39,7 +39,7 @@ Fault = Literal[
 
 
 @cache
-def law_of(name: str) -> tuple[Scenario, ControlLaw]:
+def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
     data = tomllib.loads((SCENARIOS / f"{name}.toml").read_text())
     scenario = parse_scenario(data, name)
     return scenario, make_law(scenario, cached_design(scenario))

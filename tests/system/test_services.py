@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import pytest
 
-from controller_service.laws.paper import ControlLaw
+from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
 from plant_service.plant import Plant, Step, first_record
 from plant_service.service import PlantConfig, PlantService
@@ -56,7 +56,7 @@ Service = TypeVar("Service", PlantService, ControllerService)
 class System:
     """Both services in threads of this process, on hubs that a test can listen to and disturb."""
 
-    def __init__(self, scenario: Scenario, law: ControlLaw, run_dir: Path) -> None:
+    def __init__(self, scenario: Scenario, law: CandidateLaw, run_dir: Path) -> None:
         self.scenario, self.law, self.run_dir = scenario, law, run_dir
         self.field, self.ops = MemoryHub(), MemoryHub()
         self.codes: dict[str, int] = {}
@@ -146,7 +146,7 @@ class System:
 
 
 @pytest.fixture
-def system(sustained: Scenario, sustained_law: ControlLaw, tmp_path: Path) -> System:
+def system(sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path) -> System:
     return System(sustained, sustained_law, tmp_path)
 
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from controller_service.laws.paper import ControlLaw
+from controller_service.laws.base import CandidateLaw
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario
 from tap_service.capture.channel import View
@@ -58,7 +58,7 @@ def _played(seed: int, view: View, steps: int, name: str, alpha: float) -> Playe
 
 @pytest.mark.parametrize("alpha", [3.0, 8.0])
 def test_the_policy_gives_the_law_in_the_terminal_set(
-    alpha: float, sustained_law: ControlLaw
+    alpha: float, sustained_law: CandidateLaw
 ) -> None:
     law = law_told(scenario_at("sustained", alpha))
     x = RNG.uniform((-0.2, -1.0), (0.2, 1.0), (3000, 2))
@@ -97,7 +97,7 @@ def test_without_a_policy_or_a_model_there_is_no_law() -> None:
 def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
     k = scenario_at("sustained", 8.0).knowledge()
     assert k.policy is not None
-    assert set(k.policy.model_dump()) == {"law", "costs", "gain"}
+    assert set(k.policy.model_dump()) == {"law", "costs", "gain", "together"}
     assert k.policy == scenario_at("sustained", 2.0).knowledge().policy
     assert Knowledge.model_validate_json(k.model_dump_json()) == k
     old = k.model_dump(mode="json", exclude={"policy"})

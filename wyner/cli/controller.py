@@ -26,9 +26,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
-    from controller_service.laws.paper import ProgramError, make_law
+    from controller_service.laws.base import ProgramError
+    from controller_service.laws.registry import cached_design, make_law
     from controller_service.service import ControllerConfig, run_controller
-    from controller_service.sets.design import SynthesisError, cached_design
+    from controller_service.sets.design import SynthesisError
     from protocol.runtime.bus import TransportError
     from protocol.runtime.zenoh_bus import open_bus
     from wyner.cli.design import progress_bar

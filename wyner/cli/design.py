@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from protocol.runtime.process import DONE, UsageError
 
 if TYPE_CHECKING:
-    from controller_service.laws.paper import ControlLaw
+    from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design, Progress
     from protocol.scenario import Scenario
 
@@ -36,8 +36,9 @@ def run(args: argparse.Namespace) -> int:
     """Show the design."""
     import time
 
-    from controller_service.laws.paper import ProgramError, make_law
-    from controller_service.sets.design import SynthesisError, cached_design, synthesise
+    from controller_service.laws.base import ProgramError
+    from controller_service.laws.registry import cached_design, make_law, synthesise
+    from controller_service.sets.design import SynthesisError
     from wyner.cli.options import scenario_of
 
     scenario = scenario_of(args.scenario)
@@ -86,9 +87,9 @@ def progress_bar() -> "Iterator[Progress | None]":
             bar.stop()
 
 
-def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[str, Any]:
+def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:
     """The design's figures as one object for machines."""
-    from controller_service.laws.paper import OutsideError
+    from controller_service.laws.base import OutsideError
     from controller_service.sets.dead_link import dead_link_budget
     from protocol.convex import Polytope, corners, planar_area
 
@@ -130,7 +131,7 @@ def describe(scenario: "Scenario", design: "Design", law: "ControlLaw") -> dict[
     }
 
 
-def expected_rate(scenario: "Scenario", law: "ControlLaw") -> dict[str, Any] | None:
+def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] | None:
     """Estimate p, the probability that a tested step agrees, and the rate it gives.
 
     Each run starts at the scenario's initial state; d is uniform in the plant's box, b_r uniform.
@@ -139,7 +140,7 @@ def expected_rate(scenario: "Scenario", law: "ControlLaw") -> dict[str, Any] | N
     """
     import numpy as np
 
-    from controller_service.laws.paper import OutsideError
+    from controller_service.laws.base import OutsideError
     from protocol.agreement import AgreementRule, Gauge, predict
 
     rule = AgreementRule(

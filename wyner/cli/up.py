@@ -164,8 +164,9 @@ def _take_signals() -> None:
 
 def _design(scenario: "Scenario") -> None:
     """Compute the design before anything starts, and check that the plant starts inside it."""
-    from controller_service.laws.paper import ProgramError, make_law
-    from controller_service.sets.design import SynthesisError, cached_design
+    from controller_service.laws.base import ProgramError
+    from controller_service.laws.registry import cached_design, make_law
+    from controller_service.sets.design import SynthesisError
     from wyner.cli.design import progress_bar
 
     try:

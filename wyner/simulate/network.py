@@ -154,7 +154,7 @@ class Simulation:
     ----------
     scenario : Scenario
     law : Law
-        As :func:`controller_service.laws.paper.make_law` gives it.
+        As :func:`controller_service.laws.registry.make_law` gives it.
     seed : int
         Of the plant's and the controller's draws (streams of run ``run``) and of the faults.
     payloads : tuple of bytes

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.convex import Polytope, planar_vertices
 from protocol.runtime.run_folder import PUBLIC_FILE, replacing
@@ -50,7 +50,7 @@ TAP_SOURCES: Final = (
 
 
 @cache
-def system(name: str) -> tuple[Scenario, ControlLaw]:
+def system(name: str) -> tuple[Scenario, CandidateLaw]:
     """A shipped scenario with its law."""
     scenario = load_scenario(SCENARIOS / f"{name}.toml")
     return scenario, make_law(scenario, cached_design(scenario))

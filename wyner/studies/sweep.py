@@ -14,8 +14,9 @@ from functools import lru_cache
 from operator import itemgetter
 from typing import Any
 
-from controller_service.laws.paper import ControlLaw, ProgramError, make_law
-from controller_service.sets.design import SynthesisError, cached_design
+from controller_service.laws.base import CandidateLaw, ProgramError
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import SynthesisError
 from protocol.scenario import Scenario
 from wyner.simulate.engine import SimulationError, follow, simulate_runs
 from wyner.studies.grid import (
@@ -32,7 +33,7 @@ from wyner.studies.results import COUNTS, Results, key_of, summarise
 
 
 @lru_cache(maxsize=64)
-def _law(substance: str) -> ControlLaw:
+def _law(substance: str) -> CandidateLaw:
     scenario = Scenario.model_validate_json(substance)
     return make_law(scenario, cached_design(scenario))
 

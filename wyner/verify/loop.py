@@ -97,8 +97,8 @@ def admissible(e: Evidence, tally: Tally) -> None:
     """(27): u in U, and A x + B u in T_(i-1) ~ D_c."""
     side = e.controller or e.plant
     assert side is not None
-    from controller_service.laws.paper import make_law
-    from controller_service.sets.design import SynthesisError, cached_design
+    from controller_service.laws.registry import cached_design, make_law
+    from controller_service.sets.design import SynthesisError
     from protocol.convex import Polytope
 
     try:
@@ -116,11 +116,11 @@ def admissible(e: Evidence, tally: Tally) -> None:
         except LookupError as error:
             tally.count(False, *where, str(error))
             continue
+        K = law.gain(i)
         for number, u in enumerate(t.candidates):
-            if e.scenario.control.law == "paper" and i == 0:
+            if K is not None:
                 terminal += 1
-                gain = design.K @ t.x
-                away = float(abs(gain - u).max())
+                away = float(abs(K @ t.x - u).max())
                 text = f"candidate {number} is {away:.3g} away from K x inside T_0"
                 tally.count(away <= EDGE, *where, text)
                 continue

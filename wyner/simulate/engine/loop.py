@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller_service.laws.paper import ControlLaw, OutsideError, ProgramError
+from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, Matrix
 from protocol.scenario import Scenario
 from wyner.simulate.engine.draws import Draws, disturbances
@@ -93,7 +93,7 @@ def _add(row: Sequence[float], columns: Sequence[Array], out: Array, spare: Arra
 class _Loop:
     """Buffers and constants of one chunk."""
 
-    def __init__(self, scenario: Scenario, law: ControlLaw, runs: range, seed: int) -> None:
+    def __init__(self, scenario: Scenario, law: CandidateLaw, runs: range, seed: int) -> None:
         self.scenario, self.law, self.runs = scenario, law, runs
         self.n, self.m, self.M = scenario.n, scenario.m, scenario.secrecy.candidates
         self.A, self.B = scenario.A, scenario.B
@@ -185,7 +185,7 @@ class _Loop:
 
 def simulate_runs(
     scenario: Scenario,
-    law: ControlLaw,
+    law: CandidateLaw,
     *,
     seed: int,
     runs: range,
@@ -198,7 +198,7 @@ def simulate_runs(
     ----------
     scenario : Scenario
         Its plant, disturbance and agreement rule; the law is the one given.
-    law : ControlLaw
+    law : CandidateLaw
     seed : int
     runs : range
         Numbers of the runs, each with its own streams.
@@ -269,7 +269,7 @@ def simulate_runs(
 
 def chunks(
     scenario: Scenario,
-    law: ControlLaw,
+    law: CandidateLaw,
     *,
     seed: int,
     runs: range,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
-from controller_service.laws.paper import ControlLaw, make_law
-from controller_service.sets.design import cached_design
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario, load_scenario
@@ -54,7 +54,7 @@ def scenario_at(name: str, alpha: float) -> Scenario:
 
 
 @cache
-def law_of(name: str) -> ControlLaw:
+def law_of(name: str) -> CandidateLaw:
     """Its law; alpha does not matter to it."""
     scenario = load_scenario(SCENARIOS / f"{name}.toml")
     return make_law(scenario, cached_design(scenario))

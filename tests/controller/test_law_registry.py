@@ -1,0 +1,129 @@
+"""A law of one's own is a class and a registration: everything that needs candidates takes it."""
+
+import json
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.base import Indices, ProgramLaw
+from controller_service.laws.planar import Planar
+from controller_service.laws.registry import cached_design, law_named, make_law, registered
+from controller_service.sets.design import Design, Progress, synthesise
+from protocol.convex import Array
+from protocol.knowledge import Policy
+from protocol.registry import UnknownError
+from protocol.runtime.run_folder import SCENARIO
+from protocol.scenario import Control, Part, Scenario, parse_scenario
+from tests.system.test_services import System
+from wyner.cli.main import main
+from wyner.shipped import SCENARIOS
+from wyner.simulate.engine import simulate_runs
+from wyner.simulate.network import simulate
+from wyner.simulate.safety import violations
+
+
+class Ends(Part):
+    share: float = 0.9
+
+
+class EndsControl(Control):
+    ends: Ends = Ends()
+
+    def count_problems(self, candidates: int) -> Iterator[str]:
+        if candidates != 2:
+            yield f"secrecy.candidates: got {candidates}, expected 2 for the law ends"
+
+    def policy(self, n: int, m: int) -> Policy:
+        return Policy(law=self.law, costs=(), gain=self.gain)
+
+
+class EndsLaw(ProgramLaw):
+    """Offers points near both ends of the admissible interval, on sets for a larger D_c."""
+
+    def __init__(self, scenario: Scenario, design: Design) -> None:
+        super().__init__(scenario, design)
+        assert isinstance(scenario.control, EndsControl)
+        self.share = scenario.control.ends.share
+
+    @classmethod
+    def synthesise(cls, scenario: Scenario, progress: Progress | None = None) -> Design:
+        larger = scenario.defender.disturbance.scaled(1.05)
+        defender = scenario.defender.model_copy(update={"disturbance": larger})
+        return synthesise(scenario.model_copy(update={"defender": defender}), progress)
+
+    def answers(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
+        assert isinstance(self.programs, Planar)
+        low, high = self.programs.interval(x[0], x[1], max(i - 1, 0))
+        middle, half = 0.5 * (low + high), 0.5 * self.share * (high - low)
+        return ((middle - half,), (middle + half,))
+
+    def answers_many(self, X: Array, indices: Indices) -> Array:
+        pairs = zip(X.tolist(), indices.tolist(), strict=True)
+        return np.array([self.answers(x, i) for x, i in pairs])
+
+
+def table(**control: Any) -> dict[str, Any]:
+    data = tomllib.loads((SCENARIOS / "sustained.toml").read_text())
+    data["name"] = "ends"
+    data["control"] |= {"law": "ends", "horizon": 60} | control
+    return data
+
+
+@pytest.fixture
+def scenario() -> Iterator[Scenario]:
+    with registered("ends", EndsLaw, EndsControl):
+        yield parse_scenario(table(), "ends.toml")
+
+
+def test_its_table_is_read_and_its_faults_are_told(scenario: Scenario) -> None:
+    assert isinstance(scenario.control, EndsControl)
+    assert scenario.knowledge().policy == Policy(law="ends", costs=(), gain=scenario.control.gain)
+    other = parse_scenario(table(ends={"share": 0.5}), "ends.toml")
+    assert other.design_fingerprint() != scenario.design_fingerprint()
+    assert other.fingerprint() == scenario.fingerprint()
+
+
+def test_its_design_is_its_own(scenario: Scenario, tmp_path: Path) -> None:
+    design, again = (cached_design(scenario, cache_dir=tmp_path) for _ in range(2))
+    assert again.cached
+    usual = synthesise(scenario)
+    assert design.T[0][1].max() > usual.T[0][1].max()
+
+
+def test_the_engine_and_the_simulated_network_ask_it(scenario: Scenario) -> None:
+    law = make_law(scenario, cached_design(scenario))
+    runs = simulate_runs(scenario, law, seed=1, runs=range(3), steps=60, record=True)
+    assert runs.x is not None
+    assert runs.candidates is not None
+    for k in (0, 30, 59):
+        offered = law.candidates(runs.x[k, :, 2].tolist())
+        assert [tuple(u) for u in runs.candidates[k, :, :, 2].tolist()] == list(offered)
+    assert (runs.symbol >= 0).any()
+    history = simulate(scenario, law, seed=3, steps=1200, payload=b"x")
+    assert list(violations(history, (b"x",))) == []
+    assert history.delivered == [0]
+
+
+def test_both_services_run_under_it_and_the_run_is_checked(
+    scenario: Scenario, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text.replace('law = "sustained"\nhorizon = 250', 'law = "ends"\nhorizon = 60')
+    (tmp_path / SCENARIO).write_text(text.replace('name = "sustained"', 'name = "ends"'))
+    system = System(scenario, make_law(scenario, cached_design(scenario)), tmp_path)
+    with system.controller(b"one"), system.plant():
+        system.wait(lambda: system.recovered() == [b"one"])
+    assert main(["check", str(tmp_path)]) == 0
+    assert "PASS  admissible" in capsys.readouterr().out
+    assert main(["design", str(tmp_path / SCENARIO), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["law"] == "ends"
+
+
+def test_a_law_that_nobody_registered() -> None:
+    with pytest.raises(UnknownError, match="got 'ends', expected a law: paper, sustained"):
+        law_named("ends")
