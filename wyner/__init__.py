@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> object:
     """What the library exports, loaded when it is asked for (PEP 562)."""
-    if not name.startswith("_"):
+    if name == "__all__" or not name.startswith("_"):
         from importlib import import_module
 
         api = import_module("wyner.api")
-        if name in api.__all__:
-            return getattr(api, name)
+        if name in (*api.__all__, "__all__"):
+            found: object = getattr(api, name)
+            return found
     raise AttributeError(f"module 'wyner' has no attribute {name!r}")

@@ -4,7 +4,6 @@ A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper
 user's is loaded before that.
 """
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -147,9 +146,6 @@ def open_plant(
     plant, n, m = scenario.plant, scenario.n, scenario.m
     point = _point(scenario, n, m)
     start = point.reading(scenario.initial_state)
-    code = getattr(plant, "object", None)
-    if code is not None and own is None:
-        print(f"wyner: plant.object: running {code} from {folder.resolve()}", file=sys.stderr)
     try:
         adapter: PlantAdapter
         if own is None:

@@ -57,6 +57,9 @@ def test_every_name_is_there_and_has_words() -> None:
     for name in api.__all__:
         assert getattr(wyner, name) is getattr(api, name)
         assert getattr(api, name).__doc__
+    names: dict[str, object] = {}
+    exec("from wyner import *", names)
+    assert set(api.__all__) <= set(names)
     with pytest.raises(AttributeError, match="module 'wyner' has no attribute 'desing'"):
         wyner.desing  # noqa: B018
     with pytest.raises(ImportError):

@@ -52,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     result = describe(scenario, design, law)
     result["seconds"] = round(design.seconds, 4)
     result["ready_seconds"] = round(time.perf_counter() - begin, 4)
-    result["rate"] = expected_rate(scenario, law)
+    linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
+    result["rate"] = expected_rate(scenario, law) if linear else None
+    result["simulated"] = linear
     print(json.dumps(result) if args.json else render(result))
     return DONE
 
@@ -235,7 +237,11 @@ def render(r: dict[str, Any]) -> str:
     )
     lines += safety_lines(r)
     rate = r["rate"]
-    if rate is None:
+    if not r["simulated"]:
+        lines.append(
+            "expected rate: not simulated here, the plant's own code runs in the plant only"
+        )
+    elif rate is None:
         lines.append("expected rate: none, the loop cannot start or leaves the sets")
     else:
         low, high = rate["agreement_interval_95"]
