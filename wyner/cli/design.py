@@ -238,9 +238,7 @@ def render(r: dict[str, Any]) -> str:
     lines += safety_lines(r)
     rate = r["rate"]
     if not r["simulated"]:
-        lines.append(
-            "expected rate: not simulated here, the plant's own code runs in the plant only"
-        )
+        lines.append("expected rate: not simulated, as plant code runs in the plant alone")
     elif rate is None:
         lines.append("expected rate: none, the loop cannot start or leaves the sets")
     else:
