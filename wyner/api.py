@@ -81,7 +81,7 @@ __all__ = [
     "rate_against_alpha",
     "report",
     "run",
-    "scenarios",
+    "scenario_names",
     "vary",
 ]
 
@@ -89,7 +89,7 @@ Array = NDArray[np.float64]
 Symbols = NDArray[np.int8]
 
 
-def scenarios() -> list[str]:
+def scenario_names() -> list[str]:
     """Names of the shipped scenarios."""
     return sorted(path.stem for path in SCENARIOS.glob("*.toml"))
 

@@ -25,7 +25,7 @@ from wyner import (
     load,
     rate_against_alpha,
     run,
-    scenarios,
+    scenario_names,
     vary,
 )
 
@@ -57,6 +57,8 @@ def test_every_name_is_there_and_has_words() -> None:
     for name in api.__all__:
         assert getattr(wyner, name) is getattr(api, name)
         assert getattr(api, name).__doc__
+    rooms = {path.stem for path in Path(wyner.__file__).parent.iterdir()}
+    assert rooms.isdisjoint(api.__all__), "a room loaded later would take the name's place"
     names: dict[str, object] = {}
     exec("from wyner import *", names)
     assert set(api.__all__) <= set(names)
@@ -67,7 +69,7 @@ def test_every_name_is_there_and_has_words() -> None:
 
 
 def test_shipped_scenarios_load_by_name_and_by_path() -> None:
-    assert "paper" in scenarios()
+    assert "paper" in scenario_names()
     from wyner.shipped import SCENARIOS
 
     assert load("paper") == load(SCENARIOS / "paper.toml")
