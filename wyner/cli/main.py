@@ -19,6 +19,7 @@ COMMANDS: Final = {
     "dashboard": "watch a running system",
     "send": "hand a running controller a message to deliver",
     "design": "compute and show a scenario's sets, gains and expected rate",
+    "capacity": "show how many symbols a scenario's inputs can carry, over alpha",
     "check": "replay a run's traces and say whether they obey the paper",
     "report": "write a run's page: one file of HTML with figures, scores and clauses",
     "replay": "decode a recorded capture",

@@ -1,0 +1,58 @@
+"""Codes over two steps: each one found is checked point by point, apart from the search."""
+
+import math
+
+import numpy as np
+import pytest
+
+from wyner.studies.two_step import TwoStepCode, best_codes, single_step_keys
+
+
+def copies(code: TwoStepCode, shift: tuple[float, float], reach: int = 4) -> np.ndarray:
+    """The key's points of the plane near the origin."""
+    p, q = (np.array(v) for v in code.periods)
+    i, j = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1))
+    near = np.array(shift) - sum(
+        np.floor(t) * v
+        for t, v in zip(np.linalg.solve(np.array([p, q]).T, shift), (p, q), strict=True)
+    )
+    out: np.ndarray = near + i.reshape(-1, 1) * p + j.reshape(-1, 1) * q
+    return out
+
+
+def check(code: TwoStepCode, alpha: float) -> None:
+    """For d at random and at corners: the defender tells the key, she can rule out none."""
+    rng = np.random.default_rng(code.keys)
+    points = [copies(code, shift) for shift in code.shifts]
+    for r, own in enumerate(points):
+        centre = own[np.abs(own).max(axis=1).argmin()]
+        d = rng.uniform(-1, 1, (400, 2))
+        d[:4] = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
+        for s, other in enumerate(points):
+            far = np.abs((centre + d)[:, None] - other[None]).max(axis=2).min(axis=1)
+            assert (far <= alpha + 1e-9).all()
+            if s != r:
+                assert (far >= 1 - 1e-9).all()
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[float, TwoStepCode]:
+    alphas = [2.1, 2.375, 2.75]
+    return dict(zip(alphas, best_codes(alphas), strict=True))
+
+
+def test_five_keys_in_two_steps_beat_two_in_one(found: dict[float, TwoStepCode]) -> None:
+    assert [code.keys for code in found.values()] == [4, 5, 5]
+    assert [single_step_keys(a) ** 2 for a in found] == [4, 4, 4]
+    assert math.log2(5) / 2 == pytest.approx(1.161, abs=1e-3)
+
+
+def test_every_code_does_what_it_says(found: dict[float, TwoStepCode]) -> None:
+    for alpha, code in found.items():
+        check(code, alpha)
+        assert code.keys <= (1 + alpha) ** 2
+
+
+def test_the_check_refuses_a_code_at_too_small_an_alpha(found: dict[float, TwoStepCode]) -> None:
+    with pytest.raises(AssertionError):
+        check(found[2.75], 2.2)
