@@ -25,12 +25,14 @@ $(VENV)/bin/python:
 
 # What running needs, pinned and checked by hash; then the project itself.
 $(STAMPS)/runtime: requirements/runtime.txt pyproject.toml | $(VENV)/bin/python
+	@echo "installing into $(VENV): half a minute, once"
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/runtime.txt
 	$(BIN)/pip install $(NODEPS) --editable .
 	@mkdir -p $(STAMPS) && touch $@
 
 # What testing needs; it contains all that running needs.
 $(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
+	@echo "installing what the tests need into $(VENV): a minute, once"
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(BIN)/pip install $(NODEPS) --editable .
 	@mkdir -p $(STAMPS) && touch $@ $(STAMPS)/runtime
@@ -53,7 +55,7 @@ test-compose: $(STAMPS)/dev
 	$(BIN)/pytest tests/compose
 
 test-fast: $(STAMPS)/dev
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -m "not slow" -n auto --dist loadfile --no-loadscope-reorder
 
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev

@@ -25,7 +25,7 @@ RECORDING: Final = "dashboard.jsonl"
 PICTURE: Final = "dashboard.svg"
 SIZE: Final = (110, 36)
 
-STEPS_RECORDED: Final = 400
+STEPS_RECORDED: Final = 1000
 """Steps before the pictured moment that a recording holds."""
 
 OVERLAP: Final = 8
@@ -96,15 +96,15 @@ def _is_agreement(arrival: Arrival) -> bool:
 
 
 def record(until_k: int) -> list[Arrival]:
-    """Listen to a system at the default endpoints until its plant is past step ``until_k``."""
+    """Listen to the one run of ``wyner up`` on this machine until it is past step ``until_k``."""
     from protocol.runtime.zenoh_bus import ZenohBus
-    from protocol.topics import DEFAULT_LOOP
-    from wyner.cli.endpoints import DEFAULTS
+    from wyner.deployment.running import running_loops
 
-    ends = DEFAULTS["dashboard"]
+    (loop,) = running_loops()
     arrivals: list[Arrival] = []
-    with ZenohBus(connect=ends["ops"][1]) as ops, ZenohBus(connect=ends["intel"][1]) as intel:
-        source = BusSource(ops, intel, DEFAULT_LOOP)
+    ends = [loop.plant_ops, loop.controller_ops]
+    with ZenohBus(connect=ends) as ops, ZenohBus(connect=[loop.intel]) as intel:
+        source = BusSource(ops, intel, loop.loop)
         while not any(
             isinstance(a.message, PlantStatus) and a.message.k > until_k for a in arrivals
         ):

@@ -6,7 +6,7 @@ A figure's note states its runs, seeds and intervals, all read from the data.
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from wyner.studies.figures import loop, secrecy
+from wyner.studies.figures import idea, loop, secrecy
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
 from wyner.studies.grid import ROOT
 
@@ -32,6 +32,7 @@ FIGURES: Final[dict[str, Kind]] = {
     "price": Kind(loop.draw_price, ("price",), (8.0, 3.8)),
     "plants": Kind(loop.draw_plants, ("plants", "widths"), (8.0, 3.8)),
     "sets": Kind(loop.draw_sets, ("sets",), (9.0, 4.4)),
+    "idea": Kind(idea.draw_idea, ("sets",), (9.0, 3.6)),
     "secrecy-alpha": Kind(secrecy.draw_alpha, ("secrecy-alpha",), (7.0, 3.8)),
     "secrecy-alpha-bits": Kind(secrecy.draw_alpha_bits, ("secrecy-alpha",), (7.0, 3.8)),
     "secrecy-learning": Kind(secrecy.draw_learning, ("secrecy-learning",), (7.0, 3.8)),
