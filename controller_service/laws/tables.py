@@ -28,6 +28,7 @@ class AlphabetTable(Part):
     """
 
     spacing: Annotated[float, Field(gt=0, le=1000)] = 2.0
+    """Distance of neighbouring candidates, in half-lengths of D_c along the inputs."""
 
 
 class PackedControl(Control):
@@ -39,7 +40,9 @@ class PackedControl(Control):
 
     needs_gain: ClassVar[bool] = False
     alphabet: AlphabetTable = AlphabetTable()
+    """How far apart the candidates are kept."""
     costs: tuple[Cost, ...] = (Cost(next_state=1.0),)
+    """One cost, whatever M."""
 
     def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
         """Whether there is one cost."""

@@ -21,9 +21,13 @@ class LinearPlant(Plant):
     """x+ = A x + B u + d."""
 
     kind: Literal["linear"] = "linear"
+    """A linear plant, simulated exactly."""
     A: Matrix
+    """State matrix, n rows of n numbers."""
     B: Matrix
+    """Input matrix, n rows of m numbers."""
     initial_state: Vector
+    """x(0), n numbers."""
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant at the reading ``start``."""
@@ -45,9 +49,13 @@ class OdePlant(ModelledElsewhere):
     """dx/dt = f(t, x, u), the function ``object``, in physical units."""
 
     kind: Literal["ode"]
+    """An ordinary differential equation."""
     object: str
+    """The function f(t, x, u), as FILE.py:NAME or module:NAME."""
     substeps: Annotated[int, Field(ge=1, le=10000)] = 10
+    """Runge-Kutta steps to a period."""
     initial_state: Vector
+    """x(0) as a deviation from the operating point."""
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:
         """The plant at the reading ``start``."""
@@ -64,9 +72,13 @@ class PythonPlant(ModelledElsewhere):
     """The object or class ``object``, a :class:`Stepped` plant or a :class:`PlantAdapter`."""
 
     kind: Literal["python"]
+    """A Python object."""
     object: str
+    """The object or class, as FILE.py:NAME or module:NAME."""
     settle_s: Positive | None = None
+    """Seconds to run at the operating input before step 0."""
     initial_state: tuple[()] = ()
+    """None: it starts as it stands."""
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as it stands."""
@@ -80,13 +92,21 @@ class FmuPlant(ModelledElsewhere):
     """A co-simulation FMU, pinned by its hash; its outputs are the state."""
 
     kind: Literal["fmu"]
+    """A co-simulation FMU."""
     file: str
+    """The .fmu file, beside the scenario."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")]
+    """Its SHA-256; another file is refused."""
     inputs: tuple[str, ...]
+    """Names of its inputs, in the order of u."""
     outputs: tuple[str, ...]
+    """Names of its outputs, in the order of x."""
     start: dict[str, float] | None = None
+    """Start values by name."""
     settle_s: Positive | None = None
+    """Seconds to run at the operating input before step 0."""
     initial_state: tuple[()] = ()
+    """None: it starts as it stands."""
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as the file has it."""
@@ -101,9 +121,13 @@ class GymnasiumPlant(ModelledElsewhere):
     """The environment ``id``; ``state`` names the attribute that is read in full precision."""
 
     kind: Literal["gymnasium"]
+    """A Gymnasium environment."""
     id: str
+    """Its id."""
     state: str | None = None
+    """Attribute that holds the state in full precision; the observation where not given."""
     arguments: dict[str, Any] | None = None
+    """Arguments of gymnasium.make."""
 
     def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The environment, at ``start`` where the file has an initial state."""

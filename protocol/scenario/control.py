@@ -34,14 +34,18 @@ class Cost(Part):
     """J(u) = (A x + B u)' diag(next_state) (A x + B u) + u' diag(input) u."""
 
     next_state: Weights = 0.0
+    """Weight of the next state: one number, or one a state."""
     input: Weights = 0.0
+    """Weight of the input: one number, or one an input."""
 
 
 class Regulator(Part):
     """Weights of the linear quadratic regulator that gives K where no gain is stated."""
 
     next_state: tuple[Annotated[float, Field(ge=0)], ...]
+    """Weights of the state, n numbers."""
     input: tuple[Positive, ...]
+    """Weights of the input, m numbers above 0; large ones make a slow loop and larger sets."""
 
 
 class Control(Part):
@@ -53,14 +57,23 @@ class Control(Part):
 
     needs_gain: ClassVar[bool] = True
     law: str = "sustained"
+    """How the candidates are computed."""
     horizon: Annotated[int, Field(ge=1, le=10000)]
+    """Sets T_1 to T_N to compute: from farther out the loop can start, and N costs time."""
     inputs: ConvexSet
+    """U, which no input leaves."""
     states: ConvexSet | None = None
+    """X, which no state may leave; none where not given."""
     disturbance: ConvexSet | None = None
+    """What the sets resist; D_c where not given, and it contains D_c."""
     gain: Matrix | None = None
+    """K of u = K x near the origin, m rows of n numbers; or `regulator`."""
     regulator: Regulator | None = None
+    """Weights from which K is computed; or `gain`."""
     terminal_order: Annotated[int, Field(ge=1, le=200)] | None = None
+    """Terms of T_0's approximation; where not given, as many as it needs."""
     costs: tuple[Cost, ...] = (Cost(next_state=1.0), Cost(input=1.0))
+    """One program a candidate: costs that differ keep the candidates apart."""
 
     @model_validator(mode="after")
     def _one_gain(self) -> Self:

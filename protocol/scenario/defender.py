@@ -18,20 +18,30 @@ class Calibration(Part):
     """
 
     sessions: Annotated[int, Field(ge=1)]
+    """Fresh sessions that were recorded."""
     steps: Annotated[int, Field(ge=1)]
+    """Steps of each."""
     exceeded: Annotated[int, Field(ge=0)]
+    """How many of them left D_c."""
     violation: Annotated[float, Field(gt=0, le=1)]
+    """Bound on the probability that a session leaves D_c."""
     confidence: Annotated[float, Field(gt=0, lt=1)]
+    """How sure that bound is."""
     law_fingerprint: str
+    """SHA-256 of what the calibration was made under; another law makes it stale."""
 
 
 class Defender(Part):
     """The identified model (5): A and B (the plant's own where not given) and D_c."""
 
     A: Matrix | None = None
+    """State matrix of the identified model; the plant's own where not given."""
     B: Matrix | None = None
+    """Input matrix of the identified model; the plant's own where not given."""
     disturbance: ConvexSet
+    """D_c, which both ends know and she does not: it decides what a key is."""
     calibration: Calibration | None = None
+    """What `wyner fit` promises of D_c."""
 
     def problems(self, n: int, m: int) -> Iterator[str]:
         """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""

@@ -15,9 +15,13 @@ class Bursts(Part):
     """All four parameters of a tap's channel of two states, good and bad."""
 
     loss_good: Probability
+    """Probability that she misses a copy in the good state."""
     loss_bad: Probability
+    """The same in the bad state."""
     to_bad: Annotated[float, Field(gt=0, le=1)]
+    """Probability, a copy, to go from good to bad."""
     to_good: Annotated[float, Field(gt=0, le=1)]
+    """Probability, a copy, to come back."""
 
 
 class Keys(Part):
@@ -30,10 +34,15 @@ class Keys(Part):
     """
 
     eps_E: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
+    """Least probability that a tap misses the next copy, whatever happened; 0 makes no key."""
     eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
+    """How far a key may be from a perfect one."""
     directions: Directions = "both"
+    """Whose copies the claim is about."""
     assume: Literal["nothing", "independent"] = "nothing"
+    """Whether her misses have nothing to do with the link's own."""
     bursts: Bursts | None = None
+    """All of the tap's channel, in place of eps_E."""
 
     @model_validator(mode="after")
     def _one_claim(self) -> Self:

@@ -15,4 +15,6 @@ class Link(Part):
     """
 
     fallback: Literal["hold", "zero", "regulator"] = "hold"
+    """What the plant applies in a step without an offer."""
     repeats_per_period: Annotated[int, Field(ge=1, le=100)] = 4
+    """How often a measurement is repeated while no offer has come."""

@@ -32,12 +32,19 @@ class Disturbance(Part):
     kind: Literal[
         "uniform", "corners", "truncated-gaussian", "gaussian", "constant", "sinusoid"
     ] = "uniform"
+    """How d(k) is drawn."""
     half_widths: tuple[NotNegative, ...] = ()
+    """Half-widths of the box D, a state (or, where it enters there, an input) each."""
     enters: Literal["state", "input", "none"] | None = None
+    """Where d is added: to the state (where not given), to the input, or nowhere."""
     deviation: Positive = 0.5
+    """Standard deviation of the two Gaussian kinds, in half-widths."""
     bias: Annotated[float, Field(ge=-1, le=1)] = 1.0
+    """Of kind constant: which share of the half-width d always is."""
     cycle_steps: Annotated[int, Field(ge=2)] = 20
+    """Of kind sinusoid: steps to a cycle."""
     may_leave_defender_set: bool = False
+    """Allow D to leave D_c; keys may then differ between the two ends."""
 
 
 class OperatingPoint(Part):
@@ -47,9 +54,13 @@ class OperatingPoint(Part):
     """
 
     state: Vector | None = None
+    """Reading at which x = 0; where not given, that at which the plant settles."""
     input: Vector
+    """What is applied where u = 0, in the plant's units."""
     state_scale: tuple[Positive, ...] | None = None
+    """Reading units to one of x, a state each; 1 where not given."""
     input_scale: tuple[Positive, ...] | None = None
+    """The plant's units to one of u, an input each; 1 where not given."""
 
     def problems(self, n: int, m: int) -> Iterator[str]:
         """What does not fit ``n`` states and ``m`` inputs, a line each."""
@@ -77,13 +88,21 @@ class Plant(Part):
     """
 
     kind: str = "linear"
+    """What is simulated or driven."""
     A: Matrix | None = None
+    """State matrix, n rows of n numbers."""
     B: Matrix | None = None
+    """Input matrix, n rows of m numbers."""
     period_s: Positive
+    """Seconds from one step to the next."""
     initial_state: Vector = ()
+    """x(0); empty where the plant starts as it stands."""
     disturbance: Disturbance
+    """What disturbs the plant."""
     operating_point: OperatingPoint | None = None
+    """Where deviations are counted from, and in which unit."""
     limits: tuple[tuple[FiniteFloat, FiniteFloat], ...] | None = None
+    """Low and high of each reading; outside, the plant goes to its safe state."""
 
     @field_validator("A", "B")
     @classmethod

@@ -19,8 +19,11 @@ class ConvexSet(Part):
     """
 
     half_widths: tuple[Positive, ...] | None = None
+    """The box of vectors with |v_i| at most this; or H and h."""
     H: Matrix | None = None
+    """Rows of { v : H v <= h }."""
     h: tuple[Positive, ...] | None = None
+    """Right-hand sides, each above 0."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -36,15 +36,25 @@ class Scenario(Part):
     """One system: plant, defender's model, law, agreement rule, link, tap and keys."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+    """What the scenario is called: letters, digits, dots, dashes, underscores."""
     description: str = ""
+    """One line for people."""
     source: str = ""
+    """Where its numbers come from."""
     plant: SerializeAsAny[Annotated[Plant, by_kind(PLANTS, Plant, UncheckedPlant, "kind")]]
+    """What is simulated or driven."""
     defender: Defender
+    """What both ends know of the plant, and she does not."""
     control: SerializeAsAny[Annotated[Control, by_kind(LAWS, Control, UncheckedControl, "law")]]
+    """How the candidate inputs are computed."""
     secrecy: Secrecy
+    """The agreement rule."""
     link: Link = Link()
+    """What the ends do when the network does not serve them."""
     tap: TapView = TapView()
+    """The eavesdropper's place."""
     keys: Keys | None = None
+    """What is claimed that she misses; distilled keys rest on it."""
 
     @property
     def A(self) -> Matrix:

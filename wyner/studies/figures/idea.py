@@ -14,12 +14,19 @@ ALPHA: Final = 3.0
 Point = tuple[float, float]
 
 TEXTS: Final = (
-    ("1  Two inputs are offered.", "The plant tosses a coin and applies one.\nEach would lead "
-     "near its own prediction."),
-    ("2  The state arrives.", "In one small set only: both ends\nknow the coin. That is a key bit."),
-    ("3  She knows the large sets only.", "Both hold the state: she cannot tell,\nthe paper says. "
-     "But one is nearer."),
-)  # fmt: skip
+    (
+        "1  Two inputs are offered.",
+        "The plant tosses a coin and applies one.\nEach would lead near its own prediction.",
+    ),
+    (
+        "2  The state arrives.",
+        "In one small set only: both ends\nknow the coin. That is a key bit.",
+    ),
+    (
+        "3  She knows the large sets only.",
+        "Both hold the state: she cannot tell,\nthe paper says. But one is nearer.",
+    ),
+)
 
 
 def draw_idea(figure: Figure, data: Path) -> str:

@@ -1,0 +1,204 @@
+"""The reference of the scenario file, made from the models that read it.
+
+``python -m tools.scenario_reference --write`` writes ``docs/scenario-reference.md``. A field's line
+is the string that stands below it in its class; a test says where one is missing, or the page is
+stale.
+"""
+
+import argparse
+import ast
+import inspect
+import sys
+import textwrap
+import types
+import typing
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic.fields import FieldInfo
+
+import controller_service.laws.registry  # noqa: F401  (the laws)
+import plant_service.adapters.registry  # noqa: F401  (the kinds of plants)
+from protocol.scenario import LAWS, PLANTS, Control, Part, Plant, Scenario
+
+PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-reference.md"
+
+HEAD: Final = """# The scenario file
+
+A scenario is a TOML file: a plant, its sets, its control law, and what each side knows.
+`wyner scenarios` lists the shipped ones, `wyner new NAME` writes one with comments, `wyner design
+FILE` says what it gives. Unknown fields are refused, and each wrong field is told in one line.
+
+Vectors are lists of numbers, matrices lists of rows. n is the number of states, m of inputs, M of
+candidates. States, inputs and disturbances are in the units of the plant's model, times in seconds,
+probabilities from 0 to 1. A set is a box or a polytope, always with the origin inside:
+`{ half_widths = [0.12, 0.12] }`, or `{ H = [[0.0, 1.0]], h = [2.0] }`.
+
+This page is made from the models that read the file (`python -m tools.scenario_reference --write`).
+"""
+
+
+def missing() -> list[str]:
+    """The fields without a line of their own."""
+    return [
+        f"{cls.__name__}.{name}"
+        for _, cls in tables()
+        for name in own_fields(cls)
+        if not lines_of(cls).get(name)
+    ]
+
+
+def tables() -> Iterator[tuple[str, type[Part]]]:
+    """Every table of the file with its heading, in the order of a file."""
+    yield "", Scenario
+    for path, cls in _below("", Scenario):
+        yield f"[{path}]", cls
+        if cls is Plant:
+            for name in PLANTS:
+                yield f'[plant] of kind = "{name}", besides', PLANTS[name]
+        if cls is Control:
+            for name in LAWS:
+                if own_fields(LAWS[name]):
+                    yield f'[control] of law = "{name}", besides', LAWS[name]
+                    yield from _headed("control", LAWS[name], known=Control)
+        yield from _headed(path, cls)
+
+
+def own_fields(cls: type[Part]) -> list[str]:
+    """The fields that a class has beside those of ``[plant]`` or ``[control]``, or tells anew."""
+    common = {Plant, Control} & set(cls.__mro__[1:])
+    return [f for f in cls.model_fields if not common or f in inspect.get_annotations(cls)]
+
+
+def _headed(
+    path: str, cls: type[Part], known: type[Part] | None = None
+) -> Iterator[tuple[str, type[Part]]]:
+    for below, part in _below(path, cls):
+        if known is None or (below, part) not in list(_below(path, known)):
+            yield f"[{below}]", part
+            yield from _headed(below, part)
+
+
+def _below(path: str, cls: type[Part]) -> Iterator[tuple[str, type[Part]]]:
+    """The tables that a table's fields are, sets aside: those are values."""
+    for name, field in cls.model_fields.items():
+        for part in _parts(field.annotation):
+            if part.__name__ != "ConvexSet":
+                repeated = "tuple" in str(field.annotation)
+                where = f"{path}.{name}" if path else name
+                yield (f"[{where}]" if repeated else where), part
+
+
+def _parts(annotation: Any) -> Iterator[type[Part]]:
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _parts(inner)
+
+
+@cache
+def lines_of(cls: type[Part]) -> dict[str, str]:
+    """For each field the string below it, the class's own before those it inherits."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if not (isinstance(base, type) and issubclass(base, Part)):
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for statement, after in zip(body.body, body.body[1:], strict=False):
+            if isinstance(statement, ast.AnnAssign) and isinstance(after, ast.Expr):
+                value = after.value
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    assert isinstance(statement.target, ast.Name)
+                    found[statement.target.id] = " ".join(value.value.split())
+    return found
+
+
+def form_of(annotation: Any, field: FieldInfo | None = None) -> str:
+    """A field's type as a reader of TOML says it, with its bounds."""
+    bounds = "".join(
+        f" {sign} {getattr(m, name):g}"
+        for m in (field.metadata if field else ())
+        for name, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤"))
+        if getattr(m, name, None) is not None
+    )
+    origin, args = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        inner = FieldInfo.from_annotation(annotation)
+        return form_of(args[0], inner) + bounds
+    if origin is Literal:
+        return " or ".join(f"`{a!r}`".replace("'", '"') for a in args)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(form_of(a) for a in args if a is not type(None)) + bounds
+    if origin is tuple:
+        if not args:
+            return "empty list"
+        if args[-1] is not Ellipsis:
+            return f"list of {len(args)} {_plural(form_of(args[0]))}"
+        inner_form = form_of(args[0])
+        return "matrix" if inner_form == "list of numbers" else f"list of {_plural(inner_form)}"
+    if origin is dict:
+        return "table of values by name"
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        return "set" if annotation.__name__ == "ConvexSet" else "table"
+    names = {float: "number", int: "whole number", str: "text", bool: "true or false"}
+    return names.get(annotation, str(annotation)) + bounds
+
+
+def _plural(form: str) -> str:
+    word, _, rest = form.partition(" ")
+    if word == "text":
+        return "texts"
+    return f"{word}s {rest}".strip() if word != "whole" else "whole numbers"
+
+
+def default_of(field: FieldInfo) -> str:
+    """The default as TOML has it."""
+    if field.is_required():
+        return "required"
+    value = field.default
+    if value is None or value in ((), ""):
+        return "-"
+    if isinstance(value, Part) or (isinstance(value, tuple) and isinstance(value[0], Part)):
+        return "see below" if isinstance(value, Part) else "see its table"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`"
+
+
+def page() -> str:
+    """The whole page."""
+    parts, seen = [HEAD], set()
+    for heading, cls in tables():
+        if (heading, cls) in seen:
+            continue
+        seen.add((heading, cls))
+        about = (inspect.getdoc(cls) or "").split("\n\nParameters")[0]
+        parts.append(f"## {f'`{heading}`' if heading else 'The file'}\n")
+        parts.append(about.replace("``", "`").replace(":data:", "").replace(":class:", "") + "\n")
+        rows = ["| field | value | default | |", "|---|---|---|---|"]
+        for name in own_fields(cls):
+            field = cls.model_fields[name]
+            value = form_of(field.annotation, field)
+            told = lines_of(cls).get(name, "").replace("|", "\\|")
+            rows.append(f"| `{name}` | {value} | {default_of(field)} | {told} |")
+        parts.append("\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write the page, or print it."""
+    parser = argparse.ArgumentParser(prog="python -m tools.scenario_reference")
+    parser.add_argument("--write", action="store_true", help="write docs/scenario-reference.md")
+    args = parser.parse_args(argv)
+    if args.write:
+        PAGE.write_text(page(), encoding="utf-8")
+    else:
+        sys.stdout.write(page())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
