@@ -63,7 +63,7 @@ class Telemetry:
             transitions=record.transitions,
             agreements=record.agreements,
             garbage=garbage,
-            automaton=1 if record.s == 1 else 2,
+            automaton=record.s,
             sent_symbols=record.p,
             sending="" if payload is None else readable(payload),
             frame_symbols=length if idle else record.offset,

@@ -80,7 +80,7 @@ class News:
             agreements=record.agreements,
             symbol_errors=record.symbol_errors,
             rate_hz=self._rate_hz,
-            automaton=1 if record.s == 1 else 2,
+            automaton=record.s,
             recovered_symbols=record.p,
             messages=record.messages,
             last_message=self.last_message,
@@ -99,10 +99,11 @@ class News:
             tail_x=tuple(t.x for t in tail),
             tail_role=tuple(t.role for t in tail),
             tail_symbol=tuple(t.symbol for t in tail),
+            tail_automaton=tuple(t.s for t in tail),
             tail_coin=tuple(step.coin for step in self.tail if step.coin is not None),
         )
 
 
 def _can_be_drawn(t: Transition) -> bool:
     """A message holds finite numbers only; gauges of huge states are not."""
-    return t.role == "test" and all(map(isfinite, t.verdict.gauges))
+    return t.tested and all(map(isfinite, t.verdict.gauges))

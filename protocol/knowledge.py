@@ -61,6 +61,8 @@ class Knowledge(BaseModel):
         Sampling time in seconds.
     candidates : int
         M, the number of candidates an offer carries; visible on the wire.
+    scheme : str
+        Which scheme both ends follow: an algorithm, and so public.
     A, B : tuple of tuple of float, shapes (n, n) and (n, m), optional
         Her nominal model; None when she has none.
     disturbance_H, disturbance_h : tuple, shapes (rows, n) and (rows,), optional
@@ -78,6 +80,7 @@ class Knowledge(BaseModel):
     scenario: str
     period_s: float
     candidates: int
+    scheme: str = "switched"
     A: Matrix | None = None
     B: Matrix | None = None
     disturbance_H: Matrix | None = None

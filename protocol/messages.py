@@ -143,8 +143,9 @@ class PlantStatus(Message):
     """What the plant knows, for the dashboard: published at a bounded rate, the newest wins.
 
     The ``tail_*`` lists are parallel and hold the last transitions, oldest first; ``tail_role`` is
-    ``test`` (s = 1) or ``message`` (s = 2), ``tail_symbol`` the key symbol of an agreement and -1
-    where none was agreed, ``tail_coin`` the candidate b_r that was applied.
+    ``message`` where the transition carried a message symbol, else ``test``; ``tail_symbol`` is the
+    key symbol of an agreement and -1 where none was agreed, ``tail_coin`` the candidate b_r that
+    was applied, ``tail_automaton`` the state s of the scheme afterwards.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
     """
@@ -175,7 +176,7 @@ class PlantStatus(Message):
     agreements: Count
     symbol_errors: Count
     rate_hz: float
-    automaton: Literal[1, 2]
+    automaton: Count
     recovered_symbols: Count
     messages: Count
     last_message: str
@@ -195,6 +196,7 @@ class PlantStatus(Message):
     tail_role: tuple[Literal["test", "message"], ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_coin: tuple[int, ...] = ()
+    tail_automaton: tuple[int, ...] = ()
 
 
 class ControllerStatus(Message):
@@ -218,7 +220,7 @@ class ControllerStatus(Message):
     transitions: Count
     agreements: Count
     garbage: Count
-    automaton: Literal[1, 2]
+    automaton: Count
     sent_symbols: Count
     sending: str
     frame_symbols: Count

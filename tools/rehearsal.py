@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.agreement import AgreementRule, Gauge, predict
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
-from protocol.schemes.switched import INITIAL, MESSAGE, advance_receiver, encrypt
+from protocol.schemes.switched import Switched
 from wyner.dashboard.model import Arrival
 
 MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
@@ -61,29 +61,30 @@ class Rehearsal:
         rule = AgreementRule(self.A, self.B, Gauge.from_rows(H, h), self.alpha)
         x: tuple[float, ...] = tuple(4.0 / (i + 1) * (-1) ** i for i in range(n))
         frame = encode_frame(self.message.encode(), 2)
-        state, p, recovered = INITIAL, 0, ""
+        scheme = Switched(2)
+        state, p, recovered = scheme.initial, 0, ""
         deframer = Deframer(2)
         agreements = messages = 0
         pictured: dict[str, object] = {}
-        tail: list[tuple[int, tuple[float, ...], str, int, int]] = []
+        tail: list[tuple[int, tuple[float, ...], str, int, int, int]] = []
         solved_k = -1
         for k in range(steps):
             quiet = [sum(g * v for g, v in zip(row, x, strict=True)) for row in self.gain]
             first = tuple(max(-6.0, min(6.0, v)) for v in quiet)
             second = tuple(v + draw.uniform(0.1, 1.4) for v in first)
             coin = draw.randrange(2)
-            cipher = draw.randrange(2)
-            if state.s == MESSAGE:
-                cipher = encrypt(frame[p] if p < len(frame) else IDLE, state.key, 2)
+            draw.randrange(2)  # the cover
+            m_p = frame[p] if p < len(frame) else IDLE
             d = [draw.uniform(-w, w) * 0.83 for w in self.half_widths]
             centre = predict(self.A, self.B, x, (first, second)[coin])
             x_next = tuple(c + v for c, v in zip(centre, d, strict=True))
             verdict = rule.verdict(x, (first, second), x_next)
-            role = "message" if state.s == MESSAGE else "test"
-            symbol = verdict.symbol if role == "test" else -1
+            tested = scheme.tests(state)
+            state, (symbol, pad) = scheme.advance(state, verdict.symbol)
+            role = "test" if pad == NO_SYMBOL else "message"
             agreements += symbol >= 0
-            tail = [*tail, (k, x, role, symbol, coin)][-TAIL:]
-            if role == "test":
+            tail = [*tail, (k, x, role, symbol, coin, state.s)][-TAIL:]
+            if tested:
                 pictured = {
                     "pictured_k": k,
                     "pictured_x": x,
@@ -92,8 +93,7 @@ class Rehearsal:
                     "pictured_gauges": verdict.gauges,
                     "pictured_symbol": verdict.symbol,
                 }
-            state, m_p = advance_receiver(state, verdict.symbol, cipher, 2)
-            if m_p >= 0:
+            if pad != NO_SYMBOL:
                 p += 1
                 whole = deframer.push(m_p)
                 if whole is not None:
@@ -109,6 +109,7 @@ class Rehearsal:
                 "tail_role": tuple(row[2] for row in tail),
                 "tail_symbol": tuple(row[3] for row in tail),
                 "tail_coin": tuple(row[4] for row in tail),
+                "tail_automaton": tuple(row[5] for row in tail),
             }
             plant = {
                 "seq": k,
@@ -180,7 +181,7 @@ class Rehearsal:
         name: str,
         k: int,
         t_ns: int,
-        tail: list[tuple[int, tuple[float, ...], str, int, int]],
+        tail: list[tuple[int, tuple[float, ...], str, int, int, int]],
         text: str,
         solved_k: int,
         m: int,

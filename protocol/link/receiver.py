@@ -6,12 +6,12 @@ from typing import Final, Literal, NamedTuple
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import Rules, Transition, Vector
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
-from protocol.schemes.switched import INITIAL, MESSAGE, State, advance_receiver
 
 CHUNK: Final = 64
 """Symbols of the frame under way that the record holds before they go to the journal's own table.
-Within a chunk a save is one statement in both automaton states, so that neither takes longer."""
+Within a chunk a save is one statement in every state of the scheme, so that none takes longer."""
 
 
 def hex_digits(size: int) -> int:
@@ -22,7 +22,7 @@ def hex_digits(size: int) -> int:
 class ReceiverRecord(NamedTuple):
     """All that the plant must not forget, as its journal keeps it.
 
-    ``applied_k`` and ``x_after`` report the last applied offer and the state right after it;
+    ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it;
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
     the frame under way, :func:`hex_digits` of each. Counters run over all sessions but
     ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
@@ -36,8 +36,7 @@ class ReceiverRecord(NamedTuple):
     applied_k: int = -1
     x_after: Vector = ()
     partial: str = ""
-    s: int = INITIAL.s
-    key: int = INITIAL.key
+    state: tuple[int, ...] = ()
     transitions: int = 0
     p: int = 0
     sessions: int = 1
@@ -49,9 +48,9 @@ class ReceiverRecord(NamedTuple):
     controller: str = ""
 
     @property
-    def state(self) -> State:
-        """The receiver automaton's state."""
-        return State(self.s, self.key)
+    def s(self) -> int:
+        """What the automaton is doing, by number."""
+        return self.state[0]
 
 
 class ReceiverEffects(NamedTuple):
@@ -93,7 +92,7 @@ class Receiver:
     ) -> None:
         self.rules = rules
         self.instance = instance
-        self.record = record
+        self.record = record._replace(state=rules.scheme.restore(record.state))
         self.deframer = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
         kept = chunks + record.partial
@@ -239,13 +238,16 @@ class Receiver:
         """
         record = self.record
         self._anyone = False
-        before = record.state
+        scheme = self.rules.scheme
         verdict = self.rules.agreement.verdict(record.x, offer.candidates, x_next)
-        after, recovered = advance_receiver(before, verdict.symbol, offer.cipher, self.rules.size)
-        tested = before.s != MESSAGE
+        after, (agreed, pad) = scheme.advance(record.state, verdict.symbol)
+        recovered = decrypt(offer.cipher, pad, scheme.alphabet)
+        carried = pad != NO_SYMBOL
+        if not carried:
+            recovered = NO_SYMBOL
         frame = None
         partial, chunk = record.partial, ""
-        if recovered != NO_SYMBOL:
+        if carried:
             frame = self.deframer.push(recovered)
             if not self.deframer.symbols:
                 partial = ""
@@ -253,8 +255,7 @@ class Receiver:
                 partial += f"{recovered:0{self._digits}x}"
                 if len(partial) >= CHUNK * self._digits:
                     partial, chunk = "", partial
-        agreed = after.key != NO_SYMBOL
-        p = record.p + (0 if tested else 1)
+        p = record.p + (1 if carried else 0)
         transition = Transition(
             session=record.session,
             j=record.transitions,
@@ -263,13 +264,14 @@ class Receiver:
             candidates=offer.candidates,
             cipher=offer.cipher,
             x_next=x_next,
-            role="test" if tested else "message",
+            role="message" if carried else "test",
             verdict=verdict,
-            symbol=after.key,
-            key=before.key,
+            symbol=agreed,
+            key=pad,
             message_symbol=recovered,
             p=p,
-            s=after.s,
+            s=after[0],
+            tested=scheme.tests(record.state),
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -278,12 +280,11 @@ class Receiver:
             applied_k=record.k,
             x_after=x_next,
             partial=partial,
-            s=after.s,
-            key=after.key,
+            state=after,
             transitions=record.transitions + 1,
             p=p,
-            agreements=record.agreements + (1 if agreed else 0),
-            symbol_errors=record.symbol_errors + (1 if agreed and after.key != coin else 0),
+            agreements=record.agreements + (1 if agreed != NO_SYMBOL else 0),
+            symbol_errors=record.symbol_errors + (1 if agreed not in (NO_SYMBOL, coin) else 0),
             messages=record.messages + (1 if frame is not None and frame.intact else 0),
             frames_refused=record.frames_refused
             + (1 if frame is not None and not frame.intact else 0),
@@ -302,8 +303,7 @@ class Receiver:
             applied_k=-1,
             x_after=(),
             partial="",
-            s=INITIAL.s,
-            key=INITIAL.key,
+            state=self.rules.scheme.initial,
             transitions=0,
             p=0,
             sessions=self.record.sessions + 1,

@@ -6,8 +6,8 @@ from typing import Final, Literal, NamedTuple, Protocol
 from protocol.agreement import NO_SYMBOL, Verdict
 from protocol.link.session import Rules, Transition, Vector
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, encode_frame
-from protocol.schemes.switched import INITIAL, MESSAGE, State, advance_sender, encrypt
 from protocol.streams import SymbolSource
 
 REMEMBERED_SESSIONS: Final = 16
@@ -33,16 +33,16 @@ class Outbox(Protocol):
 class SenderRecord(NamedTuple):
     """All that the controller must not forget, as its journal keeps it.
 
-    ``cipher`` is the decided symbol of the next transition and ``message_symbol`` the m[p] inside
-    it (-1 in state 1); ``message`` and ``offset`` say where in which queued frame the next message
-    symbol comes from, and ``framed`` whether the pending one came from there or is idle.
+    ``state`` is the scheme's. ``cipher`` is the decided symbol of the next transition and
+    ``message_symbol`` the m[p] inside it (-1 in a cover); ``message`` and ``offset`` say where in
+    which queued frame the next message symbol comes from, and ``framed`` whether the pending one
+    came from there or is idle.
     ``offer`` is the one answer that may still be applied.
     """
 
     session: str | None = None
     ended: tuple[str, ...] = ()
-    s: int = INITIAL.s
-    key: int = INITIAL.key
+    state: tuple[int, ...] = ()
     k: int = -1
     applied_k: int = -1
     transitions: int = 0
@@ -57,9 +57,9 @@ class SenderRecord(NamedTuple):
     offer: Offer | None = None
 
     @property
-    def state(self) -> State:
-        """The sender automaton's state."""
-        return State(self.s, self.key)
+    def s(self) -> int:
+        """What the automaton is doing, by number."""
+        return self.state[0]
 
 
 class Decision(NamedTuple):
@@ -75,7 +75,8 @@ class Counted(NamedTuple):
     """What a measurement made of the transition it reports: verdict, state, the next symbol."""
 
     verdict: Verdict
-    after: State
+    after: tuple[int, ...]
+    carry: Carry
     message: int
     delivered: int | None
     following: Decision
@@ -141,7 +142,8 @@ class Sender:
         step: tuple[Measurement, Offer] | None = None,
     ) -> None:
         self.rules = rules
-        self.record = record or SenderRecord()
+        record = record or SenderRecord()
+        self.record = record._replace(state=rules.scheme.restore(record.state))
         self.instance = instance
         self._propose = propose
         self._outbox = outbox
@@ -160,6 +162,11 @@ class Sender:
     def plant(self) -> str | None:
         """The plant process whose session is taken up, if any."""
         return self._plant
+
+    @property
+    def carries(self) -> bool:
+        """Whether the transition to come carries a message symbol."""
+        return self.rules.scheme.pad(self.record.state) != NO_SYMBOL
 
     @property
     def refused(self) -> bool:
@@ -274,11 +281,12 @@ class Sender:
         if counted is None:
             self.record = before._replace(k=measurement.k, x=measurement.x, offer=offer)
             return NOTHING
-        after, following = counted.after, counted.following
+        following = counted.following
+        agreed, pad = counted.carry
         applied = before.offer
         assert applied is not None
-        tested = before.s != MESSAGE
-        p = before.p + (0 if tested else 1)
+        carried = pad != NO_SYMBOL
+        p = before.p + (1 if carried else 0)
         transition = Transition(
             session=applied.session,
             j=before.transitions,
@@ -287,21 +295,21 @@ class Sender:
             candidates=applied.candidates,
             cipher=applied.cipher,
             x_next=measurement.x_after,
-            role="test" if tested else "message",
+            role="message" if carried else "test",
             verdict=counted.verdict,
-            symbol=after.key,
-            key=before.key,
+            symbol=agreed,
+            key=pad,
             message_symbol=before.message_symbol,
             p=p,
-            s=after.s,
+            s=counted.after[0],
+            tested=self.rules.scheme.tests(before.state),
         )
         self.record = before._replace(
-            s=after.s,
-            key=after.key,
+            state=counted.after,
             k=measurement.k,
             applied_k=applied.k,
             transitions=before.transitions + 1,
-            agreements=before.agreements + (1 if after.key != NO_SYMBOL else 0),
+            agreements=before.agreements + (1 if agreed != NO_SYMBOL else 0),
             p=p,
             cipher=following.cipher,
             message_symbol=following.message_symbol,
@@ -328,18 +336,23 @@ class Sender:
         if offer is None or measurement.applied_k == record.applied_k:
             return None
         verdict = self.rules.agreement.verdict(record.x, offer.candidates, measurement.x_after)
-        after = advance_sender(record.state, verdict.symbol, self.rules.size)
+        after, carry = self.rules.scheme.advance(record.state, verdict.symbol)
         delivered = None
         message, offset = record.message, record.offset
-        whole = offset == len(self._symbols(message))  # looked at in both states, as in `_decide`
+        whole = offset == len(self._symbols(message))  # looked at in every state, as in `_decide`
         if whole and record.framed:
             delivered = message
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
-        return Counted(verdict, after, message, delivered, following)
+        return Counted(verdict, after, carry, message, delivered, following)
 
     def _decide(
-        self, state: State, transitions: int, message: int, offset: int, decided: int | None = None
+        self,
+        state: tuple[int, ...],
+        transitions: int,
+        message: int,
+        offset: int,
+        decided: int | None = None,
     ) -> Decision:
         """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
 
@@ -349,8 +362,9 @@ class Sender:
         symbols = self._symbols(message)
         framed = bool(symbols)
         message_symbol = symbols[offset] if framed else IDLE
-        cipher = encrypt(message_symbol, state.key, self.rules.size)
-        if state.s != MESSAGE:
+        pad = self.rules.scheme.pad(state)
+        cipher = encrypt(message_symbol, pad, self.rules.size)
+        if pad == NO_SYMBOL:
             return Decision(fresh, NO_SYMBOL, False, offset)
         return Decision(cipher, message_symbol, framed, offset + framed)
 
@@ -369,6 +383,7 @@ class Sender:
         """Begin a session; the frame under way starts again."""
         fresh = SenderRecord(
             session=hello.session,
+            state=self.rules.scheme.initial,
             ended=self._ended_now(),
             message=self.record.message,
             k=-1,
@@ -389,7 +404,11 @@ class Sender:
         self._stale = 0
         if self.record.session is None:
             return False
-        self.record = SenderRecord(ended=self._ended_now(), message=self.record.message)
+        self.record = SenderRecord(
+            ended=self._ended_now(),
+            state=self.rules.scheme.initial,
+            message=self.record.message,
+        )
         return True
 
     def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:

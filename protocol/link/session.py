@@ -26,6 +26,8 @@ from typing import Any, Final, Literal, NamedTuple
 
 from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
 from protocol.scenario import Scenario
+from protocol.schemes.base import Scheme
+from protocol.schemes.registry import make_scheme
 
 Vector = tuple[float, ...]
 
@@ -35,13 +37,12 @@ SILENCE_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What both ends share: the agreement rule, the plant's shape and the fingerprint of it all.
+    """What both ends share: agreement rule, scheme, the plant's shape, and the fingerprint.
 
     Parameters
     ----------
     agreement : AgreementRule
-    size : int
-        M, the number of candidates and of symbols.
+    scheme : Scheme
     states, inputs : int
         n and m.
     fingerprint : str
@@ -51,11 +52,16 @@ class Rules:
     """
 
     agreement: AgreementRule
-    size: int
+    scheme: Scheme[Any]
     states: int
     inputs: int
     fingerprint: str
     inputs_gauge: Gauge
+
+    @property
+    def size(self) -> int:
+        """M, the number of candidates and of symbols."""
+        return self.scheme.alphabet
 
     def admissible(self, u: Vector) -> bool:
         """Whether ``u`` is in U, to rounding."""
@@ -72,7 +78,7 @@ def rules_of(scenario: Scenario) -> Rules:
             gauge=Gauge.from_rows(H, h),
             alpha=scenario.secrecy.alpha,
         ),
-        size=scenario.secrecy.candidates,
+        scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
         states=scenario.n,
         inputs=scenario.m,
         fingerprint=scenario.fingerprint(),
@@ -83,9 +89,10 @@ def rules_of(scenario: Scenario) -> Rules:
 class Transition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
-    ``role`` is ``test`` in state 1 and ``message`` in state 2; ``symbol`` the key symbol agreed,
-    ``key`` the key in use, ``message_symbol`` the m[p] carried (each -1 where there is none);
-    ``p`` counts message symbols up to here, ``s`` is the automaton's state afterwards.
+    ``role`` is ``message`` where it carried a message symbol, else ``test``; ``symbol`` is the key
+    symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
+    -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
+    afterwards. ``tested`` says whether the verdict counted.
     """
 
     session: str
@@ -102,6 +109,7 @@ class Transition(NamedTuple):
     message_symbol: int
     p: int
     s: int
+    tested: bool
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""

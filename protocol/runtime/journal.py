@@ -26,7 +26,7 @@ from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import make_folder, open_private
 
-JOURNAL_VERSION: Final = 4
+JOURNAL_VERSION: Final = 5
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)

@@ -1,16 +1,33 @@
-"""``[secrecy]``: the agreement rule."""
+"""``[secrecy]``: the agreement rule, and the scheme over it."""
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
+from protocol.registry import UnknownError
 from protocol.scenario.parts import Part
+from protocol.schemes.registry import SCHEMES
 
 
 class Secrecy(Part):
-    """The agreement rule's public-by-assumption half: D_e = alpha D_c, and M candidates."""
+    """The agreement rule's public-by-assumption half: D_e = alpha D_c, and M candidates.
+
+    ``scheme`` is one that :data:`protocol.schemes.registry.SCHEMES` knows, or a class of the
+    user's, ``path/to/file.py:Name``.
+    """
 
     alpha: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     """D_e = alpha D_c, her set; 1: she knows what the ends know."""
     candidates: Annotated[int, Field(ge=2, le=256)] = 2
     """M, inputs in an offer; a key symbol is one of M."""
+    scheme: str = "switched"
+    """Which transitions agree and which carry: a shipped scheme, or ``path/to/file.py:Name``."""
+
+    @field_validator("scheme")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        try:
+            SCHEMES[name]
+        except UnknownError as error:
+            raise ValueError(str(error).removeprefix(f"got {name!r}, ")) from None
+        return name

@@ -24,9 +24,10 @@ from protocol.scenario.plant import Plant
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
+from protocol.schemes.registry import SCHEMES
 
 RULES_VERSION = 2
-"""Version of agreement, automata and framing together; part of the fingerprint."""
+"""Version of agreement and framing together; part of the fingerprint, beside the scheme's own."""
 
 DESIGN_VERSION = 2
 """Version of the synthesis; part of the key of a cached design."""
@@ -159,11 +160,13 @@ class Scenario(Part):
 
         Compared over ops only: on the field bus it would let an eavesdropper test her guesses.
         """
+        scheme = SCHEMES[self.secrecy.scheme]
         keys = {} if self.keys is None else {"keys": self.keys.shared()}
         return _digest(
             {
                 **keys,
                 "rules": RULES_VERSION,
+                "scheme": (scheme.name, scheme.version),
                 "A": self.A,
                 "B": self.B,
                 "D_c": self.defender.disturbance.model_dump(exclude_none=True),
@@ -206,6 +209,7 @@ class Scenario(Part):
             scenario=self.name,
             period_s=self.plant.period_s,
             candidates=self.secrecy.candidates,
+            scheme=self.secrecy.scheme,
             A=self.A,
             B=self.B,
             disturbance_H=H,

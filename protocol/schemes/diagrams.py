@@ -1,4 +1,4 @@
-"""Diagrams and tables of the documents, made from the tables that the programs run on.
+"""Diagrams and tables of the documents, made from the schemes and messages that the programs use.
 
 ``python -m protocol.schemes.diagrams --write`` puts them between their markers in
 docs/architecture.md; a test says when they are stale.
@@ -8,12 +8,14 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
+from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, INTEL, OPS, Message
 from protocol.runtime.process import DONE, USAGE
 from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
-from protocol.schemes.switched import RECEIVER, SENDER, TEST, Row
+from protocol.schemes.base import Scheme
+from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
 
 DOCUMENT: Final = Path(__file__).resolve().parents[2] / "docs" / "architecture.md"
@@ -23,19 +25,54 @@ _MARKED: Final = re.compile(
 )
 
 
-def state_diagram(table: Sequence[Row]) -> str:
-    """An automaton as a Mermaid state diagram; arrows between the same states share a line."""
-    arrows: dict[tuple[int, int, str], list[str]] = {}
-    for row in table:
-        arrows.setdefault((row.state, row.next_state, row.action), []).append(row.event)
-    lines = ["```mermaid", "stateDiagram-v2", "    direction LR", f"    [*] --> s{TEST}"]
-    states = sorted({row.state for row in table})
-    lines += [f"    s{s} : s = {s}" for s in states]
-    for (state, following, action), events in arrows.items():
+AGREED: Final = "agreed"
+NOT_AGREED: Final = "not agreed"
+
+
+class Arrow(NamedTuple):
+    """What a scheme does in state ``s`` on a verdict: the next state, and what both ends do."""
+
+    s: int
+    event: str
+    following: int
+    action: str
+
+
+def arrows_of(scheme: Scheme[Any]) -> list[Arrow]:
+    """Every arrow of a scheme, in order of appearance from its initial state."""
+    found: dict[Arrow, None] = {}
+    reached, waiting = {scheme.initial}, [scheme.initial]
+    while waiting:
+        state = waiting.pop(0)
+        for verdict in (*range(scheme.alphabet), NO_SYMBOL):
+            after, carry = scheme.advance(state, verdict)
+            action = ["m[p] = c - key"] if carry.pad != NO_SYMBOL else []
+            action += ["keep the key"] if carry.agreed != NO_SYMBOL else []
+            action += ["next c = m[p] + key" if scheme.pad(after) != NO_SYMBOL else "next c random"]
+            event = NOT_AGREED if verdict == NO_SYMBOL else AGREED
+            found[Arrow(state[0], event, after[0], ", ".join(action))] = None
+            if after not in reached:
+                reached.add(after)
+                waiting.append(after)
+    return list(found)
+
+
+def state_diagram(scheme: Scheme[Any]) -> str:
+    """A scheme as a Mermaid state diagram; arrows between the same states share a line."""
+    drawn: dict[tuple[int, int, str], list[str]] = {}
+    for arrow in arrows_of(scheme):
+        drawn.setdefault((arrow.s, arrow.following, arrow.action), []).append(arrow.event)
+    lines = ["```mermaid", "stateDiagram-v2", "    direction LR"]
+    lines.append(f"    [*] --> s{scheme.initial[0]}")
+    lines += [f"    s{s} : s = {s}" for s in sorted({s for s, _, _ in drawn})]
+    for (s, following, action), events in drawn.items():
         event = "always" if len(events) == 2 else events[0]
-        text = f"{event}<br/>{action.replace(';', ',')}"
-        lines.append(f"    s{state} --> s{following} : {text}")
+        lines.append(f"    s{s} --> s{following} : {event}<br/>{action}")
     return "\n".join([*lines, "```", ""])
+
+
+def _drawing(name: str) -> Callable[[], str]:
+    return lambda: state_diagram(make_scheme(name, 2))
 
 
 def wire_table(kinds: Sequence[type[Message]]) -> str:
@@ -48,8 +85,7 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
 
 
 PARTS: Final[dict[str, Callable[[], str]]] = {
-    "sender": lambda: state_diagram(SENDER),
-    "receiver": lambda: state_diagram(RECEIVER),
+    **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
     "ops": lambda: wire_table(OPS),
     "intel": lambda: wire_table(INTEL),

@@ -1,52 +1,30 @@
-"""The two automata of the paper's Figs. 5 and 6, as complete tables and pure step functions.
+"""`switched`: the scheme of the paper's Figs. 5 and 6.
 
-Time is counted in transitions: offers that the plant really applied. Both automata advance once a
-transition, in order, and never otherwise. State 1 tests for an agreement; state 2 carries a message
-symbol under the key just agreed, and is itself not tested.
+State 1 tests for an agreement; state 2 carries a message symbol under the key just agreed, and is
+itself not tested. So a symbol takes two transitions at least.
+
+| state | test | next state | the sender's next ciphertext symbol | the receiver |
+|---|---|---|---|---|
+| 1 | agreed | 2, keeps the key | m[p] + key, p += 1 | keeps the key |
+| 1 | not agreed | 1 | random | ignores the ciphertext symbol |
+| 2 | not looked at | 1, drops the key | random | m[p] = ciphertext symbol - key, p += 1 |
 """
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import Carries, Carry, Scheme, check_verdict
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 TEST: Final = 1
 MESSAGE: Final = 2
 
 
-class Row(NamedTuple):
-    """One arrow: in ``state``, on ``event``, go to ``next_state`` and do ``action``."""
-
-    state: int
-    event: str
-    next_state: int
-    action: str
-
-
-AGREED: Final = "agreed"
-NOT_AGREED: Final = "not agreed"
-
-SENDER: Final[tuple[Row, ...]] = (
-    Row(TEST, AGREED, MESSAGE, "keep key; next cipher = m[p] + key, p += 1"),
-    Row(TEST, NOT_AGREED, TEST, "next cipher = fresh random symbol"),
-    Row(MESSAGE, AGREED, TEST, "drop key; next cipher = fresh random symbol"),
-    Row(MESSAGE, NOT_AGREED, TEST, "drop key; next cipher = fresh random symbol"),
-)
-"""Sender (Fig. 6a): what transition j - 1 makes of the state in which transition j is offered."""
-
-RECEIVER: Final[tuple[Row, ...]] = (
-    Row(TEST, AGREED, MESSAGE, "keep key"),
-    Row(TEST, NOT_AGREED, TEST, "ignore the cipher symbol"),
-    Row(MESSAGE, AGREED, TEST, "m[p] = cipher - key, p += 1; drop key"),
-    Row(MESSAGE, NOT_AGREED, TEST, "m[p] = cipher - key, p += 1; drop key"),
-)
-"""Receiver (Fig. 6b): what transition j makes of the state it was applied in."""
-
-_NEXT_SENDER = {(row.state, row.event): row.next_state for row in SENDER}
-_NEXT_RECEIVER = {(row.state, row.event): row.next_state for row in RECEIVER}
-
-
 class State(NamedTuple):
-    """An automaton's state s and the key symbol it holds (:data:`NO_SYMBOL` in state 1)."""
+    """The automaton's state s and the key symbol it holds (NO_SYMBOL in state 1)."""
 
     s: int
     key: int
@@ -55,55 +33,49 @@ class State(NamedTuple):
 INITIAL: Final = State(TEST, NO_SYMBOL)
 
 
-def _check(state: State, symbol: int, size: int) -> str:
-    if state.s == TEST:
-        if state.key != NO_SYMBOL:
-            raise ValueError(f"state: got key {state.key} in state 1, expected none")
-    elif state.s != MESSAGE:
-        raise ValueError(f"state: got {state.s}, expected {TEST} or {MESSAGE}")
-    elif not 0 <= state.key < size:
-        raise ValueError(f"state: got key {state.key}, expected 0 to {size - 1} in state 2")
-    if not NO_SYMBOL <= symbol < size:
-        raise ValueError(f"symbol: got {symbol}, expected -1 to {size - 1}")
-    return NOT_AGREED if symbol == NO_SYMBOL else AGREED
+class Switched(Scheme[State]):
+    """Test, then carry: both automata of Fig. 6 as one map."""
 
+    name: ClassVar[str] = "switched"
+    version: ClassVar[int] = 1
+    initial = INITIAL
 
-def advance_sender(state: State, symbol: int, size: int) -> State:
-    """The sender's state after a transition on which the test returned ``symbol``.
+    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+        """One arrow of Fig. 6; in state 2 the verdict is not looked at."""
+        check_verdict(verdict, self.alphabet)
+        self._check(state)
+        agreed = verdict if state.s == TEST else NO_SYMBOL
+        after = State(TEST if agreed == NO_SYMBOL else MESSAGE, agreed)
+        return after, Carry(agreed, state.key)
 
-    In state 2 the transition is not tested and ``symbol`` is ignored.
+    def _check(self, state: State) -> None:
+        if state.s == TEST:
+            if state.key != NO_SYMBOL:
+                raise ValueError(f"state: got key {state.key} in state 1, expected none")
+        elif state.s != MESSAGE:
+            raise ValueError(f"state: got {state.s}, expected {TEST} or {MESSAGE}")
+        elif not 0 <= state.key < self.alphabet:
+            raise ValueError(
+                f"state: got key {state.key}, expected 0 to {self.alphabet - 1} in state 2"
+            )
 
-    Raises
-    ------
-    ValueError
-        When the state or the symbol is not one of the table's; nothing has changed.
-    """
-    event = _check(state, symbol, size)
-    following = _NEXT_SENDER[state.s, event]
-    return State(following, symbol if following == MESSAGE else NO_SYMBOL)
+    def pad(self, state: State) -> int:
+        """The key held, in state 2."""
+        return state.key
 
+    def tests(self, state: State) -> bool:
+        """In state 1."""
+        return state.s == TEST
 
-def advance_receiver(state: State, symbol: int, cipher: int, size: int) -> tuple[State, int]:
-    """The receiver's state after a transition, and the message symbol it recovered (or -1).
+    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
+        """Agreements where the transition before did not agree; its key is this one's pad."""
+        import numpy as np
 
-    Raises
-    ------
-    ValueError
-        When the state, the symbol or the cipher symbol is not one of the table's.
-    """
-    event = _check(state, symbol, size)
-    if not 0 <= cipher < size:
-        raise ValueError(f"cipher: got {cipher}, expected 0 to {size - 1}")
-    following = _NEXT_RECEIVER[state.s, event]
-    recovered = decrypt(cipher, state.key, size) if state.s == MESSAGE else NO_SYMBOL
-    return State(following, symbol if following == MESSAGE else NO_SYMBOL), recovered
-
-
-def encrypt(message_symbol: int, key: int, size: int) -> int:
-    """One-time pad over ``size`` symbols: addition modulo M, exclusive or for M = 2."""
-    return (message_symbol + key) % size
-
-
-def decrypt(cipher: int, key: int, size: int) -> int:
-    """Inverse of :func:`encrypt`."""
-    return (cipher - key) % size
+        held = np.full((len(verdicts) + 1, *verdicts.shape[1:]), NO_SYMBOL, dtype=verdicts.dtype)
+        sign = 8 * held.itemsize - 1
+        for before, verdict, after in zip(held, verdicts, held[1:], strict=False):
+            # NO_SYMBOL is -1, all bits set: or-ed in where there is a key, it leaves no agreement
+            np.right_shift(before, sign, out=after)
+            np.invert(after, out=after)
+            np.bitwise_or(after, verdict, out=after)
+        return Carries(held[1:], held[:-1], held[:-1] == NO_SYMBOL)

@@ -9,17 +9,19 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from protocol.agreement import Gauge, predict
+from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.knowledge import Knowledge
+from protocol.registry import UnknownError
+from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
+from protocol.schemes.registry import make_scheme
 from tap_service.capture.transcript import Transition
 
 Vector = tuple[float, ...]
 Matrix = tuple[Vector, ...]
 
-NO_SYMBOL: Final = -1
 KEPT_SYMBOLS: Final = 32768
 """Message symbols that a belief keeps, the newest; memory stays bounded over any run."""
 
@@ -107,6 +109,8 @@ class Eavesdropper(ABC):
 
     Attributes
     ----------
+    scheme : Scheme
+        What both ends follow: she may know every algorithm, and no threshold and no key.
     settled : list of Guess
         Last thoughts on transitions that she lets go, because she keeps a bounded number of them.
         Whoever feeds her takes them off.
@@ -124,6 +128,10 @@ class Eavesdropper(ABC):
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
         self.size = knowledge.candidates
+        try:
+            self.scheme = make_scheme(knowledge.scheme, knowledge.candidates)
+        except UnknownError as error:
+            raise KnowledgeError(f"knowledge.scheme: {error}") from None
         self.settled: list[Guess] = []
 
     @abstractmethod
@@ -192,39 +200,40 @@ class Model:
 
 
 class Follower:
-    """Follows the two automata on verdicts of her own, and collects the message symbols.
+    """Follows the scheme on verdicts of her own, and collects the message symbols.
 
-    Between an agreement as she sees it and the next transition she holds its symbol; the next
-    cipher symbol minus it is a message symbol, and that transition is not tested.
+    Where the scheme says that a transition carried, its ciphertext symbol minus the key as she has
+    it is a message symbol.
     """
 
-    def __init__(self, size: int) -> None:
-        self.size = size
-        self.key = NO_SYMBOL
+    def __init__(self, scheme: Scheme[Any]) -> None:
+        self._scheme = scheme
+        self._state = scheme.initial
         self._steps = array("q")
         self._symbols = bytearray()
         self.whole: list[bytes] = []
         self.whole_count = 0
         self.solved_k = -1
-        self._deframer = Deframer(size)
+        self._deframer = Deframer(scheme.alphabet)
 
     def restart(self) -> None:
-        """A new session: both automata in state 1, and the frame from its start."""
-        self.key = NO_SYMBOL
+        """A new session: the scheme and the frame from the start."""
+        self._state = self._scheme.initial
         self._deframer.reset()
 
     @property
     def tests(self) -> bool:
         """Whether she takes the next transition for one that is tested."""
-        return self.key == NO_SYMBOL
+        return self._scheme.tests(self._state)
 
     def step(self, k: int, symbol: int, cipher: int | None) -> None:
         """Count one transition on which her test says ``symbol`` (or -1)."""
-        if self.key == NO_SYMBOL:
-            self.key = symbol
+        self._state, carry = self._scheme.advance(self._state, symbol)
+        if carry.pad == NO_SYMBOL:
             return
-        value = IDLE_GUESS if cipher is None else (cipher - self.key) % self.size
-        self.key = NO_SYMBOL
+        value = IDLE_GUESS
+        if cipher is not None:
+            value = decrypt(cipher, carry.pad, self._scheme.alphabet)
         self._steps.append(k)
         self._symbols.append(value)
         if len(self._steps) >= 2 * KEPT_SYMBOLS:

@@ -77,7 +77,7 @@ class Learning(Eavesdropper):
             self._model = Model(knowledge.A, knowledge.B, Gauge(half_widths=widths))
             self._offset = (0.0,) * len(knowledge.A)
         self._found: tuple[float, float, float, float] | None = None
-        self._beam = Beam(self.size, cap=CAP)
+        self._beam = Beam(self.scheme, cap=CAP)
 
     def observe(self, transition: Transition) -> Guess:
         """Guess with what she has learned so far, then learn from the step."""
@@ -127,7 +127,7 @@ class Learning(Eavesdropper):
         found = self._beam.thresholds() if self._beam.whole_count else self._found
         self._found = found
         full = len(self._kept) >= KEPT  # decoded for the last time
-        self._beam = Beam(self.size) if full else Beam(self.size, cap=CAP)
+        self._beam = Beam(self.scheme) if full else Beam(self.scheme, cap=CAP)
         if found is not None:  # she found a message with these: others are near, in any unit
             lo, hi, edge_lo, edge_hi = found
             self._beam.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)

@@ -31,7 +31,7 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self.beam = Beam(self.size, edge=1.0, framed=framed)
+        self.beam = Beam(self.scheme, edge=1.0, framed=framed)
 
     def observe(self, transition: Transition) -> Guess:
         """Cut the list by this step's gauges; the nearest candidate is the guess."""

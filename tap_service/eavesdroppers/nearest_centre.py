@@ -9,10 +9,10 @@ grows towards the set's edge from inside.
 
 from typing import ClassVar
 
+from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
-    NO_SYMBOL,
     Belief,
     Eavesdropper,
     Follower,
@@ -34,7 +34,7 @@ class NearestCentre(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self._follower = Follower(self.size)
+        self._follower = Follower(self.scheme)
         self._largest = 0.0
 
     def observe(self, transition: Transition) -> Guess:

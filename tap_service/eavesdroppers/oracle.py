@@ -36,10 +36,10 @@ class Oracle(Eavesdropper):
         gauge = Gauge.from_rows(knowledge.disturbance_H, h)
         self._rule = AgreementRule(self._model.A, self._model.B, gauge, knowledge.alpha)
         self._even = even(self.size)
-        self._follower = Follower(self.size)
+        self._follower = Follower(self.scheme)
 
     def observe(self, transition: Transition) -> Guess:
-        """Make the test and follow the automata."""
+        """Make the test and follow the scheme."""
         t = transition
         if t.start or t.gap:
             self._follower.restart()

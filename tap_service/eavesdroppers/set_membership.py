@@ -8,10 +8,10 @@ symbol costs her one guess in M. Whether a key was agreed she cannot tell where 
 import random
 from typing import ClassVar
 
+from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
-    NO_SYMBOL,
     Belief,
     Eavesdropper,
     Follower,
@@ -30,7 +30,7 @@ class SetMembership(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self._follower = Follower(self.size)
+        self._follower = Follower(self.scheme)
         # her coin for choosing among equals: seeded, so that a replay guesses as she did live
         self._coin = random.Random(0)
 

@@ -2,7 +2,7 @@
 
 What the scheme hides from an eavesdropper with the right model is two numbers: a key is agreed when
 exactly one gauge is at most t_c and all are at most t_e. A hypothesis is a rectangle of (t_c, t_e)
-in which every step so far came out the same, with the automaton's state, the frame's state and the
+in which every step so far came out the same, with the scheme's state, the frame's state and the
 message symbols that follow. A step cuts the rectangles that its gauges run through, and no others:
 over N steps there are of the order of N hypotheses for one threshold, so the list stays short.
 
@@ -14,11 +14,13 @@ least plausible go, and are counted.
 import zlib
 from array import array
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import Scheme
 from protocol.schemes.framing import (
     CHECK_BYTES,
     LENGTH_BYTES,
@@ -27,7 +29,8 @@ from protocol.schemes.framing import (
     block_bytes,
     digits_of,
 )
-from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS, NO_SYMBOL
+from protocol.schemes.table import StateTable
+from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.language_model import OTHER, class_of, table
 
 Indices = NDArray[np.intp]
@@ -64,7 +67,7 @@ than half of that remain, the less plausible half of the list goes too."""
 _ROW: Final = np.dtype(
     [
         ("lo", "f8"), ("hi", "f8"), ("edge_lo", "f8"), ("edge_hi", "f8"), ("score", "f8"),
-        ("key", "i2"), ("node", "i4"), ("phase", "i1"), ("count", "i1"), ("value", "i4"),
+        ("state", "i4"), ("node", "i4"), ("phase", "i1"), ("count", "i1"), ("value", "i4"),
         ("bytes", "i4"), ("length", "i4"), ("before", "i2"), ("last", "i2"),
         ("crc", "u4"), ("mark", "f8"), ("passed", "i4"),
     ]
@@ -81,8 +84,8 @@ class Beam:
 
     Parameters
     ----------
-    size : int
-        M.
+    scheme : Scheme
+        Over M symbols.
     edge : float, optional
         t_e where she knows it; otherwise it is searched too.
     framed : bool
@@ -103,9 +106,10 @@ class Beam:
     """
 
     def __init__(
-        self, size: int, edge: float | None = None, *, framed: bool = True, cap: int = CAP
+        self, scheme: Scheme[Any], edge: float | None = None, *, framed: bool = True, cap: int = CAP
     ) -> None:
-        self.size = size
+        self.size = size = scheme.alphabet
+        self._table = StateTable(scheme)
         self.framed = framed
         self.dropped = 0
         self.peak = 1
@@ -130,7 +134,6 @@ class Beam:
         first["hi"] = np.inf if edge is None else edge
         first["edge_lo"] = 0.0 if edge is None else edge
         first["edge_hi"] = np.inf if edge is None else np.nextafter(edge, np.inf)
-        first["key"] = NO_SYMBOL
         self._fresh_frame(first)
         first["node"] = -1
         self._parent, self._k, self._symbol = array("i"), array("q"), bytearray()
@@ -147,11 +150,11 @@ class Beam:
             rows["phase"] = 1
 
     def restart(self) -> None:
-        """A new session: automata and frame from the start; what is known of t_c, t_e is kept."""
+        """A new session: scheme and frame from the start; what is known of t_c, t_e is kept."""
         self._settle(int(self._rows[: self._n]["score"].argmax()))
         self._settled_k, self._settled, self._frame_from = array("q"), bytearray(), 0
         rows = self._rows[: self._n]
-        rows["key"] = NO_SYMBOL
+        rows["state"] = 0
         self._fresh_frame(rows)
 
     # --- one transition ---------------------------------------------------------------------------
@@ -169,21 +172,16 @@ class Beam:
         nearest = min(gauges)
         ordered = sorted(gauges)
         second, largest = ordered[1], ordered[-1]
-        carriers = np.flatnonzero(self._rows["key"][: self._n] != NO_SYMBOL)
         self._cut("lo", "hi", nearest)
         self._cut("lo", "hi", second)
         rows = self._rows[: self._n]
-        inside = (rows["lo"] >= nearest) & (rows["hi"] <= second) & (rows["key"] == NO_SYMBOL)
+        inside = (rows["lo"] >= nearest) & (rows["hi"] <= second) & self._tested()
         self._cut("edge_lo", "edge_hi", largest, inside)
         rows = self._rows[: self._n]
-        tested = rows["key"] == NO_SYMBOL
-        agreed = tested & (rows["lo"] >= nearest) & (rows["hi"] <= second)
-        agreed &= rows["edge_lo"] >= largest
+        agreed = (rows["lo"] >= nearest) & (rows["hi"] <= second) & (rows["edge_lo"] >= largest)
         rows["score"][rows["hi"] <= nearest] += OUTSIDE
-        rows["key"][agreed] = gauges.index(nearest)
-        if len(carriers):
-            self._carry(k, carriers, cipher)
-        self._prune(k)
+        values = self._values(cipher)
+        self._advance(k, np.where(agreed, gauges.index(nearest), NO_SYMBOL), values)
 
     def restrict(self, lo: float, hi: float, edge_lo: float, edge_hi: float) -> None:
         """Begin with a smaller rectangle than all: t_c and t_e from and to."""
@@ -211,7 +209,7 @@ class Beam:
     def step_sampled(self, k: int, samples: NDArray[np.float64], cipher: int | None) -> None:
         """Count one transition of which something was missed or blurred.
 
-        Each hypothesis under test goes on as one for every outcome that is likely enough to her.
+        Each hypothesis whose verdict counts goes on as one for every outcome that is likely enough.
 
         Parameters
         ----------
@@ -223,31 +221,47 @@ class Beam:
         """
         ordered = np.sort(samples, axis=1)
         choice = samples.argmin(axis=1)
-        rows = self._rows[: self._n]
-        tested = np.flatnonzero(rows["key"] == NO_SYMBOL)
-        carriers = np.flatnonzero(rows["key"] != NO_SYMBOL)
+        values = self._values(0 if cipher is None else cipher)
+        if cipher is None:
+            carriers = np.flatnonzero(values != NO_SYMBOL)
+            values[carriers] = 0
+            for value in range(1, self.size):
+                values = np.append(values, np.full(len(self._copy(carriers)), value))
+            self._rows["score"][: self._n][values != NO_SYMBOL] -= np.log(self.size)
+        tested = np.flatnonzero(self._tested())
         chances = self._chances(tested, ordered, choice)
-        groups = [carriers]
-        if cipher is None and len(carriers):
-            groups += [self._copy(carriers) for _ in range(self.size - 1)]
+        verdicts = np.full(self._n, NO_SYMBOL)
         best = chances.argmax(axis=1)
         for outcome in range(self.size + 1):
-            also = tested[(best != outcome) & (chances[:, outcome] > UNLIKELY)]
-            chance = chances[(best != outcome) & (chances[:, outcome] > UNLIKELY), outcome]
+            likely = (best != outcome) & (chances[:, outcome] > UNLIKELY)
+            also = tested[likely]
             if len(also):
                 copies = self._copy(also)
-                self._rows["key"][copies] = outcome - 1
-                self._rows["score"][copies] += np.log(chance)
-        self._rows["key"][tested] = best - 1
+                self._rows["score"][copies] += np.log(chances[likely, outcome])
+                verdicts = np.append(verdicts, np.full(len(copies), outcome - 1))
+                values = np.append(values, values[also])
+        verdicts[tested] = best - 1
         self._rows["score"][tested] += np.log(chances[np.arange(len(tested)), best])
+        self._advance(k, verdicts, values)
+
+    def _tested(self) -> NDArray[np.bool_]:
+        """Which hypotheses take this step for one whose verdict counts."""
+        tested: NDArray[np.bool_] = self._table.tests[self._rows["state"][: self._n]]
+        return tested
+
+    def _values(self, cipher: int) -> Indices:
+        """The message symbol that this step carries in each hypothesis, or -1 for none."""
+        pads = self._table.pad[self._rows["state"][: self._n]]
+        values: Indices = np.where(pads == NO_SYMBOL, NO_SYMBOL, (cipher - pads) % self.size)
+        return values
+
+    def _advance(self, k: int, verdicts: Indices, values: Indices) -> None:
+        """Let the scheme go on in every hypothesis, and take the message symbols."""
+        rows = self._rows[: self._n]
+        rows["state"] = self._table.advance(rows["state"], verdicts)[0]
+        carriers = np.flatnonzero(values != NO_SYMBOL)
         if len(carriers):
-            if cipher is None:
-                for value, group in enumerate(groups):
-                    self._rows["score"][group] -= np.log(self.size)
-                    self._rows["key"][group] = NO_SYMBOL
-                    self._push(k, group, np.full(len(group), value))
-            else:
-                self._carry(k, carriers, cipher)
+            self._push(k, carriers, values[carriers])
         self._prune(k)
 
     def _chances(
@@ -277,9 +291,9 @@ class Beam:
         return np.arange(n, n + c)
 
     def _cut(self, low: str, high: str, at: float, where: NDArray[np.bool_] | None = None) -> None:
-        """Split the hypotheses under test whose interval holds ``at`` inside."""
+        """Split the hypotheses whose verdict counts and whose interval holds ``at`` inside."""
         rows = self._rows[: self._n]
-        crossed = (rows[low] < at) & (rows[high] > at) & (rows["key"] == NO_SYMBOL)
+        crossed = (rows[low] < at) & (rows[high] > at) & self._tested()
         if where is not None:
             crossed &= where
         which = np.flatnonzero(crossed)
@@ -288,12 +302,6 @@ class Beam:
         copies = self._copy(which)
         self._rows[low][copies] = at
         self._rows[high][which] = at
-
-    def _carry(self, k: int, carriers: Indices, cipher: int) -> None:
-        rows = self._rows
-        values = (cipher - rows["key"][carriers]) % self.size
-        rows["key"][carriers] = NO_SYMBOL
-        self._push(k, carriers, values)
 
     # --- message symbols --------------------------------------------------------------------------
 
@@ -624,7 +632,7 @@ class Beam:
     def testing(self) -> bool:
         """Whether the best hypothesis takes the next transition for a tested one."""
         best = int(self._rows["score"][: self._n].argmax())
-        return bool(self._rows["key"][best] == NO_SYMBOL)
+        return bool(self._tested()[best])
 
 
 def bytes_of(symbols: Iterable[int], size: int) -> bytes:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD, INTEL, OPS
-from protocol.schemes.diagrams import DOCUMENT, PARTS, main, refreshed, state_diagram
-from protocol.schemes.switched import RECEIVER, SENDER
+from protocol.schemes.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
+from protocol.schemes.registry import SCHEMES, make_scheme
 from wyner.verify import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,11 +49,13 @@ def test_the_generated_parts_are_fresh() -> None:
 
 
 def test_the_diagrams_show_every_arrow() -> None:
-    for table in (SENDER, RECEIVER):
-        drawn = state_diagram(table)
-        for row in table:
-            arrow = rf"s{row.state} --> s{row.next_state} : ({row.event}|always)<br/>"
-            assert re.search(arrow, drawn), row
+    for name in SCHEMES.shipped:
+        scheme = make_scheme(name, 2)
+        drawn = state_diagram(scheme)
+        assert len(arrows_of(scheme)) == 4
+        for a in arrows_of(scheme):
+            arrow = rf"s{a.s} --> s{a.following} : ({a.event}|always)<br/>{re.escape(a.action)}$"
+            assert re.search(arrow, drawn, re.MULTILINE), a
 
 
 def test_the_tables_name_every_message() -> None:
@@ -64,7 +66,7 @@ def test_the_tables_name_every_message() -> None:
 
 def test_a_missing_marker_is_noticed() -> None:
     with pytest.raises(ValueError, match="markers"):
-        refreshed("<!-- generated: sender -->\n<!-- end -->")
+        refreshed("<!-- generated: switched -->\n<!-- end -->")
 
 
 def test_the_parts_can_be_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,81 +1,79 @@
-"""The automata: complete tables, both ends in step, one key for one symbol."""
+"""The paper's scheme is Figs. 5 and 6 and nothing else; both ends keep in step; a pad hides."""
 
 from collections import Counter
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.switched import (
-    AGREED,
-    INITIAL,
-    MESSAGE,
-    NOT_AGREED,
-    RECEIVER,
-    SENDER,
-    TEST,
-    Row,
-    State,
-    advance_receiver,
-    advance_sender,
-    decrypt,
-    encrypt,
+from protocol.schemes.base import COVER, Carry, decrypt, encrypt
+from protocol.schemes.switched import INITIAL, MESSAGE, TEST, State, Switched
+
+AGREED, NOT_AGREED = "agreed", "not agreed"
+
+
+class Row(NamedTuple):
+    """An arrow of Fig. 6: both automata go from ``state`` to ``following``."""
+
+    state: int
+    event: str
+    following: int
+    keeps: bool
+    carries: bool
+
+
+FIGURE_6 = (
+    Row(TEST, AGREED, MESSAGE, keeps=True, carries=False),
+    Row(TEST, NOT_AGREED, TEST, keeps=False, carries=False),
+    Row(MESSAGE, AGREED, TEST, keeps=False, carries=True),
+    Row(MESSAGE, NOT_AGREED, TEST, keeps=False, carries=True),
 )
 
 sizes = st.integers(2, 16)
 
 
-@pytest.mark.parametrize("table", [SENDER, RECEIVER], ids=["sender", "receiver"])
-def test_every_state_answers_every_event_once(table: tuple[Row, ...]) -> None:
-    arrows = Counter((row.state, row.event) for row in table)
-    assert arrows == Counter(
-        {(state, event): 1 for state in (TEST, MESSAGE) for event in (AGREED, NOT_AGREED)}
-    )
-    assert {row.next_state for row in table} == {TEST, MESSAGE}
+@pytest.mark.parametrize("row", FIGURE_6)
+@pytest.mark.parametrize("size", [2, 3, 16, 256])
+def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
+    scheme = Switched(size)
+    before = State(row.state, 1 if row.state == MESSAGE else NO_SYMBOL)
+    verdicts = range(size) if row.event == AGREED else [NO_SYMBOL]
+    for verdict in verdicts:
+        after, carry = scheme.advance(before, verdict)
+        assert after.s == row.following
+        assert after.key == (verdict if row.keeps else NO_SYMBOL)
+        assert carry == Carry(after.key, 1 if row.carries else NO_SYMBOL)
+        assert scheme.pad(before) == carry.pad
+
+
+def test_state_1_tests_and_state_2_carries() -> None:
+    scheme = Switched(2)
+    assert scheme.initial == INITIAL == State(TEST, NO_SYMBOL)
+    assert scheme.tests(INITIAL)
+    assert not scheme.tests(State(MESSAGE, 0))
+    assert scheme.advance(INITIAL, NO_SYMBOL) == (INITIAL, COVER)
+    for symbol in (NO_SYMBOL, 0, 1):
+        assert scheme.advance(State(MESSAGE, 1), symbol) == (INITIAL, Carry(NO_SYMBOL, 1))
 
 
 @pytest.mark.parametrize(
-    ("advance", "table"),
+    ("state", "verdict", "text"),
     [
-        (advance_sender, SENDER),
-        (lambda state, symbol, size: advance_receiver(state, symbol, 0, size)[0], RECEIVER),
-    ],
-    ids=["sender", "receiver"],
-)
-def test_the_step_functions_follow_the_tables(advance, table) -> None:  # type: ignore[no-untyped-def]
-    for row in table:
-        before = State(row.state, 1 if row.state == MESSAGE else NO_SYMBOL)
-        symbol = 2 if row.event == AGREED else NO_SYMBOL
-        after = advance(before, symbol, 3)
-        assert after.s == row.next_state
-        assert after.key == (symbol if row.next_state == MESSAGE else NO_SYMBOL)
-
-
-@pytest.mark.parametrize(
-    ("state", "symbol", "cipher"),
-    [
-        (State(0, NO_SYMBOL), NO_SYMBOL, 0),  # no such state
-        (State(3, 0), NO_SYMBOL, 0),
-        (State(TEST, 0), NO_SYMBOL, 0),  # a key where there is none
-        (State(MESSAGE, NO_SYMBOL), NO_SYMBOL, 0),  # no key where there must be one
-        (State(MESSAGE, 2), NO_SYMBOL, 0),  # a key outside the alphabet
-        (INITIAL, 2, 0),
-        (INITIAL, -2, 0),
+        (State(0, NO_SYMBOL), NO_SYMBOL, "state: got 0, expected 1 or 2"),
+        (State(3, 0), NO_SYMBOL, "state: got 3, expected 1 or 2"),
+        (State(TEST, 0), NO_SYMBOL, "state: got key 0 in state 1, expected none"),
+        (State(MESSAGE, NO_SYMBOL), 0, "state: got key -1, expected 0 to 1 in state 2"),
+        (State(MESSAGE, 2), NO_SYMBOL, "state: got key 2, expected 0 to 1 in state 2"),
+        (INITIAL, 2, "verdict: got 2, expected -1 to 1"),
+        (INITIAL, -2, "verdict: got -2, expected -1 to 1"),
     ],
 )
-def test_what_is_not_in_the_table_is_refused(state: State, symbol: int, cipher: int) -> None:
-    with pytest.raises(ValueError, match="got"):
-        advance_sender(state, symbol, 2)
-    with pytest.raises(ValueError, match="got"):
-        advance_receiver(state, symbol, cipher, 2)
-
-
-@pytest.mark.parametrize("cipher", [-1, 2, 255])
-def test_a_cipher_outside_the_alphabet_is_refused(cipher: int) -> None:
-    for state in (INITIAL, State(MESSAGE, 1)):
-        with pytest.raises(ValueError, match="cipher"):
-            advance_receiver(state, NO_SYMBOL, cipher, 2)
+def test_what_is_not_in_the_figure_is_refused(state: State, verdict: int, text: str) -> None:
+    with pytest.raises(ValueError, match=f"^{text}$"):
+        Switched(2).advance(state, verdict)
 
 
 @given(sizes.flatmap(lambda m: st.tuples(st.just(m), st.integers(0, m - 1), st.integers(0, m - 1))))
@@ -114,6 +112,7 @@ def test_both_ends_keep_in_step(
 ) -> None:
     size, message, results = case
     sender = receiver = INITIAL
+    scheme = Switched(size)
     cipher = results[0][1] if results else 0
     unsent = iter([*message, *(0 for _ in results)])
     recovered: list[int] = []
@@ -121,23 +120,34 @@ def test_both_ends_keep_in_step(
     agreed: list[int] = []
     for j, (symbol, _) in enumerate(results):
         assert sender == receiver
-        if sender.s == MESSAGE:
+        sender, ours = scheme.advance(sender, symbol)
+        receiver, theirs = scheme.advance(receiver, symbol)
+        assert ours == theirs
+        if theirs.pad != NO_SYMBOL:
             used.append(j)
-        sender = advance_sender(sender, symbol, size)
-        receiver, got = advance_receiver(receiver, symbol, cipher, size)
-        if got != NO_SYMBOL:
-            recovered.append(got)
-        if sender.s == MESSAGE:
+            recovered.append(decrypt(cipher, theirs.pad, size))
+        if ours.agreed != NO_SYMBOL:
             agreed.append(j)
-            cipher = encrypt(next(unsent), sender.key, size)
-        else:
-            cipher = results[j][1]
+        pad = scheme.pad(sender)
+        cipher = results[j][1] if pad == NO_SYMBOL else encrypt(next(unsent), pad, size)
     assert recovered == [*message, *(0 for _ in results)][: len(recovered)]
     assert used == [j + 1 for j in agreed if j + 1 < len(results)]  # one key, the next symbol
     assert 2 * len(recovered) <= len(results)  # the paper's ceiling: a symbol in two steps
 
 
-def test_a_message_transition_is_not_tested() -> None:
-    for symbol in (NO_SYMBOL, 0, 1):
-        assert advance_sender(State(MESSAGE, 1), symbol, 2) == INITIAL
-        assert advance_receiver(State(MESSAGE, 1), symbol, 0, 2) == (INITIAL, 1)
+@given(st.lists(st.lists(st.integers(-1, 2), min_size=4, max_size=4), min_size=1, max_size=40))
+def test_many_runs_are_so_many_single_ones(rows: list[list[int]]) -> None:
+    verdicts = np.array(rows, dtype=np.int8).reshape(len(rows), 2, 2)
+    scheme = Switched(3)
+    many = scheme.advance_many(verdicts)
+    general = super(Switched, scheme).advance_many(verdicts)  # any scheme's, by its states
+    for ours, theirs in zip(many, general, strict=True):
+        assert (ours == theirs).all()
+        assert ours.dtype == theirs.dtype
+    for at in np.ndindex(2, 2):
+        state = scheme.initial
+        for j, verdict in enumerate(verdicts[:, *at].tolist()):
+            tested = scheme.tests(state)
+            state, carry = scheme.advance(state, verdict)
+            assert (many.agreed[j][at], many.pad[j][at]) == carry
+            assert many.tested[j][at] == tested

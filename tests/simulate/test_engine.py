@@ -14,8 +14,9 @@ from controller_service.laws.registry import cached_design, make_law
 from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.scenario import Disturbance, Scenario, load_scenario
+from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
-from protocol.schemes.switched import INITIAL, MESSAGE, advance_receiver, advance_sender, encrypt
+from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
 from wyner.simulate.engine import (
     Draws,
@@ -28,7 +29,7 @@ from wyner.simulate.engine import (
     transfer,
 )
 from wyner.simulate.engine.draws import disturbances
-from wyner.simulate.engine.link import agreed_transitions
+from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.seeding import generator_states
 from wyner.simulate.engine.taps import listen
 
@@ -303,36 +304,34 @@ transitions = st.lists(
 
 @given(transitions, st.lists(st.integers(0, 1), max_size=40), st.sampled_from(ALPHAS))
 @settings(max_examples=200, deadline=None)
-def test_counts_and_transfer_are_those_of_the_two_tables(
+def test_counts_and_transfer_are_those_of_the_scheme(
     rows: list[tuple[int, float, int]], message: list[int], alpha: float
 ) -> None:
     symbol, largest, coin = (list(column) for column in zip(*rows, strict=True))
     runs = made_up(symbol, largest, coin)
     cipher_stream = Stream(6, CIPHER)
-    sender = receiver = INITIAL
+    scheme, state = Switched(2), INITIAL
     recovered_all, agreements, mistaken, tested = [], 0, 0, 0
-    ciphers, states, keys, recovered_steps = [], [], [], []
+    ciphers, pads, keys, recovered_steps = [], [], [], []
     p = 0
     for j, (candidate, g, b) in enumerate(rows):
         fresh = int(cipher_stream.at(j)[0] * 2)
-        if sender.s == MESSAGE:
-            cipher = encrypt(message[p] if p < len(message) else 0, sender.key, 2)
-            p += 1
-        else:
-            cipher = fresh
-            tested += 1
-        verdict = candidate if g <= alpha else NO_SYMBOL
-        sender = advance_sender(sender, verdict, 2)
-        receiver, got = advance_receiver(receiver, verdict, cipher, 2)
-        assert sender == receiver
-        if sender.s == MESSAGE:
-            agreements += 1
-            mistaken += sender.key != b
-        if got != NO_SYMBOL:
+        pad = scheme.pad(state)
+        cipher, got = fresh, NO_SYMBOL
+        if pad != NO_SYMBOL:
+            cipher = encrypt(message[p] if p < len(message) else 0, pad, 2)
+            got = decrypt(cipher, pad, 2)
             recovered_all.append(got)
+            p += 1
+        tested += scheme.tests(state)
+        verdict = candidate if g <= alpha else NO_SYMBOL
+        state, carry = scheme.advance(state, verdict)
+        if carry.agreed != NO_SYMBOL:
+            agreements += 1
+            mistaken += carry.agreed != b
         ciphers.append(cipher)
-        states.append(receiver.s)
-        keys.append(receiver.key)
+        pads.append(pad)
+        keys.append(carry.agreed)
         recovered_steps.append(got)
     link = follow(runs, [alpha])
     assert link.tested[0, 0] == tested
@@ -341,8 +340,8 @@ def test_counts_and_transfer_are_those_of_the_two_tables(
     assert link.mistaken[0, 0] == mistaken
     t = transfer(runs, alpha, symbols=message)
     assert t.cipher[:, 0].tolist() == ciphers
-    assert t.s[:, 0].tolist() == states
-    assert t.key[:, 0].tolist() == keys
+    assert t.pad[:, 0].tolist() == pads
+    assert t.agreed[:, 0].tolist() == keys
     assert t.message_symbol[:, 0].tolist() == recovered_steps
     assert recovered_all[: len(message)] == message[:p]
 
@@ -368,7 +367,7 @@ def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -
     for i, alpha in enumerate(ALPHAS):
         alone = follow(runs, [alpha])
         assert (together.agreements[i] == alone.agreements[0]).all()
-    agreed = agreed_transitions(runs, ALPHAS)
+    agreed = carries(runs, ALPHAS).agreed != NO_SYMBOL
     assert not (agreed[1:] & agreed[:-1]).any(), "no two transitions in a row"
     in_diff = (runs.symbol != NO_SYMBOL) & (runs.largest <= 1.5)
     assert (in_diff <= ((runs.symbol != NO_SYMBOL) & (runs.largest <= 3.0))).all()
@@ -390,7 +389,7 @@ def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
     names = ("set-membership", "nearest-centre", "list-decoder", "oracle")
     for place in range(2):
         weak, nearest, decoder, oracle = listen(runs, sent, names, place)
-        assert weak.agreements == (sent.key[:, place] != NO_SYMBOL).sum() > 100
+        assert weak.agreements == (sent.agreed[:, place] != NO_SYMBOL).sum() > 100
         assert nearest.right == decoder.right == oracle.right == weak.agreements
         assert 0.3 < weak.right / weak.agreements < 0.7, "she cannot tell them apart"
         assert (oracle.delivered, oracle.read) == (1, 1)

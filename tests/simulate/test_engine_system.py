@@ -19,11 +19,12 @@ from pydantic_core import to_json
 from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
+from protocol.agreement import NO_SYMBOL
 from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SUMMARY
 from protocol.runtime.trace import TraceReader, TraceWriter
 from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.framing import frame_length
-from protocol.schemes.switched import MESSAGE
+from protocol.schemes.switched import MESSAGE, TEST
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.network import Faults, Simulation
 
@@ -82,8 +83,8 @@ def engine_events(case: Case) -> Iterator[Event]:
     candidates = runs.candidates[..., 0].tolist()
     gauges = runs.gauges[..., 0].tolist()
     coin = runs.coin[:, 0].tolist()
-    cipher, s, key, message_symbol, p = (
-        column[:, 0].tolist() for column in (t.cipher, t.s, t.key, t.message_symbol, t.p)
+    cipher, agreed, pad, message_symbol, p = (
+        column[:, 0].tolist() for column in (t.cipher, t.agreed, t.pad, t.message_symbol, t.p)
     )
     for j in range(case.steps):
         yield {
@@ -94,13 +95,13 @@ def engine_events(case: Case) -> Iterator[Event]:
             "candidates": candidates[j],
             "cipher": cipher[j],
             "x_next": x[j + 1],
-            "role": "message" if j and s[j - 1] == MESSAGE else "test",
+            "role": "test" if pad[j] == NO_SYMBOL else "message",
             "gauges": gauges[j],
-            "symbol": key[j],
-            "key": key[j - 1] if j else -1,
+            "symbol": agreed[j],
+            "key": pad[j],
             "message_symbol": message_symbol[j],
             "p": p[j],
-            "s": s[j],
+            "s": TEST if agreed[j] == NO_SYMBOL else MESSAGE,
             "coin": coin[j],
             "u": candidates[j][coin[j]],
         }

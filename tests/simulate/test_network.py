@@ -80,8 +80,8 @@ def test_the_check_finds_what_it_looks_for(
     history.plant[at] = t._replace(message_symbol=1 - t.message_symbol)
     assert "transition" in next(violations(history, (b"x",)))
     history.plant[at] = t
-    j, s, offer = next(o for o in history.offered if o[1] == 2)
-    history.offered.append((j, s, offer.model_copy(update={"cipher": 1 - offer.cipher})))
+    j, carries, offer = next(o for o in history.offered if o[1])
+    history.offered.append((j, carries, offer.model_copy(update={"cipher": 1 - offer.cipher})))
     assert "cipher" in next(violations(history, (b"x",)))
     history.offered.pop()
     assert "arrived" in next(violations(history, (b"y",)))

@@ -2,6 +2,7 @@
 
 from protocol.agreement import AgreementRule, Gauge
 from protocol.link.session import Rules
+from protocol.schemes.switched import Switched
 
 
 def line_rules(alpha: float, largest_input: float, fingerprint: str = "f" * 64) -> Rules:
@@ -9,7 +10,7 @@ def line_rules(alpha: float, largest_input: float, fingerprint: str = "f" * 64) 
     gauge = Gauge(half_widths=(1.0,))
     return Rules(
         agreement=AgreementRule(A=((1.0,),), B=((1.0,),), gauge=gauge, alpha=alpha),
-        size=2,
+        scheme=Switched(2),
         states=1,
         inputs=1,
         fingerprint=fingerprint,

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import tap_service.inference.list_decoding as beam_module
 from protocol.schemes.framing import encode_frame
+from protocol.schemes.switched import Switched
 from tap_service.inference.language_model import OTHER, SAMPLE, class_of, table
 from tap_service.inference.list_decoding import Beam, bytes_of
 
@@ -30,7 +31,7 @@ def decode(steps: list[STEP], t_c: float, t_e: float, size: int) -> list[tuple[i
 
 
 def follow(steps: list[STEP], size: int, edge: float | None, cap: int = 100_000) -> Beam:
-    beam = Beam(size, edge=edge, cap=cap)
+    beam = Beam(Switched(size), edge=edge, cap=cap)
     for k, (gauges, cipher) in enumerate(steps):
         beam.step(k, gauges, cipher)
     return beam
@@ -117,7 +118,7 @@ def test_both_thresholds_hidden() -> None:
 
 def test_the_list_is_bounded_and_says_what_it_dropped() -> None:
     rng = random.Random(3)
-    beam = Beam(2, cap=200)
+    beam = Beam(Switched(2), cap=200)
     for k in range(600):
         beam.step(k, [rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2))
         assert beam.hypotheses <= 200
@@ -137,7 +138,7 @@ def test_old_symbols_are_let_go_and_the_message_still_comes(
 ) -> None:
     monkeypatch.setattr(beam_module, "NODES", nodes)
     steps = message_steps(b"let go", 2, 12) + message_steps(b"of the old", 2, 13)
-    beam = Beam(2, edge=3.0)
+    beam = Beam(Switched(2), edge=3.0)
     for k, (gauges, cipher) in enumerate(steps):
         beam.step(k, gauges, cipher)
         assert len(beam._symbol) <= nodes + beam.hypotheses
@@ -149,7 +150,7 @@ def test_old_symbols_are_let_go_and_the_message_still_comes(
 
 def test_a_sampled_step_without_doubt_is_a_plain_step() -> None:
     steps = message_steps(b"same", 2, 5)
-    plain, sampled = Beam(2, edge=3.0), Beam(2, edge=3.0)
+    plain, sampled = Beam(Switched(2), edge=3.0), Beam(Switched(2), edge=3.0)
     for beam in (plain, sampled):
         beam.split_evenly([0.9999, 1.0001])
     for k, (gauges, cipher) in enumerate(steps):
@@ -163,7 +164,7 @@ def test_lost_cipher_symbols_are_filled_in_by_check_and_text() -> None:
     payload = b"the water is clear and the valve is open"
     steps = message_steps(payload, 2, 6)
     rng = random.Random(1)
-    beam = Beam(2, edge=3.0)
+    beam = Beam(Switched(2), edge=3.0)
     lost = 0
     for k, (gauges, cipher) in enumerate(steps):
         if rng.random() < 0.04:
@@ -178,7 +179,7 @@ def test_lost_cipher_symbols_are_filled_in_by_check_and_text() -> None:
 
 def test_a_new_session_keeps_the_thresholds_and_starts_the_frame_again() -> None:
     steps = message_steps(b"again", 2, 8)
-    beam = Beam(2, edge=3.0)
+    beam = Beam(Switched(2), edge=3.0)
     for session in ("a", "b"):
         beam.restart()
         beam.session = session
@@ -214,7 +215,7 @@ def test_a_message_in_blocks_of_several_bytes_is_read(size: int) -> None:
     message = b"The old mill, at nine."
     rng = random.Random(size)
     stream = bytes(5) + encode_frame(message, size) + bytes(5)
-    beam = Beam(size)
+    beam = Beam(Switched(size))
     for j, symbol in enumerate(stream):
         key = rng.randrange(size)
         gauges = [0.6 if r == key else 2.5 + 0.1 * r for r in range(size)]
@@ -224,7 +225,7 @@ def test_a_message_in_blocks_of_several_bytes_is_read(size: int) -> None:
 
 
 def test_a_block_larger_than_its_bytes_is_refused() -> None:
-    beam = Beam(3, edge=9.0)
+    beam = Beam(Switched(3), edge=9.0)
     before = beam.confidence()
     for j, symbol in enumerate([1, *[2] * 11]):
         beam.step(2 * j, [0.5, 2.5, 2.6], 0)

@@ -180,10 +180,9 @@ def compare_automata(board: Board) -> Automata | None:
     behind = plant.transitions - controller.transitions
     if behind == 0:
         return Automata(plant.transitions, controller.automaton, plant.automaton)
-    if not 0 < behind < len(plant.tail_k):
+    if not 0 < behind < len(plant.tail_automaton):
         return None
-    role, symbol = plant.tail_role[-1 - behind], plant.tail_symbol[-1 - behind]
-    state = 2 if role == "test" and symbol >= 0 else 1
+    state = plant.tail_automaton[-1 - behind]
     return Automata(controller.transitions, controller.automaton, state)
 
 

@@ -217,9 +217,9 @@ class Panels:
         tap = self.filtered()[0][0] if self.filtered() else None
         for k in sorted(self.board.truths, reverse=True)[: rows - 1]:
             truth = self.board.truths[k]
-            what = f"key {truth.symbol}" if truth.symbol >= 0 else "no key"
-            if truth.role == "message":
-                what = "message"
+            what = "message" if truth.role == "message" else "no key"
+            if truth.symbol >= 0:
+                what = f"key {truth.symbol}"
             line = Text(f" {k:<7} input {truth.coin}  {what:<7} ")
             guess = tap.guesses.get(k) if tap is not None else None
             if guess is not None:

@@ -79,11 +79,11 @@ def verdict(status: PlantStatus) -> str:
     """What the agreement test said of the pictured step, in words (equation 20)."""
     gauges = status.pictured_gauges
     role = dict(zip(status.tail_k, status.tail_role, strict=False)).get(status.pictured_k)
-    if role == "message":
-        return "not tested: carries a message symbol"
     symbol = status.pictured_symbol
     if symbol >= 0:
         return f"KEY {symbol}: only input {symbol} explains it"
+    if role == "message":
+        return "not tested: carries a message symbol"
     inside = sum(g <= 1 for g in gauges)
     if inside == 0:
         return "no key: no input explains it"

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from pydantic_core import from_json
 
+from protocol.agreement import NO_SYMBOL
 from protocol.runtime.jsonl import read_lines
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
@@ -111,12 +112,12 @@ def truth_of(trace: Trace) -> Truth:
             last_k = at[1]
             size = len(event["candidates"])
             # a plant that was killed may have written a transition twice: the last counts
-            for store, value, role in (
-                (keys, int(event["symbol"]), "test"),
-                (symbols, int(event["message_symbol"]), "message"),
+            for store, value in (
+                (keys, int(event["symbol"])),
+                (symbols, int(event["message_symbol"])),
             ):
                 store.pop(at, None)
-                if event["role"] == role and value >= 0:
+                if value != NO_SYMBOL:
                     store[at] = value
         elif event["event"] == "recovered":
             whole.append((last_k, base64.b64decode(event["payload"])))

@@ -72,13 +72,14 @@ class Faults:
 class History:
     """What happened, as both ends saw it.
 
-    ``offered`` has each offer ever sent, after the transition it was meant for and the sender's s.
+    ``offered`` has each offer ever sent, after the transition it was meant for and whether it
+    carries.
     """
 
     plant: dict[tuple[str, int], Transition] = field(default_factory=dict)
     controller: dict[tuple[str, int], Transition] = field(default_factory=dict)
     coins: dict[tuple[str, int], int] = field(default_factory=dict)
-    offered: list[tuple[int, int, Offer]] = field(default_factory=list)
+    offered: list[tuple[int, bool, Offer]] = field(default_factory=list)
     inbox: list[bytes] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
     missed: int = 0
@@ -361,7 +362,8 @@ class Simulation:
             return
         for offer in self._offered:
             if record.offer == offer:
-                self.history.offered.append((record.transitions, record.s, offer))
+                carries = self._sender.carries
+                self.history.offered.append((record.transitions, carries, offer))
         self._offered.clear()
 
 

@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 
 from protocol.link.session import Transition
-from protocol.schemes.switched import MESSAGE
 from wyner.simulate.network import History
 
 
 def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
     """What of the safety property does not hold, a line each.
 
-    What the plant has recovered is a prefix of what was sent; both automata agree on every
+    What the plant has recovered is a prefix of what was sent; both ends agree on every
     transition both have counted; no key symbol is used for two message symbols.
     """
     for at, mine in history.plant.items():
@@ -22,9 +21,9 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
         if counted != list(range(len(counted))):
             yield f"session {session}: the controller counted {counted[:5]}..., with a gap"
     ciphers: dict[tuple[str, int], int] = {}
-    for j, s, offer in history.offered:
+    for j, carries, offer in history.offered:
         first = ciphers.setdefault((offer.session, j), offer.cipher)
-        if first != offer.cipher and s == MESSAGE:
+        if carries and first != offer.cipher:
             yield f"transition {offer.session}/{j}: cipher {first} and then {offer.cipher}"
     yield from _out_of_order(history.inbox, payloads, again=history.amnesias > 0)
 

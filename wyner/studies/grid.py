@@ -285,16 +285,15 @@ SOURCES: Final = (
     "controller_service/**/*.py",
     "plant_service/disturbance.py",
     "protocol/agreement.py",
-    "protocol/schemes/switched.py",
+    "protocol/schemes/*.py",
     "protocol/streams.py",
-    "protocol/schemes/framing.py",
     "protocol/registry.py",
     "protocol/scenario/*.py",
     "protocol/convex.py",
 )
 """Where the numbers come from."""
 
-SHELLS: Final = ("service.py", "__main__.py", "design_cache.py")
+SHELLS: Final = ("service.py", "__main__.py", "design_cache.py", "diagrams.py")
 
 
 @cache

@@ -2,8 +2,7 @@
 
 A clause counts what it looked at and keeps the first place where it did not hold. It replays the
 run through the same pure functions that both ends evaluate (:mod:`protocol.agreement`,
-:mod:`protocol.schemes.switched`, :mod:`protocol.schemes.framing`), from the raw numbers of the
-traces.
+the scheme, :mod:`protocol.schemes.framing`), from the raw numbers of the traces.
 """
 
 from typing import Final
@@ -52,14 +51,14 @@ CLAUSES: Final[tuple[Clause, ...]] = (
     Clause(
         "sender",
         "Figs. 5, 6a",
-        "the sender's automaton gives what the controller recorded",
+        "the scheme gives what the controller recorded",
         "transitions",
         keys.sender,
     ),
     Clause(
         "receiver",
         "Figs. 5, 6b",
-        "the receiver's automaton gives what the plant recorded",
+        "the scheme gives what the plant recorded",
         "transitions",
         keys.receiver,
     ),

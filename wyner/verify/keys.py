@@ -1,34 +1,47 @@
-"""The keys' clauses: the agreement test, the automata, both ends in step."""
+"""The keys' clauses: the agreement test, the scheme, both ends in step."""
 
+from collections.abc import Iterator
 from dataclasses import fields
-from typing import Final
+from typing import Final, NamedTuple
 
-from protocol.agreement import NO_SYMBOL
-from protocol.schemes.switched import (
-    INITIAL,
-    MESSAGE,
-    State,
-    advance_receiver,
-    advance_sender,
-    decrypt,
-)
+from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.schemes.base import Carry, decrypt
 from wyner.verify.clause import EDGE, Tally, may_leave, need, sides
-from wyner.verify.evidence import Counted, Evidence, Side
+from wyner.verify.evidence import Counted, Evidence
+
+
+class Walked(NamedTuple):
+    """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
+
+    t: Counted
+    verdict: Verdict
+    carry: Carry
+    s: int
+
+
+def walk(e: Evidence, transitions: list[Counted]) -> Iterator[Walked]:
+    """One session's transitions in order, the scheme going on by the verdicts recomputed."""
+    scheme = e.rules.scheme
+    state = scheme.initial
+    for t in transitions:
+        verdict = e.rules.agreement.verdict(t.x, t.candidates, t.x_next)
+        state, carry = scheme.advance(state, verdict.symbol)
+        yield Walked(t, verdict, carry, state[0])
 
 
 def agreement(e: Evidence, tally: Tally) -> None:
     """Equations (20) and (21), recomputed from the raw numbers."""
     agreed = 0
     for name, side in sides(e):
-        for t in side.transitions:
-            verdict = e.rules.agreement.verdict(t.x, t.candidates, t.x_next)
-            expected = verdict.symbol if t.role == "test" else NO_SYMBOL
-            holds = t.symbol == expected and t.gauges == verdict.gauges
-            text = f"{name}'s verdict is {t.symbol}, recomputed it is {expected}"
-            if t.symbol == expected:
-                text = f"{name}'s gauges are {t.gauges}, recomputed {verdict.gauges}"
-            tally.count(holds, t.session, t.j, t.k, text)
-            agreed += name == "plant" and expected != NO_SYMBOL
+        for ts in side.sessions.values():
+            for t, verdict, carry, _ in walk(e, ts):
+                expected = carry.agreed
+                holds = t.symbol == expected and t.gauges == verdict.gauges
+                text = f"{name}'s verdict is {t.symbol}, recomputed it is {expected}"
+                if t.symbol == expected:
+                    text = f"{name}'s gauges are {t.gauges}, recomputed {verdict.gauges}"
+                tally.count(holds, t.session, t.j, t.k, text)
+                agreed += name == "plant" and expected != NO_SYMBOL
     tally.note = f"{agreed} keys agreed"
 
 
@@ -51,42 +64,34 @@ def coin(e: Evidence, tally: Tally) -> None:
         tally.note = f"{left} unlike the coin, each with a disturbance outside D_c"
 
 
-def _automaton(side: Side, size: int, tally: Tally, *, sender: bool) -> None:
-    for session, ts in side.sessions.items():
-        state, p = INITIAL, 0
-        for t in ts:
-            role = "message" if state.s == MESSAGE else "test"
-            recovered = decrypt(t.cipher, state.key, size) if role == "message" else NO_SYMBOL
-            before = state
-            try:
-                if sender:
-                    state = advance_sender(state, t.symbol, size)
-                else:
-                    state, recovered = advance_receiver(state, t.symbol, t.cipher, size)
-            except ValueError as error:
-                tally.count(False, session, t.j, t.k, str(error))
-                break
-            p += role == "message"
-            expected = (role, before.key, recovered, p, *state)
+def _automaton(e: Evidence, sessions: dict[str, list[Counted]], tally: Tally) -> None:
+    for session, ts in sessions.items():
+        p = 0
+        for t, _, (agreed, pad), s in walk(e, ts):
+            role, recovered = "test", NO_SYMBOL
+            if pad != NO_SYMBOL:
+                role, recovered = "message", decrypt(t.cipher, pad, e.rules.size)
+                p += 1
+            expected = (role, pad, recovered, p, s, agreed)
             got = (t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
-            text = f"(role, key, m, p, s, symbol) is {got}, the automaton says {expected}"
+            text = f"(role, key, m, p, s, symbol) is {got}, the scheme says {expected}"
             if not tally.count(got == expected, session, t.j, t.k, text):
-                state, p = State(t.s, t.symbol), t.p
-    tally.note = f"sessions: {len(side.sessions)}"
+                p = t.p
+    tally.note = f"sessions: {len(sessions)}"
 
 
 def sender(e: Evidence, tally: Tally) -> None:
-    """Fig. 6a over the controller's trace."""
+    """The scheme over the controller's trace."""
     if need(tally, controller_trace=e.controller):
         assert e.controller is not None
-        _automaton(e.controller, e.rules.size, tally, sender=True)
+        _automaton(e, e.controller.sessions, tally)
 
 
 def receiver(e: Evidence, tally: Tally) -> None:
-    """Fig. 6b over the plant's trace."""
+    """The scheme over the plant's trace."""
     if need(tally, plant_trace=e.plant):
         assert e.plant is not None
-        _automaton(e.plant, e.rules.size, tally, sender=False)
+        _automaton(e, e.plant.sessions, tally)
 
 
 _SHARED: Final = tuple(f.name for f in fields(Counted) if f.name not in ("coin", "u"))

@@ -133,18 +133,21 @@ def one_time_pad(e: Evidence, tally: Tally) -> None:
     """Walk the keys: each is agreed once and used once."""
     for name, side in sides(e):
         for session, ts in side.sessions.items():
-            fresh: Counted | None = None
+            unused: list[Counted] = []
             for t in ts:
-                if t.role == "test":
-                    fresh = t if t.symbol != NO_SYMBOL else None
-                    continue
-                if fresh is None:
+                if t.role == "message":
+                    own = next((a for a in unused if a.symbol == t.key), None)
                     text = f"{name}'s trace: a message symbol without a key of its own"
-                    tally.count(False, session, t.j, t.k, text)
-                    continue
-                text = f"{name}'s trace: key {t.key}, agreed at {fresh.j} was {fresh.symbol}"
-                tally.count(t.key == fresh.symbol, session, t.j, t.k, text)
-                fresh = None
+                    if own is None and unused:
+                        agreed = ", ".join(f"{a.symbol} at {a.j}" for a in unused)
+                        text = f"{name}'s trace: key {t.key}, unused were {agreed}"
+                    tally.count(own is not None, session, t.j, t.k, text)
+                    if own is not None:
+                        unused.remove(own)
+                    else:
+                        unused.clear()
+                if t.symbol != NO_SYMBOL:
+                    unused.append(t)
 
 
 def _transition_of(ks: list[int], k: int) -> int:

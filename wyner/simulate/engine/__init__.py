@@ -2,7 +2,7 @@
 
 The layers: :mod:`~wyner.simulate.engine.draws` gives each run the random numbers that a single run
 of the services would take; :mod:`~wyner.simulate.engine.loop` simulates plant and laws and keeps
-what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows both automata over it;
+what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows the scheme over it;
 :mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it. Neither law nor coin depends on
 alpha, so that one simulation serves every alpha.
 """

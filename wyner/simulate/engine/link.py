@@ -1,4 +1,4 @@
-"""Both automata over many runs: counts for every alpha at once, or the whole transfer for one."""
+"""The scheme over many runs: counts for every alpha at once, or the whole transfer for one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import Carries
 from protocol.schemes.framing import IDLE, encode_frame
-from protocol.schemes.switched import MESSAGE, TEST
+from protocol.schemes.registry import make_scheme
 from wyner.simulate.engine.draws import cipher_symbols
 from wyner.simulate.engine.loop import Runs
 
@@ -24,11 +25,11 @@ class Link:
     Parameters
     ----------
     tested : int array
-        Transitions in state 1.
+        Transitions whose verdict counted.
     agreements : int array
         Of these, the ones in Diff.
     message_symbols : int array
-        Transitions in state 2, each with one message symbol.
+        Transitions that carried one.
     mistaken : int array
         Agreements on another symbol than the coin b_r; none while d is in D_c.
     """
@@ -39,30 +40,34 @@ class Link:
     mistaken: Counts
 
 
-def agreed_transitions(runs: Runs, alphas: Sequence[float]) -> NDArray[np.bool_]:
-    """Where a key symbol was agreed, shape (steps, alphas, R).
-
-    A transition is tested unless the one before it agreed (state 2), so that the automaton's whole
-    state is the last transition's flag.
-    """
+def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
+    """What the scheme makes of every transition; arrays of shape (steps, alphas, R)."""
     limit = np.asarray(alphas, dtype=float)[None, :, None]
-    agreed: NDArray[np.bool_] = runs.largest[:, None, :] <= limit
-    agreed &= (runs.symbol != NO_SYMBOL)[:, None, :]
-    for k in range(1, len(agreed)):
-        np.greater(agreed[k], agreed[k - 1], out=agreed[k])
-    return agreed
+    possible = runs.largest[:, None, :] <= limit
+    # NO_SYMBOL is -1, all bits set: or-ing it in is many times faster than choosing
+    verdicts = np.subtract(possible, 1, dtype=runs.symbol.dtype)
+    np.bitwise_or(verdicts, runs.symbol[:, None, :], out=verdicts)
+    secrecy = runs.scenario.secrecy
+    return make_scheme(secrecy.scheme, secrecy.candidates).advance_many(verdicts)
+
+
+def _count(flags: NDArray[np.bool_]) -> Counts:
+    """How many are set along the first axis: bytes are added up, as many as fit in one."""
+    count = np.zeros(flags.shape[1:], dtype=np.int64)
+    for first in range(0, len(flags), 255):
+        count += np.add.reduce(flags[first : first + 255].view(np.uint8), axis=0, dtype=np.uint8)
+    return count
 
 
 def follow(runs: Runs, alphas: Sequence[float]) -> Link:
     """Count what the link did at each of ``alphas``, from one simulation."""
-    agreed = agreed_transitions(runs, alphas)
-    mistaken = (runs.symbol != runs.coin)[:, None, :]
-    messages = agreed[:-1].sum(axis=0, dtype=np.int64)
+    agreed, pad, tested = carries(runs, alphas)
+    gained = agreed != NO_SYMBOL
     return Link(
-        tested=runs.steps - messages,
-        agreements=agreed.sum(axis=0, dtype=np.int64),
-        message_symbols=messages,
-        mistaken=(agreed & mistaken).sum(axis=0, dtype=np.int64),
+        tested=_count(tested),
+        agreements=_count(gained),
+        message_symbols=_count(pad != NO_SYMBOL),
+        mistaken=_count(gained & (agreed != runs.coin[:, None, :])),
     )
 
 
@@ -74,10 +79,10 @@ class Transfer:
     ----------
     cipher : int8 array, shape (steps, R)
         The symbol that travels with the candidates.
-    s : int8 array, shape (steps, R)
-        Both automata's state after the transition, 1 or 2.
-    key : int8 array, shape (steps, R)
-        The key symbol held afterwards, or -1.
+    agreed : int8 array, shape (steps, R)
+        The key symbol gained, or -1.
+    pad : int8 array, shape (steps, R)
+        The key symbol under which ``cipher`` travelled, or -1.
     message_symbol : int8 array, shape (steps, R)
         The message symbol recovered on the transition, or -1.
     p : int array, shape (steps, R)
@@ -85,8 +90,8 @@ class Transfer:
     """
 
     cipher: Symbols
-    s: Symbols
-    key: Symbols
+    agreed: Symbols
+    pad: Symbols
     message_symbol: Symbols
     p: NDArray[np.int64]
 
@@ -114,21 +119,18 @@ def transfer(
     stream = [*symbols, *(v for payload in payloads for v in encode_frame(payload, size))]
     text = np.full(len(stream) + runs.steps + 1, IDLE, dtype=np.int8)
     text[: len(stream)] = stream
-    agreed = agreed_transitions(runs, [limit])[:, 0]
-    carried = np.zeros_like(agreed)  # state 2 during the transition
-    carried[1:] = agreed[:-1]
-    key = np.where(agreed, runs.symbol, np.int8(NO_SYMBOL))
-    in_use = np.full_like(key, NO_SYMBOL)
-    in_use[1:] = key[:-1]
+    many = carries(runs, [limit])
+    agreed, pad = many.agreed[:, 0].astype(np.int8), many.pad[:, 0].astype(np.int8)
+    carried = pad != NO_SYMBOL
     p = carried.cumsum(axis=0, dtype=np.int64)
     sent = text[np.maximum(p - 1, 0)]
     cipher = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
-    np.copyto(cipher, (sent + in_use) % size, where=carried)
-    recovered = (cipher - in_use) % size
+    np.copyto(cipher, (sent + pad) % size, where=carried)
+    recovered = (cipher - pad) % size
     return Transfer(
         cipher=cipher,
-        s=np.where(agreed, np.int8(MESSAGE), np.int8(TEST)),
-        key=key,
+        agreed=agreed,
+        pad=pad,
         message_symbol=np.where(carried, recovered, np.int8(NO_SYMBOL)),
         p=p,
     )

@@ -71,7 +71,7 @@ def listen(
         c(scenario.oracle_knowledge() if c.name == ORACLE else scenario.knowledge())
         for c in classes
     ]
-    keys = link.key[:, place].tolist()
+    keys = link.agreed[:, place].tolist()
     right = [0] * len(taps)
     for transition, key in zip(transcript(runs, link, place), keys, strict=True):
         for i, tap in enumerate(taps):

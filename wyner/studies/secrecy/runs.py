@@ -1,7 +1,7 @@
 """Seeded runs of the closed loop for the secrecy study.
 
 A run is the public transcript, message by message, and beside it the truth that only the scoring
-sees. The loop is the system's own: the law's candidates, the agreement rule, the automata and the
+sees. The loop is the system's own: the law's candidates, the agreement rule, the scheme and the
 frames, all from their modules; random draws come from one seeded generator a run.
 """
 
@@ -16,8 +16,9 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario, load_scenario
+from protocol.schemes.base import encrypt
 from protocol.schemes.framing import IDLE, encode_frame, frame_length
-from protocol.schemes.switched import INITIAL, MESSAGE, advance_sender, encrypt
+from protocol.schemes.registry import make_scheme
 from wyner.scoring.score import Truth
 from wyner.shipped import SCENARIOS
 
@@ -136,7 +137,8 @@ def simulate(
     widths = scenario.plant.disturbance.half_widths
     session = f"{rng.getrandbits(64):016x}"
     x = scenario.initial_state
-    state = INITIAL
+    scheme = make_scheme(scenario.secrecy.scheme, size)
+    state = scheme.initial
     applied = -1
     after: tuple[float, ...] = ()
     messages: list[Measurement | Offer] = []
@@ -149,10 +151,11 @@ def simulate(
             Measurement.model_construct(session=session, k=k, x=x, applied_k=applied, x_after=after)
         )
         candidates = law.candidates(x)
-        if state.s == MESSAGE:
+        pad = scheme.pad(state)
+        if pad != NO_SYMBOL:
             p = len(sent)
             symbol = stream[p] if p < len(stream) else IDLE
-            cipher = encrypt(symbol, state.key, size)
+            cipher = encrypt(symbol, pad, size)
             if corrupt == p:
                 cipher = (cipher + 1) % size
             sent.append(symbol)
@@ -168,9 +171,9 @@ def simulate(
         centre = predict(scenario.A, scenario.B, x, candidates[coin])
         x_next = tuple(c + rng.uniform(-w, w) for c, w in zip(centre, widths, strict=True))
         verdict = rule.verdict(x, candidates, x_next)
-        if state.s != MESSAGE and verdict.symbol != NO_SYMBOL:
-            keys[session, k] = verdict.symbol
-        state = advance_sender(state, verdict.symbol, size)
+        state, carry = scheme.advance(state, verdict.symbol)
+        if carry.agreed != NO_SYMBOL:
+            keys[session, k] = carry.agreed
         applied, after, x = k, x_next, x_next
     messages.append(
         Measurement.model_construct(session=session, k=steps, x=x, applied_k=applied, x_after=after)

@@ -1,0 +1,98 @@
+"""Any scheme over arrays: its states numbered, what each verdict does to them looked up."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import Carries, Scheme
+
+Integers = NDArray[np.integer[Any]]
+
+ROOM: Final = 16
+"""States that a table has room for at first; it doubles."""
+
+
+class StateTable:
+    """A scheme's states by number, in order of their appearance, 0 the initial one.
+
+    States are found as they are reached, so that a scheme need not list them.
+
+    Parameters
+    ----------
+    scheme : Scheme
+
+    Attributes
+    ----------
+    pad : integer array
+        Of each state known, :meth:`~protocol.schemes.base.Scheme.pad`.
+    tests : bool array
+        Of each state known, :meth:`~protocol.schemes.base.Scheme.tests`.
+    """
+
+    def __init__(self, scheme: Scheme[Any]) -> None:
+        self.scheme = scheme
+        self._states: list[Any] = []
+        self._numbers: dict[Any, int] = {}
+        outcomes = scheme.alphabet + 1
+        self.pad = np.full(ROOM, NO_SYMBOL)
+        self.tests = np.zeros(ROOM, dtype=bool)
+        self._following = np.full((ROOM, outcomes), -1, dtype=np.int32)
+        self._agreed = np.full((ROOM, outcomes), NO_SYMBOL)
+        self._number(scheme.initial)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "StateTable":
+        return self  # it only grows, and the same way for everybody
+
+    def _double(self) -> None:
+        """Make room for as many states again."""
+        self.pad, self.tests, self._following, self._agreed = (
+            np.concatenate([part, np.full_like(part, -1)])
+            for part in (self.pad, self.tests, self._following, self._agreed)
+        )
+
+    def _number(self, state: Any) -> int:
+        number = self._numbers.get(state)
+        if number is None:
+            number = self._numbers[state] = len(self._states)
+            if number == len(self.pad):
+                self._double()
+            self._states.append(state)
+            self.pad[number] = self.scheme.pad(state)
+            self.tests[number] = self.scheme.tests(state)
+        return number
+
+    def advance(self, states: Integers, verdicts: Integers) -> tuple[Integers, Integers]:
+        """The numbers of the states that follow, and the key symbols agreed.
+
+        Parameters
+        ----------
+        states : integer array, any shape
+        verdicts : integer array of the same shape
+        """
+        following: Integers = self._following[states, verdicts + 1]
+        if (following < 0).any():
+            for number in np.unique(states):
+                self._expand(int(number))
+            following = self._following[states, verdicts + 1]
+        return following, self._agreed[states, verdicts + 1]
+
+    def _expand(self, number: int) -> None:
+        if self._following[number, 0] >= 0:
+            return
+        for verdict in range(NO_SYMBOL, self.scheme.alphabet):
+            after, carry = self.scheme.advance(self._states[number], verdict)
+            following = self._number(after)  # may make room: look the arrays up afterwards
+            self._following[number, verdict + 1] = following
+            self._agreed[number, verdict + 1] = carry.agreed
+
+    def advance_many(self, verdicts: Integers) -> Carries:
+        """:meth:`~protocol.schemes.base.Scheme.advance_many` of any scheme."""
+        agreed, pad = np.empty_like(verdicts), np.empty_like(verdicts)
+        tested = np.empty(verdicts.shape, dtype=bool)
+        states: Integers = np.zeros(verdicts.shape[1:], dtype=np.int32)
+        for j, now in enumerate(verdicts):
+            pad[j], tested[j] = self.pad[states], self.tests[states]
+            states, agreed[j] = self.advance(states, now.astype(np.intp))
+        return Carries(agreed, pad, tested)
