@@ -259,7 +259,7 @@ class Simulated:
     @property
     def key(self) -> Symbols:
         """The key symbol agreed on a step, or -1, shape (R, steps)."""
-        return self.link.key.T
+        return self.link.agreed.T
 
     @property
     def cipher(self) -> Symbols:
