@@ -1,0 +1,112 @@
+"""Both endpoints on the plant on a line, with a coin and a disturbance that a test chooses."""
+
+from collections.abc import Callable
+
+from controller_service.endpoint import ControllerEndpoint
+from plant_service.endpoint import PlantEndpoint
+from plant_service.plant import Move, Step
+from protocol.link.endpoint import Notice, Outgoing, Write
+from protocol.link.events import Event
+from protocol.link.pacing import Pacing
+from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.sender import Sender
+from protocol.link.session import Rules
+from protocol.messages import Message, Offer
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.streams import SymbolSource
+
+Vector = tuple[float, ...]
+PERIOD_S = 1.0
+
+
+class LinePlant:
+    """x+ = x + u + d; on a missed step u is held. ``coin`` and ``d`` are the next step's."""
+
+    def __init__(self, receiver: Receiver) -> None:
+        self.receiver = receiver
+        self.coin = 0
+        self.d = 0.0
+
+    def move(self, offer: Offer) -> Move:
+        x, u = self.receiver.record.x[0], offer.candidates[self.coin][0]
+        return Move(offer, self.coin, (x + u + self.d,))
+
+    def count(self, move: Move) -> Step:
+        record, reported = self.receiver.record, self.receiver.moved(move.x_next)
+        effects = self.receiver.applied(move.offer, move.coin, move.x_next)
+        assert self.receiver.measurement() == reported
+        u = move.offer.candidates[move.coin]
+        return Step(record.k, record.x, u, move.x_next, move.coin, effects)
+
+    def miss(self) -> Step:
+        record = self.receiver.record
+        x_next = (record.x[0] + record.u[0] + self.d,)
+        self.receiver.missed(record.u, x_next)
+        return Step(record.k, record.x, record.u, x_next, None, None)
+
+
+class ToldPorts:
+    """Ports that keep what is written and hand everything else to whoever asked for it."""
+
+    def __init__(
+        self,
+        journal: MemoryControllerJournal | MemoryPlantJournal,
+        publish: Callable[[Outgoing], None],
+        trace: Callable[[Event], None],
+        tell: Callable[[Notice], None] = lambda _: None,
+    ) -> None:
+        self.journal = journal
+        self._publish = publish
+        self._trace = trace
+        self._tell = tell
+
+    def write(self, write: Write) -> None:
+        self.journal.write(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        self._publish(Outgoing(kind, payload))
+
+    def trace(self, event: Event) -> None:
+        self._trace(event)
+
+    def tell(self, notice: Notice) -> None:
+        self._tell(notice)
+
+    def health(self, status: bytes) -> None:
+        raise AssertionError("nobody asked for statuses")
+
+
+def line_controller(
+    rules: Rules,
+    propose: Callable[[Vector], tuple[Vector, ...]],
+    journal: MemoryControllerJournal,
+    fresh: SymbolSource,
+    instance: str,
+) -> ControllerEndpoint:
+    """A controller's endpoint as its journal has it."""
+    record, step = journal.load(), journal.step()
+    sender = Sender(rules, propose, journal, fresh, instance, record, step)
+    return ControllerEndpoint(sender, journal, PERIOD_S)
+
+
+def line_plant(
+    rules: Rules,
+    journal: MemoryPlantJournal,
+    new_id: Callable[[], str],
+    instance: str,
+    now: float,
+    step_s: float | None,
+) -> tuple[PlantEndpoint, LinePlant]:
+    """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
+    record, step = journal.load(), journal.step()
+    first = record or ReceiverRecord(session=new_id(), k=0, x=(0.0,), u=(0.0,))
+    plant = LinePlant(Receiver(rules, instance, first, journal.chunks()))
+    endpoint = PlantEndpoint(
+        plant,
+        Pacing(step_s, 4, now),
+        new_id,
+        now,
+        pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),
+        fresh=record is None,
+    )
+    return endpoint, plant
