@@ -1,0 +1,330 @@
+"""A scheme and an eavesdropper of one's own, defined here, through everything that asks for one.
+
+Nothing is edited anywhere else: what is shipped does not know that these exist.
+"""
+
+import base64
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from protocol.agreement import NO_SYMBOL
+from protocol.knowledge import Knowledge
+from protocol.registry import UnknownError
+from protocol.runtime.memory_bus import MemoryBus
+from protocol.runtime.run_folder import BELIEFS, SCENARIO
+from protocol.runtime.zenoh_bus import Endpoints
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.schemes.base import COVER, Carry, Scheme
+from protocol.schemes.registry import SCHEMES, make_scheme
+from protocol.schemes.table import StateTable
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import EAVESDROPPERS
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
+from tap_service.inference.list_decoding import Beam
+from tap_service.service import TapConfig, TapService
+from tests.support.small_run import SCENARIOS, SmallRun
+from tests.system.test_services import System
+from wyner.cli.main import main
+from wyner.simulate.engine import follow, simulate_runs, transfer
+from wyner.simulate.engine.taps import listen, transcript
+from wyner.simulate.network import Faults, simulate
+from wyner.simulate.safety import violations
+
+
+class Hoard(NamedTuple):
+    s: int
+    first: int
+    second: int
+
+
+class Hoarding(Scheme[Hoard]):
+    """Gathers two keys (s = 1, 2), then spends them one after the other (s = 3, 4)."""
+
+    name: ClassVar[str] = "hoarding"
+    version: ClassVar[int] = 3
+    initial = Hoard(1, NO_SYMBOL, NO_SYMBOL)
+
+    def advance(self, state: Hoard, verdict: int) -> tuple[Hoard, Carry]:
+        s, first, second = state
+        if s >= 3:
+            after = Hoard(4, second, NO_SYMBOL) if s == 3 else self.initial
+            return after, Carry(NO_SYMBOL, first)
+        if verdict == NO_SYMBOL:
+            return state, COVER
+        after = Hoard(2, verdict, NO_SYMBOL) if s == 1 else Hoard(3, first, verdict)
+        return after, Carry(verdict, NO_SYMBOL)
+
+    def pad(self, state: Hoard) -> int:
+        return state.first if state.s >= 3 else NO_SYMBOL
+
+    def tests(self, state: Hoard) -> bool:
+        return state.s < 3
+
+
+class Held(NamedTuple):
+    s: int
+    key: int
+
+
+class Chained(Scheme[Held]):
+    """Tests every transition, and carries on each one that follows an agreement."""
+
+    name: ClassVar[str] = "chained"
+    version: ClassVar[int] = 1
+    initial = Held(1, NO_SYMBOL)
+
+    def advance(self, state: Held, verdict: int) -> tuple[Held, Carry]:
+        return Held(1 + (verdict != NO_SYMBOL), verdict), Carry(verdict, state.key)
+
+    def pad(self, state: Held) -> int:
+        return state.key
+
+    def tests(self, state: Held) -> bool:
+        return True
+
+
+class Last(Eavesdropper):
+    """Takes the last candidate for the applied one, whatever she hears."""
+
+    name: ClassVar[str] = "last"
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        self.heard = 0
+
+    def observe(self, transition: Transition) -> Guess:
+        self.heard += 1
+        return Guess(transition.k, (0.0,) * (self.size - 1) + (1.0,), 0.5)
+
+    def belief(self) -> Belief:
+        return Belief(message=b"%d steps" % self.heard)
+
+
+OWN = (Hoarding, Chained)
+
+
+@pytest.fixture(autouse=True)
+def registered() -> Iterator[None]:
+    with (
+        SCHEMES.registered(Hoarding.name, Hoarding),
+        SCHEMES.registered(Chained.name, Chained),
+        EAVESDROPPERS.registered(Last.name, Last),
+    ):
+        yield
+
+
+def under(scenario: Scenario, scheme: str) -> Scenario:
+    return scenario.model_copy(
+        update={"secrecy": scenario.secrecy.model_copy(update={"scheme": scheme})}
+    )
+
+
+def changed(scheme: str) -> tuple[tuple[str, str], ...]:
+    """Of the shipped scenario's text."""
+    return (("[secrecy]\n", f'[secrecy]\nscheme = "{scheme}"\n'),)
+
+
+# --- the scheme -----------------------------------------------------------------------------------
+
+
+def test_a_scenario_names_it_and_its_version_is_in_the_fingerprint(
+    sustained: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = under(sustained, "hoarding")
+    assert own.fingerprint() != sustained.fingerprint()
+    assert own.design_fingerprint() == sustained.design_fingerprint()
+    assert own.knowledge().scheme == "hoarding"
+    before = own.fingerprint()
+    monkeypatch.setattr(Hoarding, "version", 4)
+    assert own.fingerprint() != before
+    assert isinstance(make_scheme(f"{__file__}:Hoarding", 2), Scheme)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("hording", "expected switched"),
+        ("no/such/file.py:Name", "expected an existing Python file"),
+        (f"{__file__}:Nobody", "expected a class Nobody that extends protocol.schemes.base.Scheme"),
+        (f"{__file__}:Held", "expected a class Held that extends protocol.schemes.base.Scheme"),
+    ],
+)
+def test_a_name_that_is_none_is_one_line(name: str, expected: str) -> None:
+    text = (SCENARIOS / "sustained.toml").read_text()
+    for old, new in changed(name):
+        text = text.replace(old, new)
+    with pytest.raises(ScenarioError) as error:
+        parse_scenario(tomllib.loads(text), "own.toml")
+    (line,) = error.value.problems
+    assert line.startswith("own.toml: secrecy.scheme: got ")
+    assert expected in line
+
+
+def test_a_taken_name_and_what_is_no_scheme_are_refused() -> None:
+    with pytest.raises(ValueError, match="'switched' stands there already"):
+        SCHEMES.register("switched", Chained)
+    with pytest.raises(UnknownError, match=r"extends protocol\.schemes\.base\.Scheme"):
+        SCHEMES.register("last", Last)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("cls", OWN)
+@pytest.mark.parametrize("size", [2, 3, 20])
+def test_many_runs_are_so_many_single_ones(cls: type[Scheme[Any]], size: int) -> None:
+    scheme = cls(size)
+    verdicts = np.random.default_rng(1).integers(-1, size, (60, 3, 2)).astype(np.int8)
+    many = scheme.advance_many(verdicts)
+    for at in np.ndindex(3, 2):
+        state = scheme.initial
+        for j, verdict in enumerate(verdicts[:, *at].tolist()):
+            assert many.tested[j][at] == scheme.tests(state)
+            state, carry = scheme.advance(state, verdict)
+            assert (many.agreed[j][at], many.pad[j][at]) == carry
+
+
+def test_a_table_finds_states_as_they_are_reached() -> None:
+    table = StateTable(Hoarding(16))
+    states, agreed = table.advance(np.zeros(2, dtype=int), np.array([3, NO_SYMBOL]))
+    assert agreed.tolist() == [3, NO_SYMBOL]
+    assert table.tests[states].tolist() == [True, True]
+    states, _ = table.advance(states, np.array([5, 15]))
+    assert table.pad[states].tolist() == [3, NO_SYMBOL]
+    states, _ = table.advance(states, np.array([NO_SYMBOL, NO_SYMBOL]))
+    assert table.pad[states].tolist() == [5, NO_SYMBOL]
+
+
+# --- simulated ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", OWN)
+def test_engine_and_simulation_make_the_same_transitions(
+    sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
+) -> None:
+    scenario = under(sustained, cls.name)
+    runs = simulate_runs(scenario, sustained_law, seed=4, runs=range(1), steps=700)
+    t = transfer(runs, payloads=[b"ours"])
+    history = simulate(scenario, sustained_law, seed=4, steps=700, payload=b"ours")
+    assert list(violations(history, (b"ours",))) == []
+    for (_, j), counted in history.plant.items():
+        expected = (t.agreed[j, 0], t.pad[j, 0], t.cipher[j, 0], t.message_symbol[j, 0], t.p[j, 0])
+        got = counted.symbol, counted.key, counted.cipher, counted.message_symbol, counted.p
+        assert got == expected
+    assert history.inbox == [b"ours"]
+    link = follow(runs, [scenario.secrecy.alpha])
+    assert link.message_symbols[0, 0] == (t.pad[:, 0] != NO_SYMBOL).sum() > 90
+    assert (link.tested[0, 0] == 700) == (cls is Chained)
+    assert link.mistaken[0, 0] == 0
+
+
+@pytest.mark.parametrize("cls", OWN)
+def test_exactly_once_when_messages_are_lost_and_processes_die(
+    sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
+) -> None:
+    faults = Faults(loss=0.1, repeat=0.05, delay_s=0.1, crash=0.01, amnesia=0.02)
+    history = simulate(
+        under(sustained, cls.name), sustained_law, seed=2, steps=500, payload=b"ok", faults=faults
+    )
+    assert history.crashes > 0
+    assert list(violations(history, (b"ok",))) == []
+
+
+@pytest.mark.parametrize("cls", OWN)
+def test_the_check_and_every_tap_follow_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cls: type[Scheme[Any]]
+) -> None:
+    run = SmallRun(tmp_path, (b"over the hill",), changes=changed(cls.name))
+    run.until_received(1)
+    run.steps(20, {3: "offer lost", 6: "repeated", 9: "plant dies", 12: "controller dies"})
+    run.close()
+    code = main(["check", str(tmp_path)])
+    assert code == 0, capsys.readouterr().out
+    capsys.readouterr()
+    (tmp_path / SCENARIO).write_text((SCENARIOS / "sustained.toml").read_text())
+    assert main(["check", str(tmp_path)]) == 1
+    failed = {line.split()[1] for line in capsys.readouterr().out.splitlines() if "FAIL" in line}
+    assert {"sender", "receiver"} <= failed
+
+
+@pytest.mark.parametrize("cls", OWN)
+def test_eavesdroppers_read_what_it_sends(
+    sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
+) -> None:
+    scenario = under(sustained, cls.name)
+    runs = simulate_runs(scenario, sustained_law, seed=12, runs=range(1), steps=900, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy"])
+    names = ("set-membership", "nearest-centre", "list-decoder", "oracle", "last")
+    weak, nearest, decoder, oracle, last = listen(runs, sent, names, 0)
+    assert nearest.right == decoder.right == oracle.right == oracle.agreements > 100
+    assert weak.right < weak.agreements
+    assert 0.3 < last.right / last.agreements < 0.7
+    assert (oracle.delivered, oracle.read, decoder.read) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("cls", OWN)
+def test_the_list_decoder_goes_on_where_something_was_missed(
+    sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
+) -> None:
+    """Ciphertext symbols missed inside a frame: every value is followed, the check picks one."""
+    scenario = under(sustained, cls.name)
+    runs = simulate_runs(scenario, sustained_law, seed=12, runs=range(1), steps=900, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy there"])
+    carriers = np.flatnonzero(sent.pad[:, 0] != NO_SYMBOL)
+    missed = {int(carriers[40]), int(carriers[60])}
+    model = Model.of(scenario.knowledge(), "test")
+    beam = Beam(make_scheme(cls.name, 2), edge=1.0)
+    for t in transcript(runs, sent, 0):
+        assert t.x is not None
+        assert t.x_next is not None
+        assert t.candidates is not None
+        assert t.cipher is not None
+        gauges = model.gauges(t.x, t.candidates, t.x_next)
+        if t.k in missed:
+            beam.step_sampled(t.k, np.array([gauges]), None)
+        else:
+            beam.step(t.k, gauges, t.cipher)
+    assert beam.whole == [b"Ahoy there"]
+
+
+# --- live -----------------------------------------------------------------------------------------
+
+
+def test_three_live_services_follow_it(
+    sustained: Scenario,
+    sustained_law: CandidateLaw,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By the file's name, so that the list decoder's own process finds the scheme too."""
+    name = f"{__file__}:Hoarding"
+    text = (SCENARIOS / "sustained.toml").read_text()
+    for old, new in changed(name):
+        text = text.replace(old, new)
+    (tmp_path / SCENARIO).write_text(text)
+    scenario = under(sustained, name)
+    system = System(scenario, sustained_law, tmp_path)
+    config = TapConfig(
+        tmp_path,
+        scenario.knowledge(),
+        Endpoints(),
+        Endpoints(),
+        names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
+    )
+    tap = TapService(config)
+    tap.attach(MemoryBus(system.field), MemoryBus(system.ops))
+    with system.controller(b"at nine"), system.plant(steps=900):
+        while "plant" not in system.codes:
+            tap.work(0.05)
+    tap.finish()
+    tap.close()
+    assert system.recovered() == [b"at nine"]
+    beliefs = json.loads((tmp_path / BELIEFS).read_text())
+    assert base64.b64decode(beliefs["list-decoder"]["message"]) == b"at nine"
+    assert b"steps" in base64.b64decode(beliefs["last"]["message"])
+    code = main(["check", str(tmp_path)])
+    assert code == 0, capsys.readouterr().out
