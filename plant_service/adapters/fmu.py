@@ -5,6 +5,7 @@ fault in it takes the plant's process down and nothing else.
 """
 
 import hashlib
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -29,6 +30,8 @@ class Fmu:
         Names of the model's real variables, scalars; the outputs are the state.
     start : dict of str to float, optional
         Values of parameters and start values, set before the initialisation.
+    seed : str, optional
+        The parameter that takes the seed of a session, for a model with chance of its own.
 
     Raises
     ------
@@ -43,6 +46,7 @@ class Fmu:
         inputs: Sequence[str],
         outputs: Sequence[str],
         start: dict[str, float] | None = None,
+        seed: str | None = None,
     ) -> None:
         _check_hash(path, sha256)
         try:
@@ -60,6 +64,7 @@ class Fmu:
         self._outputs = _references(path, references, outputs, None)
         self._start = start or {}
         self._start_references = _references(path, references, list(self._start), None)
+        self._seed = _references(path, references, [] if seed is None else [seed], None)
         self._folder = Path(tempfile.mkdtemp(prefix="wyner-fmu-"))
         try:
             fmpy.extract(str(path), str(self._folder))
@@ -70,7 +75,7 @@ class Fmu:
         self._instance: Any = None
         self._k = 0
 
-    def reset(self, seed: int | None) -> Vector:  # noqa: ARG002
+    def reset(self, seed: int | None) -> Vector:
         """A new instance at time 0."""
         self._free()
         description, folder = self._description, str(self._folder)
@@ -90,6 +95,8 @@ class Fmu:
         self._set = instance.setReal if two else instance.setFloat64
         if self._start_references:
             self._set(self._start_references, list(self._start.values()))
+        if self._seed:
+            self._set(self._seed, [float(_fresh_seed() if seed is None else seed)])
         if two:
             instance.setupExperiment(startTime=0.0)
             instance.enterInitializationMode()
@@ -118,6 +125,11 @@ class Fmu:
         if instance is not None:
             instance.terminate()
             instance.freeInstance()
+
+
+def _fresh_seed() -> int:
+    """A seed that a float holds exactly."""
+    return int.from_bytes(os.urandom(4))
 
 
 def _check_hash(path: Path, sha256: str) -> None:

@@ -103,6 +103,8 @@ class FmuPlant(ModelledElsewhere):
     """Names of its outputs, in the order of x."""
     start: dict[str, float] | None = None
     """Start values by name."""
+    seed: str | None = None
+    """The parameter that takes a session's seed, for a model with chance of its own."""
     settle_s: Positive | None = None
     """Seconds to run at the operating input before step 0."""
     initial_state: tuple[()] = ()
@@ -113,7 +115,7 @@ class FmuPlant(ModelledElsewhere):
         from plant_service.adapters.fmu import Fmu
 
         path = folder / self.file
-        fmu = Fmu(path, self.sha256, self.inputs, self.outputs, self.start)
+        fmu = Fmu(path, self.sha256, self.inputs, self.outputs, self.start, self.seed)
         return Simulated(fmu, self.period_s)
 
 

@@ -148,6 +148,7 @@ class Scenario(Part):
                 "B": self.B,
                 "D_c": self.defender.disturbance.model_dump(exclude_none=True),
                 "control": self.control.model_dump(mode="json", exclude_none=True),
+                "design": self.control.design_key(self.secrecy),
                 "candidates": self.secrecy.candidates,
                 "period_s": self.plant.period_s,
                 "initial_state": self.initial_state,

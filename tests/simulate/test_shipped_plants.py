@@ -8,10 +8,11 @@ from wyner.api import design, run
 RATES = {
     "pendulum": 10.0,
     "unicycle": 10.0,
+    "motor": 5.0,
     "nonlinear-quadruple-tank": 0.2,
     "gymnasium-pendulum": 20.0,
 }
-"""Bits a second: 2 bits every second step."""
+"""Bits a second: 2 bits every second step, the motor 1."""
 
 
 @pytest.mark.parametrize("name", RATES)

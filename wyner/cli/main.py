@@ -20,6 +20,7 @@ COMMANDS: Final = {
     "send": "hand a running controller a message to deliver",
     "design": "compute and show a scenario's sets, gains and expected rate",
     "capacity": "show how many symbols a scenario's inputs can carry, over alpha",
+    "fit": "identify a plant, calibrate D_c and certify it with fresh sessions",
     "check": "replay a run's traces and say whether they obey the paper",
     "report": "write a run's page: one file of HTML with figures, scores and clauses",
     "replay": "decode a recorded capture",

@@ -1,0 +1,133 @@
+"""``wyner fit``: a model and a D_c, with a certificate, from a plant's own readings."""
+
+import argparse
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.run_folder import write_atomically
+
+if TYPE_CHECKING:
+    from wyner.studies.fit.fitting import Plan
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "fit",
+        help="identify a plant, calibrate D_c and certify it with fresh sessions",
+        description="Run the plant of SCENARIO: excite it, identify A and B where the file has "
+        "none, scale D_c by whole sessions under the law until it stands still, freeze it, and "
+        "count the fresh sessions that leave it. Write the scenario with the certificate.",
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+    counts = (
+        ("--excite-sessions", 20, "sessions with random inputs"),
+        ("--excite-steps", 100, "steps of each; few for an unstable plant without a stated gain"),
+        ("--pilot", 20, "sessions that give D_c its shape"),
+        ("--calibration", 100, "sessions that scale D_c"),
+        ("--fresh", 100, "sessions that certify it"),
+        ("--steps", 200, "steps of a session under the law"),
+        ("--seed", 1, "seed of excitation, coins and disturbance"),
+    )
+    for option, default, text in counts:
+        parser.add_argument(
+            option, type=int, default=default, metavar="N", help=f"{text} ({default})"
+        )
+    shares = (
+        ("--amplitude", 0.3, "of the random inputs, as a share of U"),
+        ("--violation", 0.05, "share of sessions that may leave D_c, for the calibration"),
+        ("--confidence", 0.999, "of the certificate"),
+    )
+    for option, share, text in shares:
+        parser.add_argument(
+            option, type=float, default=share, metavar="P", help=f"{text} ({share})"
+        )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write, tell."""
+    from controller_service.laws.base import ProgramError
+    from controller_service.laws.registry import make_law, synthesise
+    from controller_service.sets.design import SynthesisError
+    from plant_service.adapters import Operated
+    from plant_service.adapters.registry import open_plant
+    from protocol.scenario import Scenario, ScenarioError
+    from wyner.shipped import scenario_file_of
+    from wyner.simulate.engine import SimulationError
+    from wyner.studies.fit.fitting import fit
+    from wyner.studies.fit.identification import FitError
+    from wyner.studies.fit.toml import as_toml
+
+    plan = _plan(args)
+    path = scenario_file_of(args.scenario)
+
+    def opened(scenario: Scenario) -> Operated:
+        return open_plant(scenario, path.parent)
+
+    try:
+        found = fit(
+            _tables(path),
+            str(path),
+            opened,
+            lambda s: make_law(s, synthesise(s)),
+            plan,
+            lambda line: print(f"wyner: {line}", file=sys.stderr),
+        )
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+    except (SynthesisError, ProgramError) as error:
+        raise UsageError(f"{path}: {error}") from None
+    except (FitError, SimulationError) as error:
+        raise Failure(str(error)) from None
+    c = found.scenario.defender.calibration
+    assert c is not None
+    promise = (
+        f"a session of {c.steps} steps leaves D_c with probability at most {c.violation:.3g}, "
+        f"confidence {c.confidence:g}: {c.exceeded} of {c.sessions} fresh sessions did"
+    )
+    head = f"Written by wyner fit, seed {plan.seed}.\n{promise[0].upper()}{promise[1:]}."
+    try:
+        write_atomically(args.output, as_toml(found.tables, head).encode())
+    except OSError as error:
+        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
+    widths = found.scenario.defender.disturbance.half_widths
+    assert widths is not None
+    print(f"D_c half-widths {' '.join(f'{w:.4g}' for w in widths)}")
+    print(promise)
+    print(f"wrote {args.output}")
+    return DONE
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UsageError(f"{path}: cannot be read: {reason}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: not TOML: {error}") from None
+
+
+def _plan(args: argparse.Namespace) -> "Plan":
+    """The checked numbers."""
+    from wyner.studies.fit.conformal import rank
+    from wyner.studies.fit.fitting import Plan
+
+    for name in ("excite_sessions", "excite_steps", "pilot", "calibration", "fresh", "steps"):
+        if getattr(args, name) < 1:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option}: got {getattr(args, name)}, expected at least 1")
+    for name in ("amplitude", "violation", "confidence"):
+        if not 0 < getattr(args, name) < 1:
+            raise UsageError(f"--{name}: got {getattr(args, name):g}, expected between 0 and 1")
+    try:
+        rank(args.calibration, args.violation)
+    except ValueError as error:
+        raise UsageError(f"--calibration: {error}") from None
+    fields = Plan.__dataclass_fields__
+    return Plan(**{name: getattr(args, name) for name in fields})

@@ -1,0 +1,108 @@
+"""Sessions of a plant: excited, to find a model; under a law, to see what D_c must hold."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_service.adapters import Operated
+from protocol.scenario import Scenario
+from wyner.simulate.single import Law, simulate_plant
+
+Array = NDArray[np.float64]
+OpenPlant = Callable[[Scenario], Operated]
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """x, u and x+ of many steps, shapes (T, n), (T, m), (T, n)."""
+
+    x: Array
+    u: Array
+    x_next: Array
+
+
+def excite(
+    scenario: Scenario,
+    open_plant: OpenPlant,
+    *,
+    sessions: int,
+    steps: int,
+    amplitude: float,
+    seed: int,
+) -> Transitions:
+    """Apply random inputs, beside u = K x where ``control.gain`` is stated.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its U, its stated gain and its plant; its model does not matter.
+    open_plant : callable
+    sessions, steps : int
+        An unstable plant wants many short ones.
+    amplitude : float
+        Of the random part, as a share of U.
+    seed : int
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    widths = _reach(scenario) * amplitude
+    gain = None if scenario.control.gain is None else np.array(scenario.control.gain)
+    rows: list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = []
+    for session in range(sessions):
+        plant = open_plant(scenario)
+        noise = _noise(scenario, rng, steps)
+        try:
+            x = plant.start(seed + session)
+            for k in range(steps):
+                v = rng.uniform(-widths, widths)
+                wanted = v if gain is None else v + gain @ np.array(x)
+                u, x_next = _step(plant, scenario, tuple(wanted.tolist()), noise[k])
+                rows.append((x, u, x_next))
+                x = x_next
+        finally:
+            plant.close()
+    x_all, u_all, next_all = (np.array(column) for column in zip(*rows, strict=True))
+    return Transitions(x_all, u_all, next_all)
+
+
+def _reach(scenario: Scenario) -> Array:
+    """Half-widths of the largest box that is surely within U, by component: a cube's for others."""
+    inputs = scenario.control.inputs
+    if inputs.half_widths is not None:
+        return np.array(inputs.half_widths)
+    H, h = (np.array(a) for a in inputs.rows())
+    return np.full(scenario.m, float((h / np.abs(H).sum(axis=1)).min()))
+
+
+def _noise(scenario: Scenario, rng: np.random.Generator, steps: int) -> list[tuple[float, ...]]:
+    from plant_service.disturbance import disturbance
+
+    spec = scenario.plant.disturbance
+    uniforms = rng.random((steps, len(spec.half_widths))).tolist()
+    return [disturbance(spec, k, row) for k, row in enumerate(uniforms)]
+
+
+def _step(
+    plant: Operated, scenario: Scenario, u: tuple[float, ...], d: tuple[float, ...]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    enters = scenario.plant.disturbance.enters or "state"
+    applied = plant.apply(u, d if enters == "input" else None)
+    return applied, plant.sample(d if enters == "state" and d else None)
+
+
+def residuals_under(
+    scenario: Scenario, law: Law, open_plant: OpenPlant, *, runs: range, steps: int, seed: int
+) -> Array:
+    """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n)."""
+    record = simulate_plant(
+        scenario, law, lambda: open_plant(scenario), seed=seed, runs=runs, steps=steps
+    )
+    assert record.x is not None
+    assert record.candidates is not None
+    x = np.moveaxis(record.x, 2, 0)
+    offers = np.moveaxis(record.candidates, 3, 0)
+    coin = record.coin.T[:, :, None, None].astype(np.intp)
+    u = np.take_along_axis(offers, coin, axis=2)[:, :, 0]
+    out: Array = x[:, 1:] - x[:, :-1] @ np.array(scenario.A).T - u @ np.array(scenario.B).T
+    return out
