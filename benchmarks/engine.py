@@ -43,7 +43,7 @@ PARTS: Final = {
 
 def shipped(name: str) -> Scenario:
     """A shipped scenario."""
-    from wyner.cli.options import scenario_of
+    from protocol.scenario.files import scenario_of
 
     return scenario_of(name)
 

@@ -101,7 +101,7 @@ def measure(
         When the scenario is of another kind.
     """
     if scenario is None:
-        from wyner.cli.options import scenario_of
+        from protocol.scenario.files import scenario_of
 
         scenario = scenario_of("paper")
     middle, last = horizons[1], horizons[-1]

@@ -3,3 +3,4 @@
 from protocol.registry import provide
 
 provide("law", "controller_service.laws.registry")
+provide("service", "controller_service.row")

@@ -2,7 +2,7 @@
 
 import sys
 
-from wyner.__main__ import main
+from protocol.runtime.command import serve
 
 if __name__ == "__main__":
-    sys.exit(main("controller"))
+    sys.exit(serve("controller"))

@@ -1,1 +1,5 @@
 """The tap: mirrors the field bus, and lets eavesdroppers guess at what it carries."""
+
+from protocol.registry import provide
+
+provide("service", "tap_service.row")

@@ -18,7 +18,7 @@ from protocol.link.session import Transition
 from protocol.runtime.process import DONE, USAGE
 from protocol.runtime.run_folder import write_atomically
 from protocol.scenario import Scenario
-from wyner.cli.options import scenario_of
+from protocol.scenario.files import scenario_of
 from wyner.simulate.network import Simulation
 from wyner.studies.figures.style import COLOURS, drawing, save
 

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 import controller_service as _controller_service  # noqa: F401
 import plant_service as _plant_service  # noqa: F401
 import tap_service as _tap_service  # noqa: F401
+from protocol.registry import provide as _provide
+
+_provide("service", "wyner.people")
 
 if TYPE_CHECKING:
     from wyner.api import *  # noqa: F403

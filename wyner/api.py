@@ -32,10 +32,10 @@ from protocol.convex import Polytope, corners, planar_vertices
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
 from protocol.schemes.framing import Deframer
+from protocol.shipped import SCENARIOS, scenario_file_of
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError
 from wyner.scoring.statistics import Interval, bootstrap_mean, wilson
-from wyner.shipped import SCENARIOS, scenario_file_of
 from wyner.simulate.engine import Runs, SimulationError, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow
 from wyner.simulate.engine.taps import Heard, listen

@@ -12,8 +12,8 @@ from benchmarks import qp as bench_qp
 from benchmarks import sets as bench_sets
 from controller_service.sets.design import Design, synthesise
 from protocol.scenario import Scenario
+from protocol.scenario.files import scenario_of
 from wyner.cli.main import main
-from wyner.cli.options import scenario_of
 
 QUICK: dict[str, Any] = {"horizons": (3, 6, 12), "seconds": 20.0, "repeats": 2, "rounds": 2}
 

@@ -16,13 +16,13 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.process import UsageError
+from protocol.runtime.services import BUSES, SERVICES
 from protocol.runtime.zenoh_bus import free_endpoints
-from wyner.cli.endpoints import BUSES, DEFAULTS
-from wyner.cli.main import COMMANDS, main
-from wyner.cli.options import keep_scenario
+from protocol.scenario.files import keep_scenario
+from wyner.cli.main import commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
-PRESENT = [name for name in COMMANDS if (ROOT / "wyner" / "cli" / f"{name}.py").exists()]
+PRESENT = list(commands())
 
 
 def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
@@ -302,7 +302,7 @@ def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
     command: str, up: bytes, tmp_path: Path
 ) -> None:
     (free,) = free_endpoints(1)
-    args = [f"--connect={bus}={free}" for bus in DEFAULTS[command]]
+    args = [f"--connect={bus}={free}" for bus in SERVICES[command].ends]
     if command != "dashboard":
         args += ["--scenario=paper", f"--run-dir={tmp_path}"]
     if command == "tap":
@@ -443,10 +443,11 @@ def test_knowledge_is_json_without_a_secret(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_defaults_listen_once_and_connect_to_what_is_listened_at() -> None:
-    listened = [e for buses in DEFAULTS.values() for listen, _ in buses.values() for e in listen]
+    rows = [SERVICES[name] for name in SERVICES]
+    listened = [e for row in rows for ends in row.ends.values() for e in ends.listen]
     assert len(set(listened)) == len(listened)
-    for service, buses in DEFAULTS.items():
-        assert set(buses) <= set(BUSES)
-        for _, connect in buses.values():
-            assert set(connect) <= set(listened), service
-    assert "ops" not in DEFAULTS["tap"]
+    for row in rows:
+        assert set(row.ends) <= set(BUSES)
+        for ends in row.ends.values():
+            assert set(ends.connect) <= set(listened), row.name
+    assert "ops" not in SERVICES["tap"].ends

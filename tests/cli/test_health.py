@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.runtime.services import Look
 from protocol.scenario import Scenario
-from wyner.cli.health import MAX_AGE_S, Look, advances
+from wyner.cli.health import MAX_AGE_S, advances
 from wyner.cli.main import main
 
 
@@ -162,7 +163,7 @@ def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
     assert capsys.readouterr().out == path.read_text()
     written = json.loads(path.read_text())
     assert written["alpha"] is None
-    assert set(written["policy"]) == {"law", "costs", "gain"}  # no set of the design
+    assert set(written["policy"]) == {"law", "costs", "gain", "together"}  # no set of the design
     D_c, D_e = sustained.defender.disturbance.half_widths, written["disturbance_h"]
     assert D_c is not None
     assert D_e == [sustained.secrecy.alpha * w for w in D_c for _ in range(2)]

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD
+from protocol.runtime.options import alone_in
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from tap_service.capture.channel import View
 from tap_service.capture.recording import CaptureReader, Limits, RotatingLog, mirror_line
 from wyner.cli.main import main
-from wyner.cli.options import alone_in
 from wyner.studies.secrecy.runs import Run, simulate
 
 
@@ -362,7 +362,7 @@ def test_a_second_tap_in_a_folder_is_refused(
 ) -> None:
     code = (
         "import sys, pathlib\n"
-        "from wyner.cli.options import alone_in\n"
+        "from protocol.runtime.options import alone_in\n"
         "with alone_in(pathlib.Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen(

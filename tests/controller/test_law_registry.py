@@ -18,9 +18,9 @@ from protocol.knowledge import Policy
 from protocol.registry import UnknownError
 from protocol.runtime.run_folder import SCENARIO
 from protocol.scenario import Control, Part, Scenario, parse_scenario
+from protocol.shipped import SCENARIOS
 from tests.system.test_services import System
 from wyner.cli.main import main
-from wyner.shipped import SCENARIOS
 from wyner.simulate.engine import simulate_runs
 from wyner.simulate.network import simulate
 from wyner.simulate.safety import violations

@@ -21,7 +21,7 @@ from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from wyner.cli.options import scenario_of
+from protocol.scenario.files import scenario_of
 
 SHIPPED = (
     "packed",

@@ -15,25 +15,31 @@ import pytest
 from protocol.messages import FIELD, INTEL, OPS, Measurement, Offer, TapStatus
 from protocol.runtime.bus import Deliver
 from protocol.runtime.run_folder import PLANT_TRACE
+from protocol.runtime.services import BUSES, SERVICES, on_bus
 from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import TlsFiles, ZenohBus, free_endpoints, open_router
 from protocol.topics import key_of
 from wyner.cli.main import main
-from wyner.deployment.access import PUBLISHER, READERS, TYPES, access_control
+from wyner.deployment.access import access_control
 from wyner.deployment.certificates import ensure_certificates
-
-BUSES = ("field", "ops", "intel")
-
 
 # --- the rules ------------------------------------------------------------------------------------
 
 
+TYPES = {"field": FIELD, "ops": OPS, "intel": INTEL}
+
+
+def publishers(bus: str, topic: str) -> list[str]:
+    return [row.name for row in on_bus(bus) if topic in row.publishes.get(bus, ())]
+
+
 def test_every_message_type_has_one_bus_and_one_publisher_who_may_also_read_there() -> None:
-    assert set(PUBLISHER) == {*FIELD, *OPS, *INTEL}
-    assert TYPES == {"field": FIELD, "ops": OPS, "intel": INTEL}
-    for bus, types in TYPES.items():
-        for message_type in types:
-            assert PUBLISHER[message_type] in READERS[bus]
+    topics = {bus: {t.topic for t in types} for bus, types in TYPES.items()}
+    for bus, theirs in topics.items():
+        assert {t for row in on_bus(bus) for t in row.publishes.get(bus, ())} == theirs
+        assert all(len(publishers(bus, topic)) == 1 for topic in theirs)
+    for row in (SERVICES[name] for name in SERVICES):
+        assert set(row.publishes) <= set(row.ends)
 
 
 @pytest.mark.parametrize("bus", BUSES)
@@ -57,14 +63,14 @@ def test_only_the_publisher_of_a_type_may_put_it(bus: str) -> None:
                 for key in rule["key_exprs"]:
                     may_put.setdefault(key, set()).update(policy["subjects"])
     assert may_put == {
-        key_of(t, "loop").replace("/loop/", "/*/"): {PUBLISHER[t]} for t in TYPES[bus]
+        key_of(t, "loop").replace("/loop/", "/*/"): set(publishers(bus, t.topic))
+        for t in TYPES[bus]
     }
 
 
 def test_the_tap_has_no_place_on_ops() -> None:
-    assert "tap" not in READERS["ops"]
-    assert PUBLISHER[TapStatus] == "tap"
-    assert [t for t in (*FIELD, *OPS) if PUBLISHER[t] == "tap"] == []
+    assert "tap" not in [row.name for row in on_bus("ops")]
+    assert SERVICES["tap"].publishes == {"intel": (TapStatus.topic,)}
 
 
 # --- a real router --------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 import pytest
 
 from protocol.scenario import LAWS, PLANTS, Scenario
+from protocol.shipped import SCENARIOS
 from tools.scenario_reference import PAGE, form_of, lines_of, main, missing, page
-from wyner.shipped import SCENARIOS
 
 
 def test_the_page_is_fresh() -> None:

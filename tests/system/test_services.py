@@ -45,10 +45,10 @@ from protocol.runtime.run_folder import (
 )
 from protocol.runtime.trace import read_trace
 from protocol.scenario import Scenario
+from protocol.shipped import SCENARIOS
 from protocol.streams import COIN, noise, symbols
 from protocol.topics import key_of
 from wyner.cli.main import main
-from wyner.shipped import SCENARIOS
 
 Service = TypeVar("Service", PlantService, ControllerService)
 

@@ -4,9 +4,12 @@ import argparse
 from pathlib import Path
 
 from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.services import BUSES, SERVICES
 
-SERVICES = ("router", "controller", "plant", "tap", "dashboard", "operator")
-BUSES = ("field", "ops", "intel")
+
+def default_names() -> list[str]:
+    """The router, and everybody who takes part on a bus."""
+    return ["router", *SERVICES]
 
 
 def default_hosts(name: str) -> list[str]:
@@ -28,7 +31,8 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         action="append",
         metavar="NAME[=HOST,...]",
         help="a service and the host names or addresses under which it is reached; may be "
-        f"repeated (default: {', '.join(SERVICES)}, each on this machine and in the containers)",
+        f"repeated (default: {', '.join(default_names())}, "
+        "each on this machine and in the containers)",
     )
     parser.add_argument(
         "--days", type=int, default=365, metavar="N", help="days of validity (default: 365)"
@@ -49,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.days <= 36500:
         problems.append(f"--days: got {args.days}, expected 1 to 36500")
     hosts: dict[str, list[str]] = {}
-    for text in args.name or SERVICES:
+    for text in args.name or default_names():
         name, separator, listed = text.partition("=")
         theirs = [h for h in listed.split(",") if h]
         try:

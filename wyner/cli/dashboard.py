@@ -4,15 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from wyner.cli.endpoints import (
-    CONTROLLER_OPS,
-    PLANT_OPS,
-    add_endpoint_arguments,
-    add_run_argument,
-    endpoints_of,
-    joined,
-    loop_of,
-)
+from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS
+from wyner.cli.options import add_run_argument, joined
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

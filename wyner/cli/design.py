@@ -2,16 +2,13 @@
 
 import argparse
 import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from protocol.runtime.process import DONE, UsageError
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
-    from controller_service.sets.design import Design, Progress
+    from controller_service.sets.design import Design
     from protocol.scenario import Scenario
 
 RUNS, STEPS, SEED = 40, 250, 1
@@ -38,13 +35,14 @@ def run(args: argparse.Namespace) -> int:
 
     from controller_service.laws.base import ProgramError
     from controller_service.laws.registry import cached_design, make_law, synthesise
+    from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
-    from wyner.cli.options import scenario_of
+    from protocol.scenario.files import scenario_of
 
     scenario = scenario_of(args.scenario)
     begin = time.perf_counter()
     try:
-        with progress_bar() as progress:
+        with shown_progress() as progress:
             design = (synthesise if args.no_cache else cached_design)(scenario, progress)
         law = make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:
@@ -57,36 +55,6 @@ def run(args: argparse.Namespace) -> int:
     result["simulated"] = linear
     print(json.dumps(result) if args.json else render(result))
     return DONE
-
-
-@contextmanager
-def progress_bar() -> "Iterator[Progress | None]":
-    """A bar on a terminal's standard error once the synthesis has taken a second."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    import time
-
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    begin = time.monotonic()
-    bar = Bar(console=Console(stderr=True), transient=True)
-    task = bar.add_task("sets", total=None)
-    started = False
-
-    def advance(done: int, total: int) -> None:
-        nonlocal started
-        if not started and time.monotonic() - begin > 1:
-            bar.start()
-            started = True
-        bar.update(task, completed=done, total=total)
-
-    try:
-        yield advance
-    finally:
-        if started:
-            bar.stop()
 
 
 def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:

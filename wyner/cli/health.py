@@ -8,27 +8,17 @@ import argparse
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.services import SERVICES, Look
 
-SERVICES = ("controller", "plant", "tap")
 MAX_AGE_S = 5.0
 """A report older than this was written by a service that is frozen or gone; it writes one each
 second (the tap each two)."""
 
 WITHIN_S = 3.0
 LOOK_S = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """One look at a service: how old its report is, and what it has counted."""
-
-    age_s: float
-    count: int
-    text: str
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,7 +31,11 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "For a router: when it takes a connection.",
     )
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--service", choices=SERVICES, help="a service that writes below --run-dir")
+    what.add_argument(
+        "--service",
+        choices=[name for name in SERVICES if SERVICES[name].health],
+        help="a service that writes below --run-dir",
+    )
     what.add_argument("--endpoint", metavar="ENDPOINT", help="a router's, such as tcp/router:7447")
     parser.add_argument("--run-dir", type=Path, metavar="D", help="the service's run folder")
     parser.add_argument(
@@ -52,51 +46,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help=f"seconds in which the count must grow (default: {WITHIN_S:g})",
     )
     parser.set_defaults(run=run)
-
-
-def look_at_status(path: Path, now_s: float) -> Look:
-    """Look at the status that a controller or a plant writes.
-
-    Raises
-    ------
-    Failure
-        When there is none, or it is not one.
-    """
-    from pydantic_core import from_json
-
-    try:
-        status = from_json(path.read_bytes())
-        age_s = now_s - status["t_ns"] / 1e9
-        count = int(status["transitions"])
-        phase = status["phase"]
-    except OSError as error:
-        raise Failure(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError):
-        raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
-    detail = f" ({status['detail']})" if status.get("detail") else ""
-    return Look(age_s, count, f"{phase}{detail}, {count} transitions")
-
-
-def look_at_capture(folder: Path, now_s: float) -> Look:
-    """Look at what the tap has written: its beliefs' age, and the bytes of its capture.
-
-    Parts of a capture are removed when they grow old, so the newest part's time stands in for what
-    was written before.
-
-    Raises
-    ------
-    Failure
-        When nothing is there.
-    """
-    try:
-        age_s = now_s - (folder / "beliefs.json").stat().st_mtime
-        parts = [part.stat() for part in folder.glob("capture*.jsonl")]
-    except OSError as error:
-        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
-    if not parts:
-        raise Failure(f"{folder}: expected a capture")
-    newest = max(part.st_mtime_ns for part in parts)
-    return Look(age_s, newest, f"{sum(part.st_size for part in parts)} bytes captured")
 
 
 def advances(look: Callable[[], Look], within_s: float, max_age_s: float = MAX_AGE_S) -> Look:
@@ -152,10 +101,8 @@ def run(args: argparse.Namespace) -> int:
         return DONE
     if args.run_dir is None:
         raise UsageError("--service: expected --run-dir D as well")
-    folder = args.run_dir / args.service
-    if args.service == "tap":
-        seen = advances(lambda: look_at_capture(folder, time.time()), args.within)
-    else:
-        seen = advances(lambda: look_at_status(folder / "status.json", time.time()), args.within)
+    look = SERVICES[args.service].health
+    assert look is not None
+    seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
     print(f"{args.service} advances: {seen.text}")
     return DONE

@@ -25,7 +25,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Read the scenario and write its public part."""
-    from wyner.cli.options import scenario_of
+    from protocol.scenario.files import scenario_of
 
     text = scenario_of(args.scenario).knowledge().model_dump_json(indent=2) + "\n"
     if args.output is None:

@@ -1,21 +1,18 @@
-"""The ``wyner`` command: finds the subcommand, runs it, turns errors into one line and a code."""
+"""The ``wyner`` command: finds the subcommand and runs it."""
 
 import argparse
 import importlib
 import importlib.util
-import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Final
 
-from protocol.runtime.process import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from protocol.runtime.command import Parser, carry_out
+from protocol.runtime.services import SERVICES
 
 COMMANDS: Final = {
     "up": "run controller, plant and tap on this machine and watch them",
-    "controller": "run the controller service",
-    "plant": "run the plant service with its simulation",
-    "tap": "run the tap service with its eavesdroppers",
     "dashboard": "watch a running system",
     "send": "hand a running controller a message to deliver",
     "design": "compute and show a scenario's sets, gains and expected rate",
@@ -34,20 +31,26 @@ COMMANDS: Final = {
     "router": "run a Zenoh router, with access control where asked",
     "health": "say whether a service advances",
 }
-"""Subcommand, and its line in the help; the module is ``wyner.cli.NAME``."""
+"""Subcommand, and its line in the help; the module is ``wyner.cli.NAME``. Services bring theirs."""
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line and exit code 2."""
+def commands() -> dict[str, str]:
+    """Every subcommand and its line in the help: those here, and each service's own."""
+    first, *others = COMMANDS
+    services = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command}
+    return {first: COMMANDS[first], **services, **{n: COMMANDS[n] for n in others}}
 
-    def error(self, message: str) -> None:  # type: ignore[override]
-        """Raise instead of printing the whole usage."""
-        raise UsageError(f"{message} (see {self.prog} --help)")
 
-
-def _available() -> dict[str, str]:
-    found = importlib.util.find_spec
-    return {n: text for n, text in COMMANDS.items() if found(f"wyner.cli.{n}") is not None}
+def _add_parser(name: str, subparsers: "argparse._SubParsersAction[Parser]") -> None:
+    """Add a subcommand with its options; what is here of a service's goes before its own."""
+    if importlib.util.find_spec(f"wyner.cli.{name}") is not None:
+        importlib.import_module(f"wyner.cli.{name}").add_parser(subparsers)
+        return
+    row = SERVICES[name]
+    service = importlib.import_module(row.command)
+    parser = subparsers.add_parser(name, help=row.summary, description=row.summary)
+    service.add_arguments(parser)
+    parser.set_defaults(run=service.run)
 
 
 def build_parser(name: str | None) -> argparse.ArgumentParser:
@@ -64,60 +67,19 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=Parser
     )
-    for command, text in _available().items():
+    for command, text in commands().items():
         if command == name:
-            importlib.import_module(f"wyner.cli.{command}").add_parser(subparsers)
+            _add_parser(command, subparsers)
         else:
             subparsers.add_parser(command, help=text)
     return parser
 
 
-def _flush_or_drop_output() -> None:
-    """Write what is left, or else the interpreter tries again at its end, and complains."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _in_a_line(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    if isinstance(error, OSError) and error.strerror is not None:
-        return error.strerror
-    return " ".join(f"unexpected {type(error).__name__}: {error}".split())
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code and never lets a traceback out.
-
-    Set ``WYNER_TRACEBACK=1`` to see where an unexpected error came from.
-    """
+    """Run the command line; returns the exit code and never lets a traceback out."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((a for a in arguments if not a.startswith("-")), None)
-    try:
-        args = build_parser(name).parse_args(arguments)
-        code = int(args.run(args))
-        sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
-        return code
-    except UsageError as error:
-        for line in error.lines:
-            print(f"wyner: {line}", file=sys.stderr)
-        return USAGE
-    except Failure as error:
-        print(f"wyner: {error}", file=sys.stderr)
-        return FAILED
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        _flush_or_drop_output()
-        return FAILED
-    except Exception as error:
-        if os.environ.get("WYNER_TRACEBACK"):
-            raise
-        _flush_or_drop_output()
-        print(f"wyner: {_in_a_line(error)}", file=sys.stderr)
-        return FAILED
+    return carry_out(lambda: build_parser(name).parse_args(arguments))
 
 
 if __name__ == "__main__":

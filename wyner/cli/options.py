@@ -1,153 +1,44 @@
-"""What several subcommands load the same way: scenarios, messages, run folders, paces."""
+"""Options of those who join a loop that runs already."""
 
 import argparse
-import fcntl
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import UTC, datetime
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from protocol.runtime.process import Pace, UsageError
-from protocol.runtime.run_folder import (
-    PRIVATE_FOLDER,
-    SCENARIO,
-    make_folder,
-    open_private,
-    write_atomically,
-)
-from protocol.scenario import Scenario, ScenarioError, load_scenario
-from protocol.schemes.framing import MAX_PAYLOAD
-from wyner.shipped import scenario_file_of
+from protocol.runtime.services import CONTROLLER_OPS, SERVICES
+
+if TYPE_CHECKING:
+    from wyner.deployment.running import RunningLoop
 
 
-def scenario_of(text: str) -> Scenario:
-    """The scenario of a file, or of a name that stands for a shipped one.
-
-    Raises
-    ------
-    UsageError
-        With one line for each wrong field.
-    """
-    try:
-        return load_scenario(scenario_file_of(text))
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+def add_run_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--run``, for those who join a loop that runs already."""
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        metavar="NAME",
+        help="the run of `wyner up` to join, where several go on: its folder's name",
+    )
 
 
-def add_message_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--message`` and ``--message-file``."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("--message", metavar="TEXT", help="the message to deliver")
-    group.add_argument("--message-file", metavar="F", help="a file that holds the message")
+def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
+    """The loop on this machine that is meant where no option says where to connect.
 
-
-def message_of(text: str | None, file: str | None) -> bytes | None:
-    """The message given as text or as a file, if any.
+    Its endpoints take the place of the defaults in ``args``.
 
     Raises
     ------
     UsageError
-        When the file cannot be read, or the message is empty or too long for one frame.
+        When several run and none was named, or the one named does not run.
     """
-    if text is None and file is None:
+    from wyner.deployment.running import chosen
+
+    told = args.connect or args.listen or args.client or args.scouting
+    if told and args.run_name is None:
         return None
-    if file is not None:
-        try:
-            payload = Path(file).read_bytes()
-        except OSError as error:
-            raise UsageError(f"{file}: cannot be read: {error.strerror}") from None
-    else:
-        assert text is not None
-        payload = text.encode("utf-8", errors="surrogateescape")
-    if not 0 < len(payload) <= MAX_PAYLOAD:
-        raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
-    return payload
-
-
-def pace_of(text: str) -> Pace:
-    """The checked ``--pace``."""
-    try:
-        return Pace(text)
-    except ValueError as error:
-        raise UsageError(f"--pace: {error}") from None
-
-
-def run_dir_of(text: str | None) -> Path:
-    """The run's folder: the one given, or a new one below ``runs``, made."""
-    if text is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-        for attempt in range(1000):
-            path = Path("runs") / (stamp if attempt == 0 else f"{stamp}-{attempt}")
-            try:
-                make_folder(path.parent)
-                path.mkdir(mode=PRIVATE_FOLDER)
-            except FileExistsError:
-                continue
-            except OSError as error:
-                raise _unusable(path, error) from None
-            return path
-    if not text:
-        raise UsageError("--run-dir: got '', expected a folder")
-    path = Path(text)
-    try:
-        make_folder(path)
-    except OSError as error:
-        raise _unusable(path, error) from None
-    return path
-
-
-def _unusable(path: Path, error: OSError) -> UsageError:
-    return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
-
-
-def _unwritable(path: Path, error: OSError) -> UsageError:
-    return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Hold a service's folder; the lock goes with the process, however that one ends.
-
-    Raises
-    ------
-    UsageError
-        When it cannot be made or written to, or another process holds it.
-    """
-    try:
-        make_folder(folder)
-    except OSError as error:
-        raise _unusable(folder, error) from None
-    lock = folder / "lock"
-    try:
-        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
-    except OSError as error:
-        raise _unwritable(lock, error) from None
-    with file:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UsageError(f"--run-dir: {folder}: another process is using it") from None
-        yield
-
-
-def keep_scenario(run_dir: Path, text: str) -> None:
-    """Put the scenario's file into a run's folder that has none yet: ``wyner check`` reads it.
-
-    Raises
-    ------
-    UsageError
-        When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
-    """
-    kept = run_dir / SCENARIO
-    try:
-        if not kept.exists():
-            write_atomically(kept, scenario_file_of(text).read_bytes())
-    except OSError as error:
-        raise _unwritable(kept, error) from None
-    there = scenario_of(str(kept))
-    if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
-        raise UsageError(
-            f"--run-dir: {run_dir}: holds a run of another scenario ({there.name}), "
-            f"expected a new folder, or --scenario {kept}"
-        )
+    loop = chosen(args.run_name, CONTROLLER_OPS)
+    if loop is not None:
+        args.loop = loop.loop
+        ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
+        args.connect = [
+            f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())
+        ]
+    return loop

@@ -87,10 +87,10 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.process import DONE, UsageError
+    from protocol.scenario.files import scenario_of
     from tap_service.capture.recording import CaptureError, CaptureReader
+    from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
-    from wyner.cli.options import scenario_of
-    from wyner.cli.tap import names_of
     from wyner.scoring.replay import Replay
     from wyner.scoring.score import RunScore, ScoreError, read_truth, score, summary_of
 

@@ -6,8 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
-
-BUSES = ("field", "ops", "intel")
+from protocol.runtime.services import BUSES
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.process import DONE, Failure, UsageError
-    from wyner.cli.tap import names_of
+    from tap_service.command import names_of
     from wyner.scoring import report as reporting
     from wyner.scoring.score import ScoreError, score_run
 
@@ -81,9 +81,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
     from protocol.runtime.process import UsageError
+    from protocol.scenario.files import scenario_of
     from tap_service.capture.recording import CaptureError
     from tap_service.eavesdroppers import KnowledgeError
-    from wyner.cli.options import scenario_of
     from wyner.scoring.replay import Replay
     from wyner.scoring.score import RunScore, read_truth, score
 

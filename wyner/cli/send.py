@@ -6,17 +6,12 @@ import time
 from typing import Final
 
 from protocol.messages import SendCommand, SendReply
+from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.inbox import Inbox
+from protocol.runtime.options import message_of
 from protocol.runtime.process import Failure, UsageError, new_id
 from protocol.topics import key_of
-from wyner.cli.endpoints import (
-    add_endpoint_arguments,
-    add_run_argument,
-    endpoints_of,
-    joined,
-    loop_of,
-)
-from wyner.cli.options import message_of
+from wyner.cli.options import add_run_argument, joined
 
 REPEAT_S: Final = 0.1
 
@@ -29,7 +24,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="seconds to wait")
     add_run_argument(parser)
-    add_endpoint_arguments(parser, "send")
+    add_endpoint_arguments(parser, "operator")
     parser.set_defaults(run=run)
 
 
@@ -52,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    joined(args, "send")
+    joined(args, "operator")
     loop = loop_of(args)
-    ends = endpoints_of(args, "send", "ops")
+    ends = endpoints_of(args, "operator", "ops")
     answers: Inbox[bytes] = Inbox()
     try:
         with open_bus(ends) as ops:

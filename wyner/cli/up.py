@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.messages import ControllerStatus, PlantStatus
+from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
 from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from protocol.runtime.run_folder import (
     CAPTURE,
@@ -21,15 +22,9 @@ from protocol.runtime.run_folder import (
     SUMMARY,
     write_atomically,
 )
+from protocol.scenario.files import scenario_of
+from protocol.shipped import scenario_file_of
 from protocol.topics import DEFAULT_LOOP, key_of
-from wyner.cli.options import (
-    add_message_arguments,
-    message_of,
-    pace_of,
-    run_dir_of,
-    scenario_of,
-)
-from wyner.shipped import scenario_file_of
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -166,11 +161,11 @@ def _design(scenario: "Scenario") -> None:
     """Compute the design before anything starts, and check that the plant starts inside it."""
     from controller_service.laws.base import ProgramError
     from controller_service.laws.registry import cached_design, make_law
+    from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
-    from wyner.cli.design import progress_bar
 
     try:
-        with progress_bar() as progress:
+        with shown_progress() as progress:
             design = cached_design(scenario, progress)
         law = make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:
@@ -183,8 +178,8 @@ def _design(scenario: "Scenario") -> None:
 
 def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
     """The eavesdroppers asked for, or the scenario's; each one is there, before anything starts."""
+    from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import named
-    from wyner.cli.tap import find_each, names_of
 
     asked = args.eavesdropper
     names = scenario.tap.eavesdroppers if asked is None else names_of([asked])

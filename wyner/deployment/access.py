@@ -5,51 +5,15 @@ of a bus may subscribe to its keys and publish nothing.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Final
+from typing import Any
 
-from protocol.messages import (
-    FIELD,
-    INTEL,
-    OPS,
-    ControllerHello,
-    ControllerStatus,
-    Measurement,
-    Message,
-    Offer,
-    PlantHello,
-    PlantStatus,
-    SendCommand,
-    SendReply,
-    TapStatus,
-)
+from protocol.runtime.services import on_bus
 from protocol.topics import BASE, VERSION
 
-TYPES: Final[dict[str, tuple[type[Message], ...]]] = {"field": FIELD, "ops": OPS, "intel": INTEL}
 
-PUBLISHER: Final[dict[type[Message], str]] = {
-    Measurement: "plant",
-    Offer: "controller",
-    PlantHello: "plant",
-    ControllerHello: "controller",
-    SendCommand: "operator",
-    SendReply: "controller",
-    PlantStatus: "plant",
-    ControllerStatus: "controller",
-    TapStatus: "tap",
-}
-"""Common name of the certificate that may publish each type, and no other may."""
-
-READERS: Final[dict[str, tuple[str, ...]]] = {
-    "field": ("controller", "plant", "tap"),
-    "ops": ("controller", "plant", "dashboard", "operator"),
-    "intel": ("tap", "dashboard"),
-}
-"""Common names that may subscribe on each bus."""
-
-
-def key_of_any_loop(message_type: type[Message]) -> str:
-    """The keys on which a type travels, whatever the loop."""
-    return f"{BASE}/{VERSION}/*/{message_type.topic}"
+def keys_of_any_loop(topics: Iterable[str]) -> list[str]:
+    """The keys on which topics travel, whatever the loop."""
+    return [f"{BASE}/{VERSION}/*/{topic}" for topic in topics]
 
 
 def access_control(bus: str) -> dict[str, Any]:
@@ -60,25 +24,26 @@ def access_control(bus: str) -> dict[str, Any]:
     bus : str
         ``field``, ``ops`` or ``intel``.
     """
-    keys = [key_of_any_loop(message_type) for message_type in TYPES[bus]]
+    there = on_bus(bus)
+    keys = keys_of_any_loop(topic for row in there for topic in row.publishes.get(bus, ()))
     rules: list[dict[str, Any]] = [
         # Ingress is what comes from the partner, egress what the router passes on to him.
         _rule("subscribe", ["ingress"], ["declare_subscriber"], keys),
         _rule("deliver", ["egress"], ["put", "declare_subscriber"], keys),
     ]
     policies = []
-    for name in READERS[bus]:
-        own = [t for t in TYPES[bus] if PUBLISHER[t] == name]
+    for row in there:
         granted = ["subscribe", "deliver"]
+        own = keys_of_any_loop(row.publishes.get(bus, ()))
         if own:
-            rules.append(_rule(f"publish-{name}", ["ingress"], ["put"], map(key_of_any_loop, own)))
-            granted.append(f"publish-{name}")
-        policies.append({"subjects": [name], "rules": granted})
+            rules.append(_rule(f"publish-{row.name}", ["ingress"], ["put"], own))
+            granted.append(f"publish-{row.name}")
+        policies.append({"subjects": [row.name], "rules": granted})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": name, "cert_common_names": [name]} for name in READERS[bus]],
+        "subjects": [{"id": row.name, "cert_common_names": [row.name]} for row in there],
         "policies": policies,
     }
 

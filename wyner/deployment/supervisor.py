@@ -12,6 +12,7 @@ from typing import Final
 
 from protocol.runtime.process import STOP_WITH_STDIN, Failure
 from protocol.runtime.run_folder import make_folder, open_private
+from protocol.runtime.services import SERVICES
 
 RESTART_S: Final = 0.2
 """Seconds before a killed service is started again."""
@@ -20,10 +21,7 @@ RESTARTS: Final = 20
 """A service that was killed more often than this in one run stays down."""
 
 PATIENCE_S: Final = 5.0
-"""Seconds that a service has to come up, and to stop by itself."""
-
-LAST_THOUGHTS_S: Final = 25.0
-"""Seconds that the tap has to stop: heavy eavesdroppers think to the end of what they heard."""
+"""Seconds that a service has to come up."""
 
 
 @dataclass
@@ -33,9 +31,9 @@ class Child:
     Parameters
     ----------
     name : str
-        ``controller``, ``plant`` or ``tap``.
+        A service of the registry.
     arguments : list of str
-        After ``python -m NAME_service``.
+        After ``python -m PACKAGE``.
     log : Path
         Where its output goes, appended.
     """
@@ -54,7 +52,7 @@ class Child:
         log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", f"{self.name}_service", *self.arguments],
+                [sys.executable, "-m", SERVICES[self.name].package, *self.arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -92,7 +90,7 @@ class Child:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(LAST_THOUGHTS_S if self.name == "tap" else PATIENCE_S)
+                self.process.wait(SERVICES[self.name].stop_s)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
@@ -113,7 +111,7 @@ class Child:
 
 @dataclass
 class Supervisor:
-    """The children of one run.
+    """The children of one run, in the order in which they are stopped.
 
     ``first`` is started before the others and listens at ``first_endpoint``: the tap, which then
     hears the very first message.
@@ -169,8 +167,6 @@ class Supervisor:
                 raise Failure(f"{child.name}: {child.last_line()} (log: {child.log})")
 
     def stop(self) -> None:
-        """Stop them all, the plant first, so that its last transition is counted."""
-        for name in ("plant", "controller", "tap"):
-            for child in self.children:
-                if child.name == name:
-                    child.stop()
+        """Stop them all, in their order."""
+        for child in self.children:
+            child.stop()

@@ -23,7 +23,7 @@ from protocol.scenario import (
     load_scenario,
     parse_scenario,
 )
-from wyner.shipped import SCENARIOS
+from protocol.shipped import SCENARIOS
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"

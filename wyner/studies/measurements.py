@@ -15,7 +15,8 @@ from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.convex import Polytope, planar_vertices
 from protocol.runtime.run_folder import PUBLIC_FILE, replacing
 from protocol.scenario import Scenario, load_scenario
-from wyner.shipped import SCENARIOS, SWEEPS
+from protocol.shipped import SCENARIOS
+from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.studies.grid import Point, code_version, load_sweep, points_of

@@ -19,8 +19,8 @@ from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.base import encrypt
 from protocol.schemes.framing import IDLE, encode_frame, frame_length
 from protocol.schemes.registry import make_scheme
+from protocol.shipped import SCENARIOS
 from wyner.scoring.score import Truth
-from wyner.shipped import SCENARIOS
 
 SENTENCES: Final = (
     "We sail at dawn.",

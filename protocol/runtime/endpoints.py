@@ -1,43 +1,21 @@
-"""Endpoints of the three buses: defaults for one machine, options for several."""
+"""Endpoints of the buses: defaults for one machine, options for several."""
 
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING
 
 from protocol.runtime.process import UsageError
+from protocol.runtime.services import SERVICES
 from protocol.topics import DEFAULT_LOOP, check_loop
 
 if TYPE_CHECKING:
     from protocol.runtime.zenoh_bus import Endpoints
-    from wyner.deployment.running import RunningLoop
-
-Bus = Literal["field", "ops", "intel"]
-BUSES: Final[tuple[Bus, ...]] = ("field", "ops", "intel")
-
-PLANT_FIELD: Final = "tcp/127.0.0.1:7461"
-CONTROLLER_FIELD: Final = "tcp/127.0.0.1:7462"
-PLANT_OPS: Final = "tcp/127.0.0.1:7463"
-CONTROLLER_OPS: Final = "tcp/127.0.0.1:7464"
-TAP_INTEL: Final = "tcp/127.0.0.1:7465"
-
-DEFAULTS: Final[dict[str, dict[Bus, tuple[tuple[str, ...], tuple[str, ...]]]]] = {
-    "plant": {"field": ((PLANT_FIELD,), ()), "ops": ((PLANT_OPS,), ())},
-    "controller": {
-        "field": ((CONTROLLER_FIELD,), (PLANT_FIELD,)),
-        "ops": ((CONTROLLER_OPS,), (PLANT_OPS,)),
-    },
-    "tap": {"field": ((), (PLANT_FIELD, CONTROLLER_FIELD)), "intel": ((TAP_INTEL,), ())},
-    "dashboard": {"ops": ((), (PLANT_OPS, CONTROLLER_OPS)), "intel": ((), (TAP_INTEL,))},
-    "send": {"ops": ((), (CONTROLLER_OPS,))},
-}
-"""For each service and bus: where it listens, and where it connects to. Peers do not relay, so each
-partner is named."""
 
 
 def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> None:
     """Add ``--loop``, ``--listen``, ``--connect``, ``--client``, ``--tls``, ``--scouting``."""
-    buses = ", ".join(DEFAULTS[service])
+    buses = ", ".join(SERVICES[service].ends)
     group = parser.add_argument_group(
         "endpoints", f"BUS is one of: {buses}; an option replaces that bus's default"
     )
@@ -69,39 +47,6 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
     )
 
 
-def add_run_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--run``, for those who join a loop that runs already."""
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        metavar="NAME",
-        help="the run of `wyner up` to join, where several go on: its folder's name",
-    )
-
-
-def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
-    """The loop on this machine that is meant where no option says where to connect.
-
-    Its endpoints take the place of the defaults in ``args``.
-
-    Raises
-    ------
-    UsageError
-        When several run and none was named, or the one named does not run.
-    """
-    from wyner.deployment.running import chosen
-
-    told = args.connect or args.listen or args.client or args.scouting
-    if told and args.run_name is None:
-        return None
-    loop = chosen(args.run_name, CONTROLLER_OPS)
-    if loop is not None:
-        args.loop = loop.loop
-        ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
-        args.connect = [f"{bus}={end}" for bus in DEFAULTS[service] for end in ends.get(bus, ())]
-    return loop
-
-
 def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
     pairs = []
     for value in values:
@@ -122,7 +67,7 @@ def loop_of(args: argparse.Namespace) -> str:
         raise UsageError(f"--{error}") from None
 
 
-def endpoints_of(args: argparse.Namespace, service: str, bus: Bus) -> "Endpoints":
+def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints":
     """The endpoints of one bus of a service, after the defaults and the options.
 
     Raises
@@ -132,7 +77,7 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: Bus) -> "Endpoints
     """
     from protocol.runtime.zenoh_bus import Endpoints, TlsFiles
 
-    defaults = DEFAULTS[service]
+    defaults = SERVICES[service].ends
     listens = _split("--listen", args.listen, defaults)
     connects = _split("--connect", args.connect, defaults)
     folders = dict(_split("--tls", args.tls, defaults))

@@ -1,15 +1,14 @@
-"""``wyner plant``: the plant service."""
+"""``wyner plant``, and ``python -m plant_service``."""
 
 import argparse
 
+from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.options import at_least, pace_of, run_dir_of
 from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
-from wyner.cli.endpoints import add_endpoint_arguments, endpoints_of, loop_of
-from wyner.cli.options import keep_scenario, pace_of, run_dir_of, scenario_of
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser("plant", help="run the plant service with its simulation")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the service's options."""
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     parser.add_argument(
@@ -18,7 +17,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--steps", type=int, metavar="N", help="stop at step N")
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     add_endpoint_arguments(parser, "plant")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,11 +24,10 @@ def run(args: argparse.Namespace) -> int:
     from plant_service.service import PlantConfig, run_plant
     from protocol.runtime.bus import TransportError
     from protocol.runtime.zenoh_bus import open_bus
+    from protocol.scenario.files import keep_scenario, scenario_of
 
-    if args.steps is not None and args.steps < 1:
-        raise UsageError(f"--steps: got {args.steps}, expected at least 1")
-    if args.seed is not None and args.seed < 0:
-        raise UsageError(f"--seed: got {args.seed}, expected at least 0")
+    at_least("--steps", args.steps, 1)
+    at_least("--seed", args.seed, 0)
     config = PlantConfig(
         scenario=scenario_of(args.scenario),
         loop=loop_of(args),

@@ -1,44 +1,36 @@
-"""``wyner controller``: the controller service."""
+"""``wyner controller``, and ``python -m controller_service``."""
 
 import argparse
 
+from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.options import add_message_arguments, at_least, message_of, run_dir_of
 from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
-from wyner.cli.endpoints import add_endpoint_arguments, endpoints_of, loop_of
-from wyner.cli.options import (
-    add_message_arguments,
-    keep_scenario,
-    message_of,
-    run_dir_of,
-    scenario_of,
-)
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser("controller", help="run the controller service")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the service's options."""
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     add_message_arguments(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     add_endpoint_arguments(parser, "controller")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
     from controller_service.laws.base import ProgramError
     from controller_service.laws.registry import cached_design, make_law
+    from controller_service.progress import shown_progress
     from controller_service.service import ControllerConfig, run_controller
     from controller_service.sets.design import SynthesisError
     from protocol.runtime.bus import TransportError
     from protocol.runtime.zenoh_bus import open_bus
-    from wyner.cli.design import progress_bar
+    from protocol.scenario.files import keep_scenario, scenario_of
 
-    if args.seed is not None and args.seed < 0:
-        raise UsageError(f"--seed: got {args.seed}, expected at least 0")
+    at_least("--seed", args.seed, 0)
     scenario = scenario_of(args.scenario)
     try:
-        with progress_bar() as progress:
+        with shown_progress() as progress:
             design = cached_design(scenario, progress)
         law = make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:

@@ -1,0 +1,16 @@
+"""The plant among the services."""
+
+from protocol.runtime.health import look_at_status
+from protocol.runtime.services import PLANT_FIELD, PLANT_OPS, Ends, Service, register
+
+register(
+    Service(
+        name="plant",
+        summary="run the plant service with its simulation",
+        package="plant_service",
+        command="plant_service.command",
+        ends={"field": Ends((PLANT_FIELD,)), "ops": Ends((PLANT_OPS,))},
+        publishes={"field": ("measurement",), "ops": ("ops/plant/hello", "ops/plant/status")},
+        health=look_at_status,
+    )
+)

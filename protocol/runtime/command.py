@@ -1,0 +1,105 @@
+"""What is around every command: its signals, its output, and its errors in a line each."""
+
+import argparse
+import importlib
+import io
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from protocol.runtime.process import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from protocol.runtime.services import SERVICES
+
+ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line and exit code 2."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        """Raise instead of printing the whole usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
+    """Parse, and call ``args.run(args)``; returns the exit code, and lets no traceback out.
+
+    Set ``WYNER_TRACEBACK=1`` to see where an unexpected error came from.
+    """
+    try:
+        args = parse()
+        code = int(args.run(args))
+        sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
+        return code
+    except UsageError as error:
+        for line in error.lines:
+            print(f"wyner: {line}", file=sys.stderr)
+        return USAGE
+    except Failure as error:
+        print(f"wyner: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        _flush_or_drop_output()
+        return FAILED
+    except Exception as error:
+        if os.environ.get("WYNER_TRACEBACK"):
+            raise
+        _flush_or_drop_output()
+        print(f"wyner: {_in_a_line(error)}", file=sys.stderr)
+        return FAILED
+
+
+def entered(command: Callable[[], int]) -> int:
+    """Run a process's command; returns the exit code.
+
+    Being told to end, or losing the terminal, is Ctrl-C: whatever a command holds open it gives
+    back, the screen above all. A service stops on these signals in its own way.
+    """
+    for number in ENDING:
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored
+            signal.signal(number, _interrupt)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # a message may hold any character, and the terminal's encoding not all of them
+        sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        return command()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def serve(name: str) -> int:
+    """Run a service by its own command, with the arguments of this process."""
+
+    def parse() -> argparse.Namespace:
+        row = SERVICES[name]
+        module = importlib.import_module(row.command)
+        parser = Parser(prog=f"wyner {name}", description=row.summary)
+        module.add_arguments(parser)
+        parser.set_defaults(run=module.run)
+        return parser.parse_args()
+
+    return entered(lambda: carry_out(parse))
+
+
+def _flush_or_drop_output() -> None:
+    """Write what is left, or else the interpreter tries again at its end, and complains."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _in_a_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror
+    return " ".join(f"unexpected {type(error).__name__}: {error}".split())
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,30 @@
+"""What a status that a service writes once a second says of its health."""
+
+from pathlib import Path
+
+from protocol.runtime.process import Failure
+from protocol.runtime.services import Look
+
+
+def look_at_status(folder: Path, now_s: float) -> Look:
+    """Look at ``status.json``: its age, and the transitions that it counts.
+
+    Raises
+    ------
+    Failure
+        When there is none, or it is not one.
+    """
+    from pydantic_core import from_json
+
+    path = folder / "status.json"
+    try:
+        status = from_json(path.read_bytes())
+        age_s = now_s - status["t_ns"] / 1e9
+        count = int(status["transitions"])
+        phase = status["phase"]
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError):
+        raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
+    detail = f" ({status['detail']})" if status.get("detail") else ""
+    return Look(age_s, count, f"{phase}{detail}, {count} transitions")

@@ -1,0 +1,122 @@
+"""Options that services have in common: messages, run folders, paces, seeds."""
+
+import argparse
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from protocol.runtime.process import Pace, UsageError
+from protocol.runtime.run_folder import PRIVATE_FOLDER, make_folder, open_private
+from protocol.schemes.framing import MAX_PAYLOAD
+
+
+def add_message_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--message`` and ``--message-file``."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--message", metavar="TEXT", help="the message to deliver")
+    group.add_argument("--message-file", metavar="F", help="a file that holds the message")
+
+
+def message_of(text: str | None, file: str | None) -> bytes | None:
+    """The message given as text or as a file, if any.
+
+    Raises
+    ------
+    UsageError
+        When the file cannot be read, or the message is empty or too long for one frame.
+    """
+    if text is None and file is None:
+        return None
+    if file is not None:
+        try:
+            payload = Path(file).read_bytes()
+        except OSError as error:
+            raise UsageError(f"{file}: cannot be read: {error.strerror}") from None
+    else:
+        assert text is not None
+        payload = text.encode("utf-8", errors="surrogateescape")
+    if not 0 < len(payload) <= MAX_PAYLOAD:
+        raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
+    return payload
+
+
+def pace_of(text: str) -> Pace:
+    """The checked ``--pace``."""
+    try:
+        return Pace(text)
+    except ValueError as error:
+        raise UsageError(f"--pace: {error}") from None
+
+
+def run_dir_of(text: str | None) -> Path:
+    """The run's folder: the one given, or a new one below ``runs``, made."""
+    if text is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+        for attempt in range(1000):
+            path = Path("runs") / (stamp if attempt == 0 else f"{stamp}-{attempt}")
+            try:
+                make_folder(path.parent)
+                path.mkdir(mode=PRIVATE_FOLDER)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise _unusable(path, error) from None
+            return path
+    if not text:
+        raise UsageError("--run-dir: got '', expected a folder")
+    path = Path(text)
+    try:
+        make_folder(path)
+    except OSError as error:
+        raise _unusable(path, error) from None
+    return path
+
+
+def _unusable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
+
+
+def unwritable(path: Path, error: OSError) -> UsageError:
+    """What is said of a run folder that takes no file."""
+    return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold a service's folder; the lock goes with the process, however that one ends.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be made or written to, or another process holds it.
+    """
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    lock = folder / "lock"
+    try:
+        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
+    except OSError as error:
+        raise unwritable(lock, error) from None
+    with file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(f"--run-dir: {folder}: another process is using it") from None
+        yield
+
+
+def at_least(option: str, value: int | None, least: int) -> None:
+    """Check a whole number that an option may give.
+
+    Raises
+    ------
+    UsageError
+        When it is smaller.
+    """
+    if value is not None and value < least:
+        raise UsageError(f"{option}: got {value}, expected at least {least}")

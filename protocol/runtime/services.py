@@ -1,0 +1,92 @@
+"""Who takes part on the buses: one row each, in a registry that deployment and command ask.
+
+A row loads nothing: what runs a service is named by its module. The package of a service says in
+its ``__init__`` which module registers its row (:func:`protocol.registry.provide`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
+
+from protocol.registry import Registry
+
+BUSES: Final = ("field", "ops", "intel")
+
+PLANT_FIELD: Final = "tcp/127.0.0.1:7461"
+CONTROLLER_FIELD: Final = "tcp/127.0.0.1:7462"
+PLANT_OPS: Final = "tcp/127.0.0.1:7463"
+CONTROLLER_OPS: Final = "tcp/127.0.0.1:7464"
+TAP_INTEL: Final = "tcp/127.0.0.1:7465"
+
+
+class Ends(NamedTuple):
+    """Where a service listens and connects on one bus when no option says otherwise.
+
+    Peers do not relay, so each partner is named.
+    """
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One look at a service: how old its report is, and what it has counted."""
+
+    age_s: float
+    count: int
+    text: str
+
+
+class Health(Protocol):
+    """Looks at what a service writes below its folder; raises Failure where nothing is."""
+
+    def __call__(self, folder: Path, now_s: float) -> Look: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service, or a person's program, as the rest of the system knows it.
+
+    Parameters
+    ----------
+    name : str
+        Its command, its folder in a run, and the common name in its certificate.
+    summary : str
+        A line for the help.
+    package : str
+        What ``python -m`` runs; empty for a person's program, which nobody supervises.
+    command : str
+        The module with ``add_arguments(parser)`` and ``run(args)``.
+    ends : mapping of str to Ends
+        The buses that it takes part on. On these it may subscribe to everything.
+    publishes : mapping of str to tuple of str
+        By bus, the topics on which it may publish, and nobody else.
+    health : Health, optional
+        How to see whether it advances.
+    stop_s : float
+        Seconds that it has to stop by itself.
+    """
+
+    name: str
+    summary: str = ""
+    package: str = ""
+    command: str = ""
+    ends: Mapping[str, Ends] = field(default_factory=dict)
+    publishes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    health: Health | None = None
+    stop_s: float = 5.0
+
+
+SERVICES: Registry[Service] = Registry("service")
+
+
+def register(service: Service) -> None:
+    """Add a row."""
+    SERVICES.register(service.name, service)
+
+
+def on_bus(bus: str) -> list[Service]:
+    """Those who take part on a bus."""
+    return [row for name in SERVICES if bus in (row := SERVICES[name]).ends]

@@ -1,0 +1,46 @@
+"""Scenarios as a command line names them, and the copy that a run keeps."""
+
+from pathlib import Path
+
+from protocol.runtime.options import unwritable
+from protocol.runtime.process import UsageError
+from protocol.runtime.run_folder import SCENARIO, write_atomically
+from protocol.scenario.reading import ScenarioError, load_scenario
+from protocol.scenario.system import Scenario
+from protocol.shipped import scenario_file_of
+
+
+def scenario_of(text: str) -> Scenario:
+    """The scenario of a file, or of a name that stands for a shipped one.
+
+    Raises
+    ------
+    UsageError
+        With one line for each wrong field.
+    """
+    try:
+        return load_scenario(scenario_file_of(text))
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+
+
+def keep_scenario(run_dir: Path, text: str) -> None:
+    """Put the scenario's file into a run's folder that has none yet: ``wyner check`` reads it.
+
+    Raises
+    ------
+    UsageError
+        When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
+    """
+    kept = run_dir / SCENARIO
+    try:
+        if not kept.exists():
+            write_atomically(kept, scenario_file_of(text).read_bytes())
+    except OSError as error:
+        raise unwritable(kept, error) from None
+    there = scenario_of(str(kept))
+    if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
+        raise UsageError(
+            f"--run-dir: {run_dir}: holds a run of another scenario ({there.name}), "
+            f"expected a new folder, or --scenario {kept}"
+        )

@@ -1,0 +1,249 @@
+"""``wyner tap``, and ``python -m tap_service``: the tap, told what it may know."""
+
+import argparse
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+    from protocol.knowledge import Knowledge
+    from tap_service.capture.channel import View
+
+KNOBS = ("view", "loss", "noise", "quantise", "delay", "model_error")
+
+
+def add_view_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the knobs of what the tap sees; each overrides the scenario's."""
+    group = parser.add_argument_group("what the tap sees (default: as the scenario says)")
+    group.add_argument("--view", choices=("both", "measurements", "offers"), help="direction")
+    group.add_argument("--loss", type=float, metavar="P", help="probability to miss a message")
+    group.add_argument("--noise", type=float, metavar="SD", help="noise on every state and input")
+    group.add_argument("--quantise", type=float, metavar="STEP", help="round every state and input")
+    group.add_argument("--delay", type=int, metavar="N", help="hear everything N messages late")
+    group.add_argument(
+        "--model-error", type=float, metavar="E", help="relative error of each entry of A and B"
+    )
+    group.add_argument("--seed", type=int, default=0, help="of the knobs' draws (default 0)")
+
+
+class Told(NamedTuple):
+    """What the tap is started with besides its options.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    oracle : Knowledge, optional
+        What the oracle is told, who knows what the defender knows.
+    view : mapping
+        The view's defaults.
+    names : tuple of str
+        Eavesdroppers to run where no option names one.
+    where : str
+        Where those names stand, for a message about them.
+    """
+
+    knowledge: "Knowledge"
+    oracle: "Knowledge | None"
+    view: Mapping[str, Any] = MappingProxyType({})
+    names: tuple[str, ...] = ()
+    where: str = ""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the service's options."""
+    parser.add_argument(
+        "--knowledge", required=True, metavar="FILE", help="what the tap knows, as JSON"
+    )
+    add_options(parser)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add all options but the one that says what the tap knows."""
+    from protocol.runtime.endpoints import add_endpoint_arguments
+
+    parser.add_argument(
+        "--eavesdropper",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME...]",
+        help="which to run, by name or as path/to/file.py:Name (default: the strongest)",
+    )
+    add_view_arguments(parser)
+    parser.add_argument("--run-dir", required=True, metavar="D", help="write below D/tap")
+    limits = parser.add_argument_group("bounds of the recording")
+    limits.add_argument("--part-bytes", type=int, metavar="N", help="size at which a part ends")
+    limits.add_argument("--part-seconds", type=float, metavar="S", help="age at which a part ends")
+    limits.add_argument(
+        "--total-bytes",
+        type=int,
+        metavar="N",
+        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
+    )
+    limits.add_argument(
+        "--free-bytes",
+        type=int,
+        metavar="N",
+        help="room to leave on the disk; recording pauses while there is less",
+    )
+    parser.add_argument(
+        "--finish",
+        type=float,
+        metavar="S",
+        help="seconds for the heavy eavesdroppers' last thoughts at the end (default 20)",
+    )
+    add_endpoint_arguments(parser, "tap")
+
+
+def names_of(values: list[str]) -> tuple[str, ...]:
+    """The names in repeated and comma-separated options."""
+    return tuple(n.strip() for value in values for n in value.split(",") if n.strip())
+
+
+def find_each(names: Iterable[str], find: Callable[[str], object], where: str = "") -> None:
+    """Find every eavesdropper, before anything starts.
+
+    Raises
+    ------
+    UsageError
+        With one line for each that ``find`` has not; ``where`` tells where the names stand.
+    """
+    from protocol.runtime.process import UsageError
+    from tap_service.eavesdroppers import KnowledgeError
+
+    problems = []
+    for name in names:
+        try:
+            find(name)
+        except KnowledgeError as error:
+            problems.append(f"{where}{error}")
+    if problems:
+        raise UsageError(problems)
+
+
+def view_of(args: argparse.Namespace, defaults: Mapping[str, object]) -> "View":
+    """The view that the options ask for, over ``defaults``.
+
+    Raises
+    ------
+    UsageError
+        With one line for each wrong value.
+    """
+    from pydantic import ValidationError
+
+    from protocol.runtime.process import UsageError
+    from tap_service.capture.channel import View
+
+    values = dict(defaults, seed=args.seed)
+    values |= {k: v for k in KNOBS if (v := getattr(args, k)) is not None}
+    try:
+        return View.model_validate(values)
+    except ValidationError as error:
+        raise UsageError(_wrong_options(error)) from None
+
+
+def _wrong_options(error: "ValidationError") -> list[str]:
+    """One line for each option whose value is wrong."""
+    lines = []
+    for e in error.errors(include_url=False):
+        field = str(e["loc"][0])
+        option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
+        lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
+    return lines
+
+
+def read_knowledge(path: str) -> "Knowledge":
+    """Read what an eavesdropper knows from a JSON file.
+
+    Raises
+    ------
+    UsageError
+        With one line for each wrong field.
+    """
+    from pathlib import Path
+
+    from pydantic import ValidationError
+
+    from protocol.knowledge import Knowledge
+    from protocol.runtime.process import UsageError
+
+    try:
+        text = Path(path).read_bytes()
+    except OSError as error:
+        raise UsageError(f"--knowledge: {path}: cannot be read: {error.strerror}") from None
+    try:
+        return Knowledge.model_validate_json(text)
+    except ValidationError as error:
+        raise UsageError(
+            [
+                f"{path}: {'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}"
+                for e in error.errors(include_url=False)
+            ]
+        ) from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the service until it is told to stop."""
+    return run_told(args, told_by(args.knowledge))
+
+
+def told_by(path: str) -> Told:
+    """What a file of knowledge tells; the oracle is told where the file has alpha.
+
+    Raises
+    ------
+    UsageError
+        As :func:`read_knowledge`.
+    """
+    knowledge = read_knowledge(path)
+    return Told(knowledge, knowledge if knowledge.alpha is not None else None)
+
+
+def run_told(args: argparse.Namespace, told: Told) -> int:
+    """Run the service with what it was told, until it is told to stop."""
+    from pathlib import Path
+
+    from pydantic import ValidationError
+
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.endpoints import endpoints_of, loop_of
+    from protocol.runtime.options import alone_in, run_dir_of
+    from protocol.runtime.process import UsageError
+    from tap_service.capture.recording import Limits
+    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
+    from tap_service.service import FINISH_S, TapConfig, run_tap
+
+    names = names_of(args.eavesdropper)
+    names, where = (names, "") if names else (told.names, told.where)
+    bounds = {
+        "part_bytes": args.part_bytes,
+        "part_s": args.part_seconds,
+        "total_bytes": args.total_bytes,
+        "free_bytes": args.free_bytes,
+    }
+    try:
+        limits = Limits.model_validate({k: v for k, v in bounds.items() if v is not None})
+    except ValidationError as error:
+        raise UsageError(_wrong_options(error)) from None
+    view = view_of(args, told.view)
+    if args.finish is not None and not 0 <= args.finish <= 3600:
+        raise UsageError(f"--finish: got {args.finish}, expected 0 to 3600 seconds")
+    try:
+        config = TapConfig(
+            run_dir=Path(args.run_dir),
+            knowledge=told.knowledge.model_copy(update={"alpha": None}),
+            field=endpoints_of(args, "tap", "field"),
+            intel=endpoints_of(args, "tap", "intel"),
+            oracle_knowledge=told.oracle,
+            names=names or (DEFAULT if view.clear else DEFAULT_UNCLEAR),
+            view=view,
+            loop=loop_of(args),
+            limits=limits,
+            finish_s=FINISH_S if args.finish is None else args.finish,
+        )
+        find_each(config.names, config.knowledge_of, where)
+        with alone_in(run_dir_of(args.run_dir) / "tap"):
+            return run_tap(config)
+    except (KnowledgeError, TransportError) as error:
+        raise UsageError(str(error)) from None

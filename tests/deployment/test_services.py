@@ -1,0 +1,142 @@
+"""A service of one's own is a row: command, access control, certificates, health, child process."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.process import Failure
+from protocol.runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
+from wyner.cli.certs import default_names
+from wyner.cli.main import commands, main
+from wyner.deployment.access import access_control
+from wyner.deployment.supervisor import Child, Supervisor
+
+PACKAGE = "counting_service"
+
+COMMAND = """
+import json, sys, threading, time
+from pathlib import Path
+
+def add_arguments(parser):
+    from protocol.runtime.endpoints import add_endpoint_arguments
+    parser.add_argument("--run-dir", type=Path, required=True)
+    add_endpoint_arguments(parser, "counting")
+
+def run(args):
+    from protocol.runtime.process import stop_on_signals
+    count = 0
+    with stop_on_signals() as stopping:
+        while not stopping.wait(0.02):
+            count += 1
+            path = args.run_dir / "counting" / "count.json"
+            path.with_suffix(".new").write_text(json.dumps([time.time(), count]))
+            path.with_suffix(".new").replace(path)
+    return 0
+"""
+
+ROW = """
+from protocol.runtime.services import Ends, Service, register
+register(Service("counting", command="counting_service.command", ends={"field": Ends()}))
+"""
+
+MAIN = """
+import sys
+from protocol.registry import provide
+provide("service", "counting_service.row")
+from protocol.runtime.command import serve
+sys.exit(serve("counting"))
+"""
+
+
+def look(folder: Path, now_s: float) -> Look:
+    try:
+        at_s, count = json.loads((folder / "count.json").read_text())
+    except OSError as error:
+        raise Failure(f"{folder}: nothing counted: {error.strerror}") from None
+    return Look(now_s - at_s, count, f"{count} counted")
+
+
+@pytest.fixture
+def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    package = tmp_path / PACKAGE
+    package.mkdir()
+    (package / "__init__.py").touch()
+    for name, text in (("command", COMMAND), ("row", ROW), ("__main__", MAIN)):
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    service = Service(
+        name="counting",
+        summary="count to no purpose",
+        package=PACKAGE,
+        command=f"{PACKAGE}.command",
+        ends={"field": Ends((), (PLANT_FIELD,)), "ops": Ends()},
+        publishes={"ops": ("ops/counting/status",)},
+        health=look,
+        stop_s=3.0,
+    )
+    with SERVICES.registered("counting", service):
+        yield service
+    for name in [n for n in sys.modules if n.split(".")[0] == PACKAGE]:
+        del sys.modules[name]
+
+
+def test_the_command_lists_it_and_has_its_options(
+    counting: Service, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert commands()["counting"] == counting.summary
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "count to no purpose" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["counting", "--help"])
+    assert "BUS is one of: field, ops" in capsys.readouterr().out
+    assert main(["counting"]) == 2
+    assert capsys.readouterr().err.startswith("wyner: the following arguments are required")
+
+
+def test_the_router_lets_it_publish_its_own_and_nothing_else(counting: Service) -> None:
+    table = access_control("ops")
+    rules = {rule["id"]: rule for rule in table["rules"]}
+    (policy,) = (p for p in table["policies"] if p["subjects"] == ["counting"])
+    assert policy["rules"] == ["subscribe", "deliver", "publish-counting"]
+    assert rules["publish-counting"]["key_exprs"] == ["wyner/v1/*/ops/counting/status"]
+    others = [
+        r for name, r in rules.items() if name.startswith("publish-") and "counting" not in name
+    ]
+    assert not any("counting" in key for r in others for key in r["key_exprs"])
+    (policy,) = (p for p in access_control("field")["policies"] if p["subjects"] == ["counting"])
+    assert policy["rules"] == ["subscribe", "deliver"]
+    assert "counting" in default_names()
+
+
+def test_it_is_supervised_and_its_health_is_told(
+    counting: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    child = Child("counting", ["--run-dir", str(tmp_path)], tmp_path / "counting" / "log")
+    child.start()
+    try:
+        until = time.monotonic() + 20
+        while not (tmp_path / "counting" / "count.json").exists():
+            assert child.poll(time.monotonic()) is None, child.last_line()
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        arguments = ["--service", "counting", "--run-dir", str(tmp_path)]
+        assert main(["health", *arguments]) == 0
+        assert capsys.readouterr().out.startswith("counting advances: ")
+    finally:
+        Supervisor([child], "counting", "").stop()
+    assert child.process is not None
+    assert child.process.returncode == 0
+    time.sleep(0.1)
+    assert main(["health", *arguments, "--within", "0.2"]) == 1
+    assert "stands still" in capsys.readouterr().err
+
+
+def test_a_name_is_taken_once(counting: Service) -> None:
+    with pytest.raises(ValueError, match="service 'plant' stands there already"):
+        SERVICES.register("plant", counting)
