@@ -94,17 +94,6 @@ class Scheme(ABC, Generic[S]):
         make: Callable[..., S] = type(self.initial)
         return make(*values) if values else self.initial
 
-    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
-        """Advance over many runs at once, each from the initial state.
-
-        Parameters
-        ----------
-        verdicts : integer array, shape (steps, ...)
-        """
-        from protocol.schemes.table import StateTable
-
-        return StateTable(self).advance_many(verdicts)
-
 
 COVER: Final = Carry(NO_SYMBOL, NO_SYMBOL)
 """A transition that agrees on nothing and carries nothing."""

@@ -1,6 +1,6 @@
 """Any scheme over arrays: its states numbered, what each verdict does to them looked up."""
 
-from typing import Any, Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,7 @@ class StateTable:
             self._agreed[number, verdict + 1] = carry.agreed
 
     def advance_many(self, verdicts: Integers) -> Carries:
-        """:meth:`~protocol.schemes.base.Scheme.advance_many` of any scheme."""
+        """See :func:`advance_many`."""
         agreed, pad = np.empty_like(verdicts), np.empty_like(verdicts)
         tested = np.empty(verdicts.shape, dtype=bool)
         states: Integers = np.zeros(verdicts.shape[1:], dtype=np.int32)
@@ -96,3 +96,25 @@ class StateTable:
             pad[j], tested[j] = self.pad[states], self.tests[states]
             states, agreed[j] = self.advance(states, now.astype(np.intp))
         return Carries(agreed, pad, tested)
+
+
+@runtime_checkable
+class Vectorised(Protocol):
+    """A scheme that advances many runs by arithmetic of its own."""
+
+    def advance_many(self, verdicts: Integers) -> Carries: ...  # noqa: D102
+
+
+def advance_many(scheme: Scheme[Any], verdicts: Integers) -> Carries:
+    """Advance over many runs at once, each from the initial state.
+
+    A scheme may bring an ``advance_many`` of its own; any other is looked up, state by state.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    verdicts : integer array, shape (steps, ...)
+    """
+    if isinstance(scheme, Vectorised):
+        return scheme.advance_many(verdicts)
+    return StateTable(scheme).advance_many(verdicts)

@@ -10,6 +10,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import Carries
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.schemes.registry import make_scheme
+from protocol.schemes.table import advance_many
 from wyner.simulate.engine.draws import cipher_symbols
 from wyner.simulate.engine.loop import Runs
 
@@ -48,7 +49,7 @@ def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
     verdicts = np.subtract(possible, 1, dtype=runs.symbol.dtype)
     np.bitwise_or(verdicts, runs.symbol[:, None, :], out=verdicts)
     secrecy = runs.scenario.secrecy
-    return make_scheme(secrecy.scheme, secrecy.candidates).advance_many(verdicts)
+    return advance_many(make_scheme(secrecy.scheme, secrecy.candidates), verdicts)
 
 
 def _count(flags: NDArray[np.bool_]) -> Counts:
