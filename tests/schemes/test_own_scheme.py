@@ -23,7 +23,7 @@ from protocol.runtime.zenoh_bus import Endpoints
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
-from protocol.schemes.table import StateTable
+from protocol.schemes.table import StateTable, advance_many
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import EAVESDROPPERS
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
@@ -179,7 +179,7 @@ def test_a_taken_name_and_what_is_no_scheme_are_refused() -> None:
 def test_many_runs_are_so_many_single_ones(cls: type[Scheme[Any]], size: int) -> None:
     scheme = cls(size)
     verdicts = np.random.default_rng(1).integers(-1, size, (60, 3, 2)).astype(np.int8)
-    many = scheme.advance_many(verdicts)
+    many = advance_many(scheme, verdicts)
     for at in np.ndindex(3, 2):
         state = scheme.initial
         for j, verdict in enumerate(verdicts[:, *at].tolist()):

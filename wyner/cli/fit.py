@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from plant_service.adapters import Operated
     from plant_service.adapters.registry import open_plant
     from protocol.scenario import Scenario, ScenarioError
-    from wyner.shipped import scenario_file_of
+    from protocol.shipped import scenario_file_of
     from wyner.simulate.engine import SimulationError
     from wyner.studies.fit.fitting import fit
     from wyner.studies.fit.identification import FitError
