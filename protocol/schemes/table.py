@@ -63,20 +63,24 @@ class StateTable:
             self.tests[number] = self.scheme.tests(state)
         return number
 
-    def advance(self, states: Integers, verdicts: Integers) -> tuple[Integers, Integers]:
-        """The numbers of the states that follow, and the key symbols agreed.
+    def following(self, states: Integers, verdicts: Integers) -> Integers:
+        """The numbers of the states that follow.
 
         Parameters
         ----------
-        states : integer array, any shape
-        verdicts : integer array of the same shape
+        states, verdicts : integer array of one shape
         """
         following: Integers = self._following[states, verdicts + 1]
-        if (following < 0).any():
+        if following.size and following.min() < 0:
             for number in np.unique(states):
                 self._expand(int(number))
             following = self._following[states, verdicts + 1]
-        return following, self._agreed[states, verdicts + 1]
+        return following
+
+    def agreed(self, states: Integers, verdicts: Integers) -> Integers:
+        """The key symbols gained, of states and verdicts that were followed before."""
+        agreed: Integers = self._agreed[states, verdicts + 1]
+        return agreed
 
     def _expand(self, number: int) -> None:
         if self._following[number, 0] >= 0:
@@ -94,7 +98,9 @@ class StateTable:
         states: Integers = np.zeros(verdicts.shape[1:], dtype=np.int32)
         for j, now in enumerate(verdicts):
             pad[j], tested[j] = self.pad[states], self.tests[states]
-            states, agreed[j] = self.advance(states, now.astype(np.intp))
+            following = self.following(states, now.astype(np.intp))
+            agreed[j] = self.agreed(states, now.astype(np.intp))
+            states = following
         return Carries(agreed, pad, tested)
 
 

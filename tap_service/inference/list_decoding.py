@@ -175,7 +175,7 @@ class Beam:
         self._cut("lo", "hi", nearest)
         self._cut("lo", "hi", second)
         rows = self._rows[: self._n]
-        inside = (rows["lo"] >= nearest) & (rows["hi"] <= second) & self._tested()
+        inside = (rows["lo"] >= nearest) & (rows["hi"] <= second)
         self._cut("edge_lo", "edge_hi", largest, inside)
         rows = self._rows[: self._n]
         agreed = (rows["lo"] >= nearest) & (rows["hi"] <= second) & (rows["edge_lo"] >= largest)
@@ -258,7 +258,7 @@ class Beam:
     def _advance(self, k: int, verdicts: Indices, values: Indices) -> None:
         """Let the scheme go on in every hypothesis, and take the message symbols."""
         rows = self._rows[: self._n]
-        rows["state"] = self._table.advance(rows["state"], verdicts)[0]
+        rows["state"] = self._table.following(rows["state"], verdicts)
         carriers = np.flatnonzero(values != NO_SYMBOL)
         if len(carriers):
             self._push(k, carriers, values[carriers])
@@ -293,10 +293,11 @@ class Beam:
     def _cut(self, low: str, high: str, at: float, where: NDArray[np.bool_] | None = None) -> None:
         """Split the hypotheses whose verdict counts and whose interval holds ``at`` inside."""
         rows = self._rows[: self._n]
-        crossed = (rows[low] < at) & (rows[high] > at) & self._tested()
+        crossed = (rows[low] < at) & (rows[high] > at)
         if where is not None:
             crossed &= where
         which = np.flatnonzero(crossed)
+        which = which[self._table.tests[rows["state"][which]]]
         if not len(which):
             return
         copies = self._copy(which)

@@ -190,12 +190,13 @@ def test_many_runs_are_so_many_single_ones(cls: type[Scheme[Any]], size: int) ->
 
 def test_a_table_finds_states_as_they_are_reached() -> None:
     table = StateTable(Hoarding(16))
-    states, agreed = table.advance(np.zeros(2, dtype=int), np.array([3, NO_SYMBOL]))
-    assert agreed.tolist() == [3, NO_SYMBOL]
+    first, verdicts = np.zeros(2, dtype=int), np.array([3, NO_SYMBOL])
+    states = table.following(first, verdicts)
+    assert table.agreed(first, verdicts).tolist() == [3, NO_SYMBOL]
     assert table.tests[states].tolist() == [True, True]
-    states, _ = table.advance(states, np.array([5, 15]))
+    states = table.following(states, np.array([5, 15]))
     assert table.pad[states].tolist() == [3, NO_SYMBOL]
-    states, _ = table.advance(states, np.array([NO_SYMBOL, NO_SYMBOL]))
+    states = table.following(states, np.array([NO_SYMBOL, NO_SYMBOL]))
     assert table.pad[states].tolist() == [5, NO_SYMBOL]
 
 
