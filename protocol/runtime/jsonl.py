@@ -209,8 +209,8 @@ def decode(raw: bytes) -> dict[str, Any] | None:
     return value if isinstance(value, dict) else None
 
 
-def read_lines(path: Path) -> Iterator[Line]:
-    """Every line of a file that is not empty; the last may be unfinished.
+def raw_lines(path: Path) -> Iterator[tuple[int, bytes, bool]]:
+    """Every line of a file that is not empty: number, bytes, and whether it was finished.
 
     Raises
     ------
@@ -223,6 +223,18 @@ def read_lines(path: Path) -> Iterator[Line]:
         for raw in lines:
             number += 1
             if raw:
-                yield Line(number, raw, decode(raw))
+                yield number, raw, True
     if reader.rest:
-        yield Line(number + 1, reader.rest, decode(reader.rest))
+        yield number + 1, reader.rest, False
+
+
+def read_lines(path: Path) -> Iterator[Line]:
+    """Every line of a file that is not empty; the last may be unfinished.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be read.
+    """
+    for number, raw, _finished in raw_lines(path):
+        yield Line(number, raw, decode(raw))

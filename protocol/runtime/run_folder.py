@@ -28,6 +28,7 @@ CAPTURE: Final = Path("tap/capture.jsonl")
 GUESSES: Final = Path("tap/guesses.jsonl")
 ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
 BELIEFS: Final = Path("tap/beliefs.json")
+TAP_STATUS: Final = Path("tap/status.json")
 """Where things lie below a run's folder."""
 
 PRIVATE_FILE: Final = 0o600

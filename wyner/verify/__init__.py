@@ -5,11 +5,14 @@ run through the same pure functions that both ends evaluate (:mod:`protocol.agre
 the scheme, :mod:`protocol.schemes.framing`), from the raw numbers of the traces.
 """
 
+from contextlib import suppress
 from typing import Final
 
-from wyner.verify import bus, keys, loop, message
+from wyner.verify import bus, files, keys, loop, message
 from wyner.verify.clause import Clause, Finding, Tally
 from wyner.verify.evidence import Evidence
+
+OVER: Final = object()
 
 CLAUSES: Final[tuple[Clause, ...]] = (
     Clause(
@@ -17,7 +20,21 @@ CLAUSES: Final[tuple[Clause, ...]] = (
         "rule 5",
         "transitions are whole and numbered without a gap",
         "transitions",
-        loop.traces,
+        files.traces,
+    ),
+    Clause(
+        "scenario",
+        "rule 6",
+        "every file was made under the scenario that is there",
+        "comparisons",
+        files.scenario,
+    ),
+    Clause(
+        "whole",
+        "rule 6",
+        "every recording is as its writer left it, as far on as its journal",
+        "recordings",
+        files.whole,
     ),
     Clause(
         "switching",
@@ -132,10 +149,17 @@ CLAUSES: Final[tuple[Clause, ...]] = (
 
 
 def check(evidence: Evidence) -> list[Finding]:
-    """Judge every clause."""
-    findings = []
-    for clause in CLAUSES:
-        tally = Tally()
-        clause.judge(evidence, tally)
-        findings.append(Finding(clause, tally))
+    """Judge every clause, in one passage over the run."""
+    findings = [Finding(clause, Tally()) for clause in CLAUSES]
+    judging = []
+    for finding in findings:
+        judge = finding.clause.judge(evidence, finding.tally)
+        if next(judge, OVER) is not OVER:
+            judging.append(judge)
+    for part in evidence.parts():
+        for judge in judging:
+            judge.send(part)
+    for judge in judging:
+        with suppress(StopIteration):
+            judge.send(None)
     return findings

@@ -1,15 +1,19 @@
 """The field bus's clauses: nothing secret, and nothing that tells the two states apart."""
 
-from collections.abc import Mapping
+import struct
+from array import array
 from dataclasses import dataclass, field
-from statistics import fmean
 from typing import Any, Final
 
 from pydantic import ValidationError
 
+from protocol.agreement import NO_SYMBOL
 from protocol.messages import Measurement, Offer
-from wyner.verify.clause import Tally, need
-from wyner.verify.evidence import Evidence, Seen
+from wyner.verify.capture import Seen
+from wyner.verify.clause import Judging, Tally, need
+from wyner.verify.evidence import Evidence
+from wyner.verify.records import wrong
+from wyner.verify.steps import Applied
 
 PUBLIC: Final[dict[str, frozenset[str]]] = {
     "measurement": frozenset(
@@ -30,97 +34,160 @@ _MODELS: Final[dict[str, type[Measurement] | type[Offer]]] = {
 }
 
 
-def same_answer(e: Evidence, tally: Tally) -> None:
+BLURRED: Final = "the tap saw numbers blurred, by its own settings"
+
+
+class _First:
+    """The first message of each number, as a 64-bit hash of its bytes."""
+
+    def __init__(self) -> None:
+        self._dense: dict[tuple[str, str], array[int]] = {}
+        self._sparse: dict[tuple[str, str, int], int] = {}
+
+    def same(self, seen: Seen) -> bool | None:
+        """Whether it is the same as the first of its number; None where it is the first."""
+        mine = hash(seen.raw) or 1
+        at = (seen.topic, seen.session)
+        found = self._dense.setdefault(at, array("q"))
+        k = seen.k
+        if 0 <= k < len(found) + 4096:
+            if k >= len(found):
+                found.extend([0] * (k + 1 - len(found)))
+            first, found[k] = found[k], found[k] or mine
+        else:  # far ahead of the others
+            first = self._sparse.setdefault((*at, k), 0)
+            self._sparse[(*at, k)] = first or mine
+        return None if not first else first == mine
+
+
+def same_answer(e: Evidence, tally: Tally) -> Judging:
     """A measurement and an offer of one number never change (rules 1 and 2)."""
     if not need(tally, capture=e.wire):
         return
     assert e.wire is not None
     if e.wire.blurred:
-        tally.skipped = "the tap saw numbers blurred, by its own settings"
+        tally.skipped = BLURRED
         return
-    first: dict[tuple[str, str, int], Seen] = {}
+    first = _First()
     repeated = {"measurement": 0, "offer": 0}
-    for seen in e.wire.seen:
-        at = (seen.topic, seen.session, seen.k)
-        earlier = first.setdefault(at, seen)
-        if earlier is not seen and seen.topic in repeated:
-            repeated[seen.topic] += 1
-        text = f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
-        tally.count(earlier.raw == seen.raw, seen.session, -1, seen.k, text)
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            same = first.same(seen)
+            if same is not None and seen.topic in repeated:
+                repeated[seen.topic] += 1
+            text = "" if same is not False else (
+                f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
+            )
+            tally.count(same is not False, seen.session, -1, seen.k, text)
     tally.note = f"{repeated['measurement']} measurements and {repeated['offer']} offers repeated"
 
 
-def wire(e: Evidence, tally: Tally) -> None:
+def wire(e: Evidence, tally: Tally) -> Judging:
     """The captured numbers are the plant's own."""
     if not need(tally, capture=e.wire, plant_trace=e.plant):
         return
     assert e.wire is not None
-    assert e.plant is not None
     if e.wire.blurred:
-        tally.skipped = "the tap saw numbers blurred, by its own settings"
+        tally.skipped = BLURRED
         return
-    by_k = {(t.session, t.k): t for t in e.plant.transitions}
-    for seen in e.wire.seen:
-        m = seen.message
-        t = by_k.get((seen.session, seen.k))
-        if t is not None:
-            mine: Mapping[str, Any] = (
-                {"x": t.x}
-                if seen.topic == "measurement"
-                else {"candidates": t.candidates, "cipher": t.cipher}
-            )
-            unlike = [n for n, v in mine.items() if _tuples(m.get(n)) != v]
-            text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace"
-            tally.count(not unlike, seen.session, t.j, t.k, text)
-        applied = by_k.get((seen.session, m.get("applied_k", -1)))
-        if applied is not None and _tuples(m.get("x_after")) != applied.x_next:
-            text = f"{seen.where}: x_after is not where the applied offer led"
-            tally.fail(seen.session, applied.j, applied.k, text)
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            _compare(e, seen, tally)
 
 
-def _tuples(value: object) -> object:
-    if isinstance(value, list):
-        return tuple(_tuples(v) for v in value)
-    return value
+def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:
+    assert e.plant is not None
+    steps, session, k, m = e.steps, seen.session, seen.k, seen.message
+    if not steps.knows(session):
+        text = f"{seen.where}: of a session that the plant's trace does not have"
+        tally.count(session in e.plant.announced, session, -1, k, text)
+        return
+    first, end = steps.ends(session)
+    if not first <= k <= end:
+        text = f"{seen.where}: step {k}, the plant made steps {first} to {end - 1}"
+        tally.count(False, session, -1, k, text)
+        return
+    step = steps.find(session, k)
+    j = -1 if step is None else step.j
+    try:
+        unlike = _unlike_offer(e, m, step) if seen.topic == "offer" else _unlike(e, seen, step)
+    except (ArithmeticError, TypeError, ValueError, struct.error):
+        unlike = ["its shape"]
+    text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace" if unlike else ""
+    tally.count(not unlike, session, j, k, text)
 
 
-def public_fields(e: Evidence, tally: Tally) -> None:
+def _unlike_offer(e: Evidence, m: dict[str, Any], step: Applied | None) -> list[str]:
+    if step is None or step.j == NO_SYMBOL:
+        return []  # it was not applied
+    unlike = []
+    if e.steps.of_candidates(m["candidates"]) != step.candidates:
+        unlike.append("candidates")
+    if m["cipher"] != step.cipher:
+        unlike.append("cipher")
+    return unlike
+
+
+def _unlike(e: Evidence, seen: Seen, step: Applied | None) -> list[str]:
+    """Fields of a measurement that the plant's trace has otherwise."""
+    steps, session, m = e.steps, seen.session, seen.message
+    unlike = []
+    here = step.x if step is not None else None
+    before = steps.find(session, seen.k - 1)
+    if here is None and before is not None:
+        here = before.x_next
+    if here is not None and steps.of_state(m["x"]) != here:
+        unlike.append("x")
+    last = step.last_applied if step is not None else steps.newest(session)
+    if m["applied_k"] != last:
+        unlike.append("applied_k")
+        return unlike
+    applied = steps.find(session, last)
+    after = m["x_after"]
+    if (applied is None) != (after == []):
+        unlike.append("x_after")
+    elif applied is not None and steps.of_state(after) != applied.x_next:
+        unlike.append("x_after")
+    return unlike
+
+
+def public_fields(e: Evidence, tally: Tally) -> Judging:
     """Only the two public messages, with exactly their public fields."""
     if not need(tally, capture=e.wire):
         return
     assert e.wire is not None
+    size, m, n = e.rules.size, e.rules.inputs, e.rules.states
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            where = (seen.session, -1, seen.k)
+            allowed = PUBLIC.get(seen.topic)
+            if allowed is None:
+                tally.count(False, *where, f"{seen.where}: on {seen.topic!r}")
+                continue
+            if seen.message.keys() != allowed:
+                unlike = _extra(frozenset(seen.message), allowed)
+                tally.count(False, *where, f"{seen.where}: {seen.topic} with {unlike}")
+                continue
+            try:
+                message = _MODELS[seen.topic].model_validate_json(seen.raw, strict=True)
+            except ValidationError as error:
+                text = f"{seen.where}: {seen.topic}.{wrong(error)}"
+                tally.count(False, *where, text)
+                continue
+            if isinstance(message, Measurement):
+                fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
+            else:
+                fits = len(message.candidates) == size and message.cipher < size
+                fits = fits and all(len(u) == m for u in message.candidates)
+            text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
+            tally.count(fits, *where, text)
     for problem in e.wire.strange:
         text = f"{problem.where}: neither Measurement nor Offer ({problem.text})"
         tally.count(False, "", -1, -1, text)
-    size, m, n = e.rules.size, e.rules.inputs, e.rules.states
-    for seen in e.wire.seen:
-        where = (seen.session, -1, seen.k)
-        allowed = PUBLIC.get(seen.topic)
-        if allowed is None:
-            tally.count(False, *where, f"{seen.where}: on {seen.topic!r}")
-            continue
-        content = seen.message
-        fields = frozenset(content)
-        text = f"{seen.where}: {seen.topic} with {_unlike(fields, allowed)}"
-        if not tally.count(fields == allowed, *where, text):
-            continue
-        try:
-            message = _MODELS[seen.topic].model_validate(content)
-        except ValidationError as error:
-            at = ".".join(str(p) for p in error.errors(include_url=False)[0]["loc"])
-            tally.fail(*where, f"{seen.where}: {seen.topic}.{at} is not as expected")
-            continue
-        if isinstance(message, Measurement):
-            fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
-        else:
-            fits = len(message.candidates) == size and message.cipher < size
-            fits = fits and all(len(u) == m for u in message.candidates)
-        if not fits:
-            tally.fail(*where, f"{seen.where}: {seen.topic} is not of this plant's shape")
     tally.note = f"{e.wire.torn} torn lines"
 
 
-def _unlike(fields: frozenset[str], allowed: frozenset[str]) -> str:
+def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
     extra, lacking = sorted(fields - allowed), sorted(allowed - fields)
     words = [f"the extra field {name}" for name in extra] + [f"no {name}" for name in lacking]
     return ", ".join(words)
@@ -130,8 +197,9 @@ def _unlike(fields: frozenset[str], allowed: frozenset[str]) -> str:
 class _Looks:
     """What messages of one kind looked like in one automaton state."""
 
-    shapes: dict[object, Seen] = field(default_factory=dict)
-    sizes: list[int] = field(default_factory=list)
+    shapes: dict[object, tuple[Seen, int]] = field(default_factory=dict)
+    bytes: int = 0
+    count: int = 0
 
 
 def _shape(value: object) -> object:
@@ -143,37 +211,31 @@ def _shape(value: object) -> object:
     return "number" if isinstance(value, int | float) else type(value).__name__
 
 
-def same_shape(e: Evidence, tally: Tally) -> None:
+def same_shape(e: Evidence, tally: Tally) -> Judging:
     """Fields, lengths and kinds of number do not depend on the automaton state."""
     if not need(tally, capture=e.wire, plant_trace=e.plant):
         return
-    assert e.wire is not None
-    assert e.plant is not None
-    roles = {(t.session, t.k): t for t in e.plant.transitions}
-    looks: dict[tuple[str, str], _Looks] = {}
-    for seen in e.wire.seen:
-        t = roles.get((seen.session, seen.k))
-        if t is None:
-            continue
-        content = seen.message
-        if content.get("applied_k") == -1:
-            continue  # a session's first measurement has no x_after yet, in state 1 always
-        look = looks.setdefault((seen.topic, t.role), _Looks())
-        look.shapes.setdefault(_shape(content), seen)
-        look.sizes.append(len(seen.raw))
-        tally.counted += 1
+    looks: dict[tuple[str, bool], _Looks] = {}
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            step = e.steps.find(seen.session, seen.k)
+            if step is None or step.j == NO_SYMBOL or seen.message.get("applied_k") == -1:
+                continue  # a session's first measurement has no x_after yet, in state 1 always
+            look = looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
+            look.shapes.setdefault(_shape(seen.message), (seen, step.j))
+            look.bytes += len(seen.raw)
+            look.count += 1
+            tally.counted += 1
     notes = []
     for topic in PUBLIC:
-        test, message = looks.get((topic, "test")), looks.get((topic, "message"))
-        if test is None or message is None:
+        both = [looks.get((topic, carries)) for carries in (False, True)]
+        if both[0] is None or both[1] is None:
             continue
-        for shape, seen in message.shapes.items():
-            if shape not in test.shapes:
-                text = f"{seen.where}: {topic} looks like this in state 2 only"
-                tally.fail(seen.session, roles[seen.session, seen.k].j, seen.k, text)
-        for shape, seen in test.shapes.items():
-            if shape not in message.shapes:
-                text = f"{seen.where}: {topic} looks like this in state 1 only"
-                tally.fail(seen.session, roles[seen.session, seen.k].j, seen.k, text)
-        notes.append(f"{topic} {fmean(test.sizes):.1f} and {fmean(message.sizes):.1f} bytes")
+        for mine, other, state in ((both[1], both[0], 2), (both[0], both[1], 1)):
+            for shape, (seen, j) in mine.shapes.items():
+                if shape not in other.shapes:
+                    text = f"{seen.where}: {topic} looks like this in state {state} only"
+                    tally.fail(seen.session, j, seen.k, text)
+        means = [look.bytes / look.count for look in both if look is not None]
+        notes.append(f"{topic} {means[0]:.1f} and {means[1]:.1f} bytes")
     tally.note = f"mean in states 1 and 2: {'; '.join(notes)}" if notes else ""

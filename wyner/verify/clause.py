@@ -1,13 +1,16 @@
 """What a clause is, what it counts, and what clauses share."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from wyner.verify.evidence import Evidence, Side
+from wyner.verify.evidence import Evidence, Part
 
 EDGE: Final = 1e-9
 """A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
+
+Judging = Generator[None, Part | None, None]
+"""A clause at work: it is sent a run's parts in order, and None when there are no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +61,15 @@ class Clause:
     of : str
         What is counted.
     judge : callable
-        Looks at the evidence and fills a tally.
+        Given the evidence and a tally, a generator that fills the tally from the parts it is sent:
+        ``while (part := (yield)) is not None``. One that has nothing to look at returns at once.
     """
 
     name: str
     source: str
     says: str
     of: str
-    judge: Callable[[Evidence, Tally], None]
+    judge: Callable[[Evidence, Tally], Judging]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +82,9 @@ class Finding:
     @property
     def result(self) -> Literal["PASS", "FAIL", "SKIP"]:
         """SKIP where the run left nothing to look at."""
-        if self.tally.skipped:
-            return "SKIP"
-        return "FAIL" if self.tally.failures else "PASS"
+        if self.tally.failures:
+            return "FAIL"
+        return "SKIP" if self.tally.skipped or not self.tally.counted else "PASS"
 
     def as_json(self) -> dict[str, Any]:
         """The finding for machines."""
@@ -98,14 +102,6 @@ class Finding:
             else {"session": first.session, "j": first.j, "k": first.k, "text": first.text},
             "note": t.skipped or t.note,
         }
-
-
-def sides(e: Evidence) -> Iterator[tuple[str, Side]]:
-    """Both ends' traces, as far as they are there."""
-    if e.plant is not None:
-        yield "plant", e.plant
-    if e.controller is not None:
-        yield "controller", e.controller
 
 
 def need(tally: Tally, **parts: object) -> bool:

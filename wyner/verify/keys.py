@@ -1,125 +1,124 @@
 """The keys' clauses: the agreement test, the scheme, both ends in step."""
 
-from collections.abc import Iterator
 from dataclasses import fields
-from typing import Final, NamedTuple
+from typing import Final
 
-from protocol.agreement import NO_SYMBOL, Verdict
-from protocol.schemes.base import Carry, decrypt
-from wyner.verify.clause import EDGE, Tally, may_leave, need, sides
-from wyner.verify.evidence import Counted, Evidence
-
-
-class Walked(NamedTuple):
-    """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
-
-    t: Counted
-    verdict: Verdict
-    carry: Carry
-    s: int
+from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import decrypt
+from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
+from wyner.verify.evidence import Evidence
+from wyner.verify.records import Counted, Walked
 
 
-def walk(e: Evidence, transitions: list[Counted]) -> Iterator[Walked]:
-    """One session's transitions in order, the scheme going on by the verdicts recomputed."""
-    scheme = e.rules.scheme
-    state = scheme.initial
-    for t in transitions:
-        verdict = e.rules.agreement.verdict(t.x, t.candidates, t.x_next)
-        state, carry = scheme.advance(state, verdict.symbol)
-        yield Walked(t, verdict, carry, state[0])
-
-
-def agreement(e: Evidence, tally: Tally) -> None:
+def agreement(e: Evidence, tally: Tally) -> Judging:
     """Equations (20) and (21), recomputed from the raw numbers."""
     agreed = 0
-    for name, side in sides(e):
-        for ts in side.sessions.values():
-            for t, verdict, carry, _ in walk(e, ts):
-                expected = carry.agreed
-                holds = t.symbol == expected and t.gauges == verdict.gauges
-                text = f"{name}'s verdict is {t.symbol}, recomputed it is {expected}"
-                if t.symbol == expected:
+    while (part := (yield)) is not None:
+        for name, items in part.sides():
+            for item in items:
+                if not isinstance(item, Walked):
+                    continue
+                t, verdict, carry, _ = item
+                holds = t.symbol == carry.agreed and t.gauges == verdict.gauges
+                text = ""
+                if t.symbol != carry.agreed:
+                    text = f"{name}'s verdict is {t.symbol}, recomputed it is {carry.agreed}"
+                elif not holds:
                     text = f"{name}'s gauges are {t.gauges}, recomputed {verdict.gauges}"
                 tally.count(holds, t.session, t.j, t.k, text)
-                agreed += name == "plant" and expected != NO_SYMBOL
+                agreed += name == "plant" and carry.agreed != NO_SYMBOL
     tally.note = f"{agreed} keys agreed"
 
 
-def coin(e: Evidence, tally: Tally) -> None:
+def coin(e: Evidence, tally: Tally) -> Judging:
     """Equation (22): the key is b_r."""
     if not need(tally, plant_trace=e.plant):
         return
-    assert e.plant is not None
     left = 0
-    for t in e.plant.transitions:
-        if t.symbol == NO_SYMBOL:
-            continue
-        coin = t.coin if t.coin is not None else NO_SYMBOL
-        gauge = t.gauges[coin] if 0 <= coin < len(t.gauges) else 0.0
-        outside = gauge > 1 + EDGE and may_leave(e)
-        left += outside and t.symbol != coin
-        text = f"agreed on {t.symbol}, the plant's coin was {coin}"
-        tally.count(t.symbol == coin or outside, t.session, t.j, t.k, text)
+    leaves = may_leave(e)
+    while (part := (yield)) is not None:
+        for item in part.plant:
+            if not isinstance(item, Walked) or item.t.symbol == NO_SYMBOL:
+                continue
+            t = item.t
+            assert t.coin is not None
+            outside = leaves and t.gauges[t.coin] > 1 + EDGE
+            left += outside and t.symbol != t.coin
+            text = f"agreed on {t.symbol}, the plant's coin was {t.coin}"
+            tally.count(t.symbol == t.coin or outside, t.session, t.j, t.k, text)
     if left:
         tally.note = f"{left} unlike the coin, each with a disturbance outside D_c"
 
 
-def _automaton(e: Evidence, sessions: dict[str, list[Counted]], tally: Tally) -> None:
-    for session, ts in sessions.items():
-        p = 0
-        for t, _, (agreed, pad), s in walk(e, ts):
+def _scheme(e: Evidence, side: str, tally: Tally) -> Judging:
+    session, p, sessions = "", 0, 0
+    size = e.rules.size
+    while (part := (yield)) is not None:
+        for item in part.plant if side == "plant" else part.controller:
+            if not isinstance(item, Walked):
+                continue
+            t, _, (agreed, pad), s = item
+            if t.session != session:
+                session, p = t.session, 0
+                sessions += 1
             role, recovered = "test", NO_SYMBOL
             if pad != NO_SYMBOL:
-                role, recovered = "message", decrypt(t.cipher, pad, e.rules.size)
+                role, recovered = "message", decrypt(t.cipher, pad, size)
                 p += 1
             expected = (role, pad, recovered, p, s, agreed)
             got = (t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
-            text = f"(role, key, m, p, s, symbol) is {got}, the scheme says {expected}"
-            if not tally.count(got == expected, session, t.j, t.k, text):
+            holds = got == expected
+            text = ""
+            if not holds:
+                text = f"(role, key, m, p, s, symbol) is {got}, the scheme says {expected}"
+            if not tally.count(holds, t.session, t.j, t.k, text):
                 p = t.p
-    tally.note = f"sessions: {len(sessions)}"
+    tally.note = f"sessions: {sessions}"
 
 
-def sender(e: Evidence, tally: Tally) -> None:
+def sender(e: Evidence, tally: Tally) -> Judging:
     """The scheme over the controller's trace."""
     if need(tally, controller_trace=e.controller):
-        assert e.controller is not None
-        _automaton(e, e.controller.sessions, tally)
+        yield from _scheme(e, "controller", tally)
 
 
-def receiver(e: Evidence, tally: Tally) -> None:
+def receiver(e: Evidence, tally: Tally) -> Judging:
     """The scheme over the plant's trace."""
     if need(tally, plant_trace=e.plant):
-        assert e.plant is not None
-        _automaton(e, e.plant.sessions, tally)
+        yield from _scheme(e, "plant", tally)
 
 
 _SHARED: Final = tuple(f.name for f in fields(Counted) if f.name not in ("coin", "u"))
 
 
-def in_step(e: Evidence, tally: Tally) -> None:
-    """Both traces agree; the controller's may lack the last transition."""
+def in_step(e: Evidence, tally: Tally) -> Judging:
+    """Both traces agree; the controller's may lack the last transition of a session."""
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
-    assert e.plant is not None
-    assert e.controller is not None
     ahead = 0
-    for session, theirs in e.controller.sessions.items():
-        if session not in e.plant.sessions:
-            tally.fail(session, 0, theirs[0].k, "the plant's trace does not have this session")
-    for session, ours in e.plant.sessions.items():
-        theirs = e.controller.sessions.get(session, [])
-        for a, b in zip(ours, theirs, strict=False):
+    lacking: Counted | None = None  # of this session, at the controller
+    while (part := (yield)) is not None:
+        for plant, controller in part.pairs:
+            if plant is None:
+                assert controller is not None
+                t = controller.t
+                text = "the plant's trace does not have this transition"
+                tally.count(False, t.session, t.j, t.k, text)
+                continue
+            a = plant.t
+            if lacking is not None and lacking.session == a.session:
+                text = "the controller has not counted this one, but the plant goes on"
+                tally.fail(lacking.session, lacking.j, lacking.k, text)
+                lacking = None
+            if controller is None:
+                lacking = a
+                ahead += 1
+                continue
+            b = controller.t
             unlike = [name for name in _SHARED if getattr(a, name) != getattr(b, name)]
             text = ""
             if unlike:
                 mine, other = getattr(a, unlike[0]), getattr(b, unlike[0])
                 text = f"{', '.join(unlike)}: the plant has {mine}, the controller {other}"
-            tally.count(not unlike, session, a.j, a.k, text)
-        lead = len(ours) - len(theirs)
-        ahead += lead == 1
-        if lead not in (0, 1):
-            t = ours[min(len(theirs), len(ours) - 1)]
-            text = f"the plant counted {len(ours)}, the controller {len(theirs)}, of which at most "
-            tally.fail(session, t.j, t.k, text + "one may be under way")
+            tally.count(not unlike, a.session, a.j, a.k, text)
     tally.note = f"{ahead} not yet counted by the controller"

@@ -2,104 +2,100 @@
 
 from typing import Final
 
-from protocol.agreement import NO_SYMBOL, predict
-from protocol.link.fallback import Fallback
-from wyner.verify.clause import EDGE, Tally, may_leave, need, sides
-from wyner.verify.evidence import Counted, Evidence
+import numpy as np
+
+from protocol.agreement import predict
+from protocol.convex import Polytope
+from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
+from wyner.verify.evidence import Evidence
+from wyner.verify.records import Counted, Missed, Walked
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
 
 
-def traces(e: Evidence, tally: Tally) -> None:
-    """Numbered without a gap, in rising steps."""
-    torn = 0
-    for name, side in sides(e):
-        torn += side.trace.torn
-        for problem in side.problems:
-            tally.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
-        for session, ts in side.sessions.items():
-            last_k = -1
-            for place, t in enumerate(ts):
-                holds = t.j == place and t.k > last_k
-                tally.count(holds, session, t.j, t.k, f"{name}'s trace: expected j = {place}")
-                last_k = t.k
-                if not holds:
-                    break
-    if tally.counted == 0:
-        tally.fail("", -1, -1, "no transition: nothing has happened in this run")
-    overwritten = sum(len(side.overwritten) for _, side in sides(e))
-    tally.note = f"{torn} torn lines, {overwritten} written again after a kill"
-
-
-def switching(e: Evidence, tally: Tally) -> None:
+def switching(e: Evidence, tally: Tally) -> Judging:
     """Equation (15): u = candidate b_r; every step begins where the last ended."""
     if not need(tally, plant_trace=e.plant):
         return
-    assert e.plant is not None
-    fallback = Fallback.of(e.scenario)
-    missed = 0
-    for life in e.plant.lives:
-        first = life[min(life)]
-        x = e.scenario.plant.initial_state or first.x  # else it starts as it stands
-        u = (0.0,) * e.scenario.m
-        for place, k in enumerate(sorted(life)):
-            step = life[k]
+    hold = e.scenario.link.fallback == "hold"
+    zero = (0.0,) * e.rules.inputs
+    missed, place = 0, 0
+    x, u = e.scenario.plant.initial_state, zero
+    born_in = ""
+    while (part := (yield)) is not None:
+        for item in part.plant:
+            if isinstance(item, Walked):
+                step: Counted | Missed = item.t
+            elif isinstance(item, Missed):
+                step = item
+            else:
+                continue
+            if step.k == 0 and step.session != born_in:  # the plant began again, without a journal
+                born_in, place = step.session, 0
+                x, u = e.scenario.plant.initial_state, zero
             j = step.j if isinstance(step, Counted) else -1
-            where = (step.session, j, k)
-            if not tally.count(k == place, *where, f"expected step k = {place}"):
-                break
+            where = (step.session, j, step.k)
+            tally.count(step.k == place, *where, f"expected step k = {place}")
             near = all(abs(a - b) <= FOLLOWS for a, b in zip(step.x, x, strict=True))
-            if not near:
+            if not near and step.k == place:
                 tally.fail(*where, f"begins at x = {list(step.x)}, the last ended at {list(x)}")
+            assert step.u is not None
             if isinstance(step, Counted):
-                coin = step.coin if step.coin is not None else NO_SYMBOL
-                known = 0 <= coin < len(step.candidates)
-                if not known or step.candidates[coin] != step.u:
-                    tally.fail(*where, f"applied {step.u}, which is not candidate b_r = {coin}")
-                u = step.u or u
+                assert step.coin is not None
+                if step.candidates[step.coin] != step.u:
+                    text = f"applied {step.u}, which is not candidate b_r = {step.coin}"
+                    tally.fail(*where, text)
             else:
                 missed += 1
-                expected = fallback.input(step.x, u)
+                expected = u if hold else zero
                 if step.u != expected:
                     tally.fail(*where, f"a missed step applied {step.u}, expected {expected}")
-                u = step.u
-            x = step.x_next
+            x, u, place = step.x_next, step.u, step.k + 1
     tally.note = f"{missed} missed, {e.scenario.link.fallback} as the fallback"
 
 
-def reachable(e: Evidence, tally: Tally) -> None:
+def reachable(e: Evidence, tally: Tally) -> Judging:
     """Equations (6) and (14): the gauge of what happened is at most 1."""
     if not need(tally, plant_trace=e.plant):
         return
-    assert e.plant is not None
     rule = e.rules.agreement
     if rule.alpha < 1:
         tally.fail("", -1, -1, f"alpha = {rule.alpha}: D_c is not within D_e, equation (11)")
-    left, largest = 0, 0.0
-    for life in e.plant.lives:
-        for k, step in life.items():
-            u = step.u or ()
-            centre = predict(rule.A, rule.B, step.x, u)
-            g = rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])
+    left, largest, leaves = 0, 0.0, may_leave(e)
+    while (part := (yield)) is not None:
+        for item in part.plant:
+            if isinstance(item, Walked):
+                step: Counted | Missed = item.t
+                assert item.t.coin is not None
+                applied = item.t.candidates[item.t.coin] == item.t.u
+                g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
+            elif isinstance(item, Missed):
+                step = item
+                g = _gauge(e, step)
+            else:
+                continue
             largest = max(largest, g)
             inside = g <= 1 + EDGE
             left += not inside
             j = step.j if isinstance(step, Counted) else -1
             text = f"x(k+1) is outside Reach^c of the applied input: gauge {g:.6g}"
-            tally.count(inside or may_leave(e), step.session, j, k, text)
+            tally.count(inside or leaves, step.session, j, step.k, text)
     tally.note = f"largest gauge {largest:.6f}, alpha {rule.alpha:g}"
-    if may_leave(e):
+    if leaves:
         tally.note += f"; the disturbance may leave D_c here, and did in {left} steps"
 
 
-def admissible(e: Evidence, tally: Tally) -> None:
+def _gauge(e: Evidence, step: Counted | Missed) -> float:
+    rule = e.rules.agreement
+    centre = predict(rule.A, rule.B, step.x, step.u or ())
+    return rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])
+
+
+def admissible(e: Evidence, tally: Tally) -> Judging:
     """(27): u in U, and A x + B u in T_(i-1) ~ D_c."""
-    side = e.controller or e.plant
-    assert side is not None
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.sets.design import SynthesisError
-    from protocol.convex import Polytope
 
     try:
         design = cached_design(e.scenario)
@@ -108,28 +104,42 @@ def admissible(e: Evidence, tally: Tally) -> None:
         return
     law = make_law(e.scenario, design)
     inputs = Polytope.from_rows(*e.scenario.control.inputs.rows())
+    A, B = np.array(e.scenario.A), np.array(e.scenario.B)
     terminal = 0
-    for t in side.transitions:
-        where = (t.session, t.j, t.k)
-        try:
-            i = law.index(t.x)
-        except LookupError as error:
-            tally.count(False, *where, str(error))
-            continue
-        K = law.gain(i)
-        for number, u in enumerate(t.candidates):
+    while (part := (yield)) is not None:
+        of: dict[int, list[Counted]] = {}
+        for plant, controller in part.pairs:
+            t = (controller or plant).t  # type: ignore[union-attr]
+            try:
+                of.setdefault(law.index(t.x), []).append(t)
+            except LookupError as error:
+                tally.count(False, t.session, t.j, t.k, str(error))
+        for i, ts in of.items():
+            X = np.array([t.x for t in ts])
+            U = np.array([t.candidates for t in ts])
+            K = law.gain(i)
             if K is not None:
-                terminal += 1
-                away = float(abs(K @ t.x - u).max())
-                text = f"candidate {number} is {away:.3g} away from K x inside T_0"
-                tally.count(away <= EDGE, *where, text)
+                away = abs((X @ K.T)[:, None] - U).max(axis=2)
+                terminal += away.size
+                _judge(tally, ts, away, "is {:.3g} away from K x inside T_0")
                 continue
             target = Polytope(*design.targets[max(i - 1, 0)])
-            beyond = target.excess(predict(e.scenario.A, e.scenario.B, t.x, u))
-            text = f"candidate {number} leads {beyond:.3g} beyond T_{max(i - 1, 0)} ~ D_c"
-            tally.count(beyond <= EDGE, *where, text)
-            over = inputs.excess(u)
-            if over > EDGE:
-                tally.fail(*where, f"candidate {number} is {over:.3g} beyond U")
+            centres = (X @ A.T)[:, None] + U @ B.T
+            beyond = (centres @ target.H.T - target.h).max(axis=2)
+            _judge(tally, ts, beyond, f"leads {{:.3g}} beyond T_{max(i - 1, 0)} ~ D_c")
+            over = (U @ inputs.H.T - inputs.h).max(axis=2)
+            for at, number in np.argwhere(~(over <= EDGE)).tolist():
+                t = ts[at]
+                text = f"candidate {number} is {over[at, number]:.3g} beyond U"
+                tally.fail(t.session, t.j, t.k, text)
     if terminal:
         tally.note = f"{terminal} of them K x inside T_0"
+
+
+def _judge(tally: Tally, ts: list[Counted], excess: np.ndarray, text: str) -> None:  # type: ignore[type-arg]
+    """Count candidates by their excess, shape (transitions, M)."""
+    tally.counted += excess.size
+    for at, number in np.argwhere(~(excess <= EDGE)).tolist():
+        t = ts[at]
+        where = (t.session, t.j, t.k)
+        tally.fail(*where, f"candidate {number} {text.format(excess[at, number])}")

@@ -1,184 +1,311 @@
-"""The message's clauses: what arrived, and that no key served twice."""
+"""The message's clauses: what arrived, what was reported, and that no key served twice."""
 
-import base64
-from bisect import bisect_left
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.framing import Deframer
-from wyner.verify.clause import Tally, need, sides
-from wyner.verify.evidence import Counted, Evidence, Side
+from protocol.schemes.framing import Deframer, Frame
+from wyner.verify.clause import Judging, Tally, need
+from wyner.verify.evidence import Evidence
+from wyner.verify.journals import Kept
+from wyner.verify.records import (
+    Again,
+    Break,
+    Counted,
+    Item,
+    Missed,
+    Queued,
+    Recovered,
+    Refused,
+    Told,
+    Walked,
+)
+
+REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
+"""What each side reports of a whole frame."""
 
 
-def carried(ts: list[Counted]) -> list[Counted]:
-    """The transitions that carried a message symbol."""
-    return [t for t in ts if t.role == "message"]
-
-
-def prefix(e: Evidence, tally: Tally) -> None:
+def prefix(e: Evidence, tally: Tally) -> Judging:
     """The plant's message symbols are the controller's first ones."""
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
-    assert e.plant is not None
-    assert e.controller is not None
-    for session, ours in e.plant.sessions.items():
-        recovered = carried(ours)
-        sent = carried(e.controller.sessions.get(session, []))
-        for r, s in zip(recovered, sent, strict=False):
-            same = r.message_symbol == s.message_symbol
-            text = f"symbol {r.p}: sent {s.message_symbol}, recovered {r.message_symbol}"
-            tally.count(same, session, r.j, r.k, text)
-        if not -1 <= len(sent) - len(recovered) <= 0:
-            j, k = (recovered[-1].j, recovered[-1].k) if recovered else (-1, -1)
-            tally.fail(session, j, k, f"recovered {len(recovered)} symbols of {len(sent)} sent")
+    lacking: Counted | None = None  # the plant has its symbol, the controller has not counted it
+    while (part := (yield)) is not None:
+        for plant, controller in part.pairs:
+            r = plant.t if plant is not None and plant.t.role == "message" else None
+            s = controller.t if controller is not None and controller.t.role == "message" else None
+            if r is None and s is None:
+                continue
+            t = r or s
+            assert t is not None
+            if lacking is not None and lacking.session == t.session:
+                text = f"symbol {lacking.p} was recovered, and never sent"
+                tally.fail(lacking.session, lacking.j, lacking.k, text)
+            lacking = None
+            if r is None:
+                tally.count(False, t.session, t.j, t.k, f"symbol {t.p} was sent, not recovered")
+            elif s is None:
+                lacking = r
+            else:
+                same = r.message_symbol == s.message_symbol
+                text = f"symbol {r.p}: sent {s.message_symbol}, recovered {r.message_symbol}"
+                tally.count(same, r.session, r.j, r.k, text)
 
 
 @dataclass(frozen=True, slots=True)
-class _Whole:
-    """A frame that the plant's symbols add up to, and the transition that completed it."""
+class Whole:
+    """A frame that a side's symbols add up to, and the transition that completed it."""
 
-    payload: bytes
-    intact: bool
+    frame: Frame
     at: Counted
 
 
-def _frames_of(side: Side, size: int) -> tuple[list[_Whole], int]:
-    """Every frame of a plant's trace in order, and the symbols that belong to frames under way."""
-    frames = []
-    under_way = 0
-    for ts in side.sessions.values():
-        deframer = Deframer(size)
-        for t in carried(ts):
-            if not 0 <= t.message_symbol < size:
-                continue  # the automata's clause says so
-            frame = deframer.push(t.message_symbol)
-            if frame is not None:
-                frames.append(_Whole(frame.payload, frame.intact, t))
-        under_way += len(deframer.symbols)
-    return frames, under_way
+@dataclass(slots=True)
+class Framing:
+    """A side's symbols put together, and its reports compared with them.
+
+    A report follows the transition that completed its frame, before the next step. It is missing
+    only where the side was killed in between.
+    """
+
+    side: str
+    size: int
+    tally: Tally
+    session: str = ""
+    due: Whole | None = None
+    last: Whole | None = None
+    lost: int = 0
+    deframer: Deframer = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.deframer = Deframer(self.size)
+
+    def feed(self, item: Item) -> Whole | None:
+        """Take an item; a frame when it completed one."""
+        if isinstance(item, Walked):
+            self._overdue()
+            return self._push(item.t)
+        if isinstance(item, Again):
+            if self.last is not None and item.after.j == self.last.at.j and self.due is None:
+                self.due, self.lost = self.last, self.lost - 1
+        elif isinstance(item, Missed):
+            self._overdue()
+        elif isinstance(item, Break):
+            if item.ended:
+                self._overdue()
+            self.lost += self.due is not None
+            self.due = None
+        elif isinstance(item.line, Recovered | Refused) or item.line.event == "delivered":
+            self._reported(item)
+        return None
+
+    def _push(self, t: Counted) -> Whole | None:
+        if t.session != self.session:
+            self.session, self.deframer = t.session, Deframer(self.size)
+        if t.role != "message" or not 0 <= t.message_symbol < self.size:
+            return None
+        frame = self.deframer.push(t.message_symbol)
+        if frame is None:
+            return None
+        self.due = self.last = Whole(frame, t)
+        return self.due
+
+    def _overdue(self) -> None:
+        if self.due is not None:
+            at, what = self.due.at, REPORTS[self.side]
+            text = f"{self.side}'s trace: a whole frame, and nothing {what}"
+            self.tally.fail(at.session, at.j, at.k, text)
+            self.due = None
+
+    def _reported(self, item: Told) -> None:
+        due, self.due = self.due, None
+        refused = isinstance(item.line, Refused)
+        what = f"{self.side}'s trace: {item.line.event} {item.payload!r}"
+        if due is None:
+            text = f"{what}, which its symbols do not add up to there"
+            self.tally.fail(self.session, -1, -1, text)
+        elif refused:
+            self.tally.fail(due.at.session, due.at.j, due.at.k, "the plant refused a frame")
+        elif due.frame.payload != item.payload:
+            at = due.at
+            text = f"{what}, its symbols add up to {due.frame.payload!r}"
+            self.tally.fail(at.session, at.j, at.k, text)
 
 
-def _payloads(side: Side, kind: str) -> list[bytes]:
-    return [base64.b64decode(event["payload"]) for event in side.trace.of(kind)]
+def frames(e: Evidence, tally: Tally) -> Judging:
+    """The symbols add up to whole frames, and to what each side reported."""
+    framing = {name: Framing(name, e.rules.size, tally) for name, _ in e.readers()}
+    received: list[bytes] = []
+    while (part := (yield)) is not None:
+        for name, items in part.sides():
+            for item in items:
+                whole = framing[name].feed(item)
+                if whole is not None:
+                    at, text = whole.at, f"{name}'s trace: a frame fails its check"
+                    tally.count(whole.frame.intact, at.session, at.j, at.k, text)
+                    if name == "plant" and whole.frame.intact:
+                        received.append(whole.frame.payload)
+    if isinstance(e.plant_journal, Kept):
+        _same_inbox(e, e.plant_journal, received, tally)
+    notes = [f"{len(f.deframer.symbols)} symbols of a frame under way" for f in framing.values()]
+    tally.note = notes[0]
+    if lost := sum(f.lost for f in framing.values()):
+        tally.note += f"; {lost} reports lost to kills"
 
 
-def frames(e: Evidence, tally: Tally) -> None:
-    """The symbols add up to whole frames, and to what the plant reported."""
-    if not need(tally, plant_trace=e.plant):
-        return
-    assert e.plant is not None
-    frames, under_way = _frames_of(e.plant, e.rules.size)
-    for f in frames:
-        tally.count(f.intact, f.at.session, f.at.j, f.at.k, "a frame fails its check")
-    for event in e.plant.trace.of("refused"):
-        tally.fail(event["session"], -1, -1, "the plant refused a frame")
-    # between the journal and the trace a kill may lose one event for each life of the process
-    told, intact = _payloads(e.plant, "recovered"), [f for f in frames if f.intact]
-    lives = sum(1 for _ in e.plant.trace.of("session"))
-    place = 0
-    for payload in told:
-        found = next((i for i, f in enumerate(intact[place:], place) if f.payload == payload), None)
-        if found is None:
-            tally.fail("", -1, -1, f"recovered {payload!r}, which its symbols do not add up to")
-            break
-        place = found + 1
-    if len(intact) - len(told) > lives:
-        tally.fail("", -1, -1, f"{len(intact)} frames in the symbols, {len(told)} recovered")
-    tally.note = f"{under_way} symbols of a frame under way"
+def _same_inbox(e: Evidence, journal: Kept, received: Sequence[bytes], tally: Tally) -> None:
+    """What the plant's journal received are the last frames of its trace."""
+    kept = [payload for _, payload in journal.messages]
+    if e.plant is not None and e.plant.from_journal and len(received) > len(kept):
+        received = received[:-1]  # of the step that is in the journal and not yet counted
+    if kept and list(received[-len(kept) :]) != kept:
+        text = f"the plant's journal has received {len(kept)} messages that its trace has not"
+        tally.count(False, "", -1, -1, text)
 
 
-def messages(e: Evidence, tally: Tally) -> None:
+@dataclass(slots=True)
+class _Queue:
+    """The controller's messages, as its trace tells them."""
+
+    tally: Tally
+    told: list[tuple[str, bytes]] = field(default_factory=list)
+    begins: set[int] = field(default_factory=set)
+    known: dict[str, bytes] = field(default_factory=dict)
+    restarted: bool = True
+    delivered: int = 0
+
+    def feed(self, item: Item) -> None:
+        if isinstance(item, Break):
+            self.restarted = True
+        elif isinstance(item, Told) and isinstance(item.line, Queued):
+            if item.line.event == "sent":
+                self._sent(item.line.id, item.payload)
+            else:
+                self._delivered(item.line.id, item.payload)
+
+    def _sent(self, name: str, payload: bytes) -> None:
+        if name in self.known:
+            # a controller that lost its journal is handed its messages again
+            if not self.restarted:
+                self.tally.fail("", -1, -1, f"message {name} was queued twice without a restart")
+            self.begins.add(len(self.told))
+            self.known = {}
+        self.restarted = False
+        self.known[name] = payload
+        self.told.append((name, payload))
+
+    def _delivered(self, name: str, payload: bytes) -> None:
+        self.delivered += 1
+        if self.known.get(name) != payload:
+            text = f"message {name} counts as delivered, and was not queued like that"
+            self.tally.fail("", -1, -1, text)
+
+
+def messages(e: Evidence, tally: Tally) -> Judging:
     """The recovered messages follow the queue."""
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
-    assert e.plant is not None
-    assert e.controller is not None
-    queued: list[tuple[str, bytes]] = [
-        (event["id"], base64.b64decode(event["payload"])) for event in e.controller.trace.of("sent")
-    ]
-    # a controller that lost its journal is handed its messages again: the queue begins anew there
-    begins: set[int] = set()
-    known: set[str] = set()
-    for i, (name, _) in enumerate(queued):
-        if name in known:
-            begins.add(i)
-            known.clear()
-        known.add(name)
-    frames, _ = _frames_of(e.plant, e.rules.size)
+    queue = _Queue(tally)
+    framing = Framing("plant", e.rules.size, Tally())
     place, session = -1, ""
-    reached = set()
-    for f in frames:
-        if not f.intact:
-            continue
-        allowed = {place + 1} | {b for b in begins if b > place}
-        if f.at.session != session and place >= 0:
-            allowed.add(place)  # received, but the session ended before the controller knew
-        fits = sorted(i for i in allowed if i < len(queued) and queued[i][1] == f.payload)
-        text = f"recovered {f.payload!r}, which is not the next queued message"
-        tally.count(bool(fits), f.at.session, f.at.j, f.at.k, text)
-        if fits:
-            place = fits[-1] if place in fits else fits[0]
-            reached.add(place)
-        session = f.at.session
-    whole = [f.payload for f in frames if f.intact]
-    for payload in _payloads(e.controller, "delivered"):
-        if payload not in whole:
-            tally.fail(
-                "", -1, -1, f"{payload!r} counts as delivered, the plant has not recovered it"
-            )
-    tally.note = f"{len(reached)} of {len(queued)} queued messages arrived"
+    reached: set[int] = set()
+    arrived: set[bytes] = set()
+    while (part := (yield)) is not None:
+        late = []
+        for item in part.controller:
+            if isinstance(item, Told) and item.line.event == "delivered":
+                late.append(item)
+            queue.feed(item)
+        for item in part.plant:
+            whole = framing.feed(item)
+            if whole is None or not whole.frame.intact:
+                continue
+            at, payload = whole.at, whole.frame.payload
+            arrived.add(payload)
+            allowed = {place + 1} | {b for b in queue.begins if b > place}
+            if at.session != session and place >= 0:
+                allowed.add(place)  # received, but the session ended before the controller knew
+            told = queue.told
+            fits = sorted(i for i in allowed if i < len(told) and told[i][1] == payload)
+            text = f"recovered {payload!r}, which is not the next queued message"
+            tally.count(bool(fits), at.session, at.j, at.k, text)
+            if fits:
+                place = fits[-1] if place in fits else fits[0]
+                reached.add(place)
+            session = at.session
+        for item in late:
+            if item.payload not in arrived:
+                text = f"{item.payload!r} counts as delivered, the plant has not recovered it"
+                tally.fail("", -1, -1, text)
+    if isinstance(e.controller_journal, Kept):
+        told = queue.told
+        for name, payload in e.controller_journal.messages:
+            text = f"message {name} is in the controller's journal, and not in its trace"
+            tally.count((name, payload) in told, "", -1, -1, text)
+    if not tally.counted and queue.told:
+        tally.skipped = "no message has arrived"
+    tally.note = f"{len(reached)} of {len(queue.told)} queued messages arrived"
 
 
-def one_time_pad(e: Evidence, tally: Tally) -> None:
-    """Walk the keys: each is agreed once and used once."""
-    for name, side in sides(e):
-        for session, ts in side.sessions.items():
-            unused: list[Counted] = []
-            for t in ts:
+def one_time_pad(e: Evidence, tally: Tally) -> Judging:
+    """Walk the keys: each is agreed once and used once at most."""
+    sessions = dict.fromkeys(("plant", "controller"), "")
+    unused: dict[str, list[Counted]] = {"plant": [], "controller": []}
+    while (part := (yield)) is not None:
+        for name, items in part.sides():
+            for item in items:
+                if not isinstance(item, Walked):
+                    continue
+                t = item.t
+                if t.session != sessions[name]:
+                    sessions[name], unused[name] = t.session, []
+                fresh = unused[name]
                 if t.role == "message":
-                    own = next((a for a in unused if a.symbol == t.key), None)
+                    own = next((a for a in fresh if a.symbol == t.key), None)
                     text = f"{name}'s trace: a message symbol without a key of its own"
-                    if own is None and unused:
-                        agreed = ", ".join(f"{a.symbol} at {a.j}" for a in unused)
+                    if own is None and fresh:
+                        agreed = ", ".join(f"{a.symbol} at {a.j}" for a in fresh)
                         text = f"{name}'s trace: key {t.key}, unused were {agreed}"
-                    tally.count(own is not None, session, t.j, t.k, text)
-                    if own is not None:
-                        unused.remove(own)
+                    tally.count(own is not None, t.session, t.j, t.k, text)
+                    if own is None:
+                        fresh.clear()
                     else:
-                        unused.clear()
+                        fresh.remove(own)
                 if t.symbol != NO_SYMBOL:
-                    unused.append(t)
+                    fresh.append(t)
 
 
-def _transition_of(ks: list[int], k: int) -> int:
-    """The transition that an offer for step k was made for: that of the first applied k' >= k."""
-    return bisect_left(ks, k)
-
-
-def one_cipher(e: Evidence, tally: Tally) -> None:
+def one_cipher(e: Evidence, tally: Tally) -> Judging:
     """Every offer made for a transition carries the same cipher symbol."""
-    for name, side in sides(e):
-        for before, after in side.overwritten:
-            same = (before.cipher, before.role, before.key) == (
-                after.cipher,
-                after.role,
-                after.key,
-            )
-            text = f"{name}'s trace: written twice with ciphers {before.cipher} and {after.cipher}"
-            tally.count(same, after.session, after.j, after.k, text)
+    open_: dict[str, int] = {}  # decided after the last transition of a session
+    again = 0
+    while (part := (yield)) is not None:
+        for name, items in part.sides():
+            for item in items:
+                if isinstance(item, Again):
+                    before, after = item
+                    unlike = [
+                        f
+                        for f in Counted.__dataclass_fields__
+                        if getattr(before, f) != getattr(after, f)
+                    ]
+                    text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
+                    tally.count(not unlike, after.session, after.j, after.k, text)
+        for seen in part.seen:
+            if seen.topic != "offer" or not e.steps.knows(seen.session):
+                continue
+            cipher = seen.message.get("cipher")
+            if not isinstance(cipher, int):
+                continue  # another clause says so
+            k = e.steps.next_applied(seen.session, seen.k)
+            again += k != seen.k
+            step = e.steps.find(seen.session, k)
+            expected = open_.setdefault(seen.session, cipher) if step is None else step.cipher
+            j = -1 if step is None else step.j
+            text = f"{seen.where}: cipher {cipher}, decided was {expected}"
+            tally.count(cipher == expected, seen.session, j, seen.k, text)
     if e.wire is None or e.plant is None:
         tally.note = "without a capture and a plant's trace only what was written twice is compared"
         return
-    ks = {session: [t.k for t in ts] for session, ts in e.plant.sessions.items()}
-    decided = {(t.session, t.j): t.cipher for t in e.plant.transitions}
-    again = 0
-    for seen in e.wire.seen:
-        if seen.topic != "offer" or seen.session not in ks:
-            continue
-        at = (seen.session, _transition_of(ks[seen.session], seen.k))
-        again += seen.k not in ks[seen.session][at[1] : at[1] + 1]
-        cipher = seen.message.get("cipher")
-        expected = decided.setdefault(at, cipher if isinstance(cipher, int) else NO_SYMBOL)
-        text = f"{seen.where}: cipher {cipher}, decided was {expected}"
-        tally.count(cipher == expected, seen.session, at[1], seen.k, text)
     tally.note = f"{again} offers that were not applied carried the symbol of the next that was"

@@ -1,0 +1,168 @@
+"""The files' clauses: whole, of one scenario, and as far on as their journals."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, GUESSES, TAP_STATUS
+from tap_service.capture.recording import parts_of
+from wyner.verify.clause import Judging, Tally
+from wyner.verify.evidence import Evidence
+from wyner.verify.journals import Kept
+from wyner.verify.records import Walked
+from wyner.verify.sides import Segments, SideReader
+
+IDENTITY: Final = ("scenario", "fingerprint", "loop")
+
+
+def traces(e: Evidence, tally: Tally) -> Judging:
+    """Lines as they should be, numbered without a gap, in rising steps."""
+    last: dict[str, tuple[str, int, int]] = {}
+    while (part := (yield)) is not None:
+        for name, items in part.sides():
+            for item in items:
+                if not isinstance(item, Walked):
+                    continue
+                t = item.t
+                session, j, k = last.get(name, ("", -1, -1))
+                place, least = (j + 1, k) if session == t.session else (0, -1)
+                holds = t.j == place and t.k > least
+                text = f"{name}'s trace: expected j = {place} and k above {least}"
+                tally.count(holds, t.session, t.j, t.k, text)
+                last[name] = (t.session, t.j, t.k)
+    torn = overwritten = 0
+    for name, reader in e.readers():
+        torn += reader.marks.torn
+        overwritten += reader.overwritten
+        for problem in reader.problems:
+            tally.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
+    if tally.counted == 0:
+        tally.fail("", -1, -1, "no transition: nothing has happened in this run")
+    tally.note = f"{torn} torn lines, {overwritten} written again after a kill"
+
+
+def scenario(e: Evidence, tally: Tally) -> Judging:
+    """The scenario in the folder is the one that every file was made under."""
+    expected = e.scenario.identity()
+
+    def compare(what: str, told: dict[str, Any] | None) -> None:
+        for name in IDENTITY:
+            if told is not None and name in told:
+                text = f"{what}: {name} is {told[name]}, the scenario's is {expected[name]}"
+                tally.count(told[name] == expected[name], "", -1, -1, text)
+
+    while (yield) is not None:
+        pass
+    if e.manifest == {}:
+        tally.fail("", -1, -1, "manifest.json: expected a JSON object")
+    elif e.manifest is not None and not e.manifest.keys() >= set(IDENTITY):
+        tally.fail("", -1, -1, "manifest.json: it does not say of which scenario it is")
+    compare("manifest.json", e.manifest)
+    for name, reader in e.readers():
+        compare(f"{name}'s trace", reader.header)
+        if not reader.header.keys() >= set(IDENTITY):
+            tally.fail("", -1, -1, f"{name}'s trace: line 1 does not say of which scenario it is")
+        if reader.header.get("vantage") != name:
+            text = f"{name}'s trace: vantage is {reader.header.get('vantage')!r}"
+            tally.fail("", -1, -1, text)
+    for name, journal in (("plant", e.plant_journal), ("controller", e.controller_journal)):
+        if isinstance(journal, str):
+            tally.count(False, "", -1, -1, f"{name}'s journal: {journal}")
+        elif journal is not None:
+            tally.count(True, "", -1, -1)
+
+
+def whole(e: Evidence, tally: Tally) -> Judging:
+    """Every recording holds what its writer counted, and goes as far as its journal."""
+    while (yield) is not None:
+        pass
+    killed = 0
+    for marks in _recordings(e):
+        killed += marks.unended
+        tally.count(not marks.problems, "", -1, -1, _first(marks))
+    for name, reader in e.readers():
+        journal = e.plant_journal if name == "plant" else e.controller_journal
+        if isinstance(journal, Kept):
+            text = _behind(reader, journal)
+            tally.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
+    if e.wire is not None and not e.wire.dropped_parts:
+        told = _tap_counts(e.run_dir / TAP_STATUS)
+        if told is not None:
+            text = f"the capture has {e.wire.lines} messages, the tap had written {told}"
+            tally.count(e.wire.lines >= told, "", -1, -1, text)
+    tally.note = f"{killed} lives without an end mark: killed, or still running"
+
+
+def _first(marks: Segments) -> str:
+    return f"{marks.problems[0].where}: {marks.problems[0].text}" if marks.problems else ""
+
+
+def _recordings(e: Evidence) -> Iterator[Segments]:
+    for _, reader in e.readers():
+        yield reader.marks
+    if e.wire is not None:
+        yield from e.wire.parts
+    for stem in (GUESSES, ANALYSIS_GUESSES):
+        for path in parts_of(e.run_dir / stem):
+            yield _segments_of(path)
+
+
+def _segments_of(path: Path) -> Segments:
+    """The marks of a recording whose lines no clause reads."""
+    marks = Segments(path.name)
+    newline = True
+    for number, raw, newline in raw_lines(path):
+        value = decode(raw)
+        if value is None:
+            marks.malformed(number)
+        elif value.get("event") in (HEADER, CONTINUED, END):
+            marks.mark(number, raw, value)
+        else:
+            marks.line(number, raw)
+    marks.finish(newline=newline)
+    return marks
+
+
+def _behind(reader: SideReader, journal: Kept) -> str:
+    """In what a trace and its journal differ; empty where they fit."""
+    session = journal.session
+    if session is None:
+        return ""
+    counted = reader.transitions.get(session, 0)
+    if counted != journal.transitions:
+        return f"it has {counted} transitions, its journal counts {journal.transitions}"
+    last = reader.last
+    if last is None or last.session != session:
+        return "" if not journal.transitions else "it goes on after its journal's session"
+    if last.s != journal.s:
+        return f"it ends in state {last.s}, its journal in state {journal.s}"
+    if reader.side == "plant":
+        return _elsewhere(reader, journal)
+    return ""
+
+
+def _elsewhere(reader: SideReader, journal: Kept) -> str:
+    """Whether a plant's trace ends where its journal does, to the last missed step."""
+    t, missed = reader.last, reader.last_missed
+    assert t is not None
+    k, x = t.k, t.x_next
+    if missed is not None and missed.k > k and missed.session == t.session:
+        k, x = missed.k, missed.x_next
+        if journal.k == k and not reader.marks.ended:
+            return ""  # killed between the two: the step will be made again
+    if (k + 1, x) != (journal.k, journal.x):
+        return (
+            f"it ends in x({k + 1}) = {list(x)}, "
+            f"its journal has x({journal.k}) = {list(journal.x)}"
+        )
+    return ""
+
+
+def _tap_counts(path: Path) -> int | None:
+    """Messages that the tap says it had written, by its last report."""
+    if not path.is_file():
+        return None
+    told = decode(path.read_bytes())
+    count = None if told is None else told.get("captured")
+    return count if isinstance(count, int) else 2**63

@@ -1,0 +1,136 @@
+"""What the journals of a run say: how far each end had come, and the step that it had not traced.
+
+They are read from a copy, so that a run's folder stays as it was found, and one that is still held
+by a process is not disturbed.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.link.events import Applied
+from protocol.link.receiver import Receiver
+from protocol.link.sender import Sender
+from protocol.link.session import Rules
+from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
+from protocol.runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
+from protocol.streams import SystemSymbols
+
+INSTANCE: Final = "0" * 16
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """One end's journal.
+
+    Parameters
+    ----------
+    session : str or None
+    transitions : int
+        Of that session, the pending one included.
+    pending : dict, optional
+        The transition that follows the record, as a trace's event.
+    k : int
+        Step that the end has come to.
+    s : int
+        The automaton's state there.
+    x : tuple of float
+    messages : tuple of (str, bytes)
+        The controller's queue, or what the plant has received (without identifiers).
+    delivered : int
+        Messages that the controller has delivered.
+    """
+
+    session: str | None
+    transitions: int
+    pending: dict[str, Any] | None
+    k: int
+    s: int
+    x: tuple[float, ...]
+    messages: tuple[tuple[str, bytes], ...]
+    delivered: int = 0
+
+
+def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
+    """The controller's journal; a line that says what is wrong with it; None where there is none."""
+
+    def read(path: Path) -> Kept:
+        with ControllerJournal(path, rules.fingerprint) as journal:
+            messages = tuple(
+                (journal.identifier(number), journal.payload(number) or b"")
+                for number in range(journal.queued)
+            )
+            record, step = journal.load(), journal.step()
+            sender = Sender(
+                rules, _propose_nothing, journal, SystemSymbols(), INSTANCE, record, step
+            )
+            pending = sender.settle().transition if sender.unsettled else None
+            record = sender.record
+        return Kept(
+            session=record.session,
+            transitions=record.transitions,
+            pending=None if pending is None else pending.as_event(),
+            k=record.k,
+            s=record.s,
+            x=record.x,
+            messages=messages,
+            delivered=record.message,
+        )
+
+    return _from_copy(run_dir / CONTROLLER_JOURNAL, read)
+
+
+def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
+    """The plant's journal, in the same way."""
+
+    def read(path: Path) -> Kept | None:
+        with PlantJournal(path, rules.fingerprint) as journal:
+            record, step = journal.load(), journal.step()
+            if record is None:
+                return None
+            receiver = Receiver(rules, INSTANCE, record, journal.chunks())
+            messages = tuple(("", payload) for payload in journal.inbox(-1))
+        pending = None
+        if step is not None:
+            offer, measurement, coin = step.offer, step.measurement, step.coin
+            effects = receiver.applied(offer, coin, measurement.x)
+            pending = Applied(effects.transition, coin, offer.candidates[coin]).as_event()
+        record = receiver.record
+        return Kept(
+            session=record.session,
+            transitions=record.transitions,
+            pending=pending,
+            k=record.k,
+            s=record.s,
+            x=record.x,
+            messages=messages,
+        )
+
+    return _from_copy(run_dir / PLANT_JOURNAL, read)
+
+
+def _propose_nothing(_x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+    raise LookupError("a journal that is read offers nothing")
+
+
+def _from_copy(path: Path, read: Callable[[Path], Kept | None]) -> Kept | str | None:
+    if not path.is_file():
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        try:
+            for suffix in ("", "-wal"):
+                source = path.with_name(path.name + suffix)
+                if source.is_file():
+                    shutil.copyfile(source, copy.with_name(copy.name + suffix))
+            return read(copy)
+        except JournalError as error:
+            return str(error).removeprefix(f"{copy}: ")
+        except OSError as error:
+            return f"cannot be read: {error.strerror}"
+        except (AssertionError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+            return f"its step does not follow from its record: {type(error).__name__}: {error}"
+

@@ -1,0 +1,208 @@
+"""The lines of a trace, each kind with the fields it has: no more, no fewer, of the right type."""
+
+import base64
+import binascii
+from collections.abc import Callable
+from typing import Any, Final, Literal, NamedTuple
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from protocol.agreement import Verdict
+from protocol.schemes.base import Carry
+
+Vector = tuple[float, ...]
+STRICT: Final = ConfigDict(extra="forbid", strict=True)
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Counted:
+    """A transition as one side's trace holds it; ``coin`` and ``u`` are the plant's alone.
+
+    A model would take three times the room, and a run has millions.
+    """
+
+    event: Literal["transition"]
+    session: str
+    j: int
+    k: int
+    x: Vector
+    candidates: tuple[Vector, ...]
+    cipher: int
+    x_next: Vector
+    role: Literal["test", "message"]
+    gauges: Vector
+    symbol: int
+    key: int
+    message_symbol: int
+    p: int
+    s: int
+    coin: int | None = None
+    u: Vector | None = None
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Missed:
+    """A step without an offer, as the plant's trace holds it."""
+
+    event: Literal["missed"]
+    session: str
+    k: int
+    x: Vector
+    u: Vector
+    x_next: Vector
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class SessionBegan:
+    """A session was begun, resumed or given up."""
+
+    event: Literal["session"]
+    session: str | None
+    reason: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Queued:
+    """A message was handed to the controller, or every symbol of it was counted there."""
+
+    event: Literal["sent", "delivered"]
+    id: str
+    payload: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Recovered:
+    """A whole frame passed its check at the plant."""
+
+    event: Literal["recovered"]
+    payload: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Refused:
+    """A frame failed its check at the plant."""
+
+    event: Literal["refused"]
+    session: str
+    p: int
+
+
+EventLine = SessionBegan | Queued | Recovered | Refused
+
+KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
+    "plant": {
+        "transition": TypeAdapter(Counted),
+        "missed": TypeAdapter(Missed),
+        "session": TypeAdapter(SessionBegan),
+        "recovered": TypeAdapter(Recovered),
+        "refused": TypeAdapter(Refused),
+    },
+    "controller": {
+        "transition": TypeAdapter(Counted),
+        "session": TypeAdapter(SessionBegan),
+        "sent": TypeAdapter(Queued),
+        "delivered": TypeAdapter(Queued),
+    },
+}
+"""What each side may trace: the event, and the type of its line."""
+
+
+class Problem(NamedTuple):
+    """A line that cannot be what it says it is, or stands where it cannot."""
+
+    where: str
+    text: str
+
+
+class Walked(NamedTuple):
+    """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
+
+    t: Counted
+    verdict: Verdict
+    carry: Carry
+    s: int
+
+
+class Told(NamedTuple):
+    """Another line of a trace; ``payload`` is its message, where it has one."""
+
+    line: EventLine
+    payload: bytes
+
+
+class Again(NamedTuple):
+    """A transition that was written a second time, after a restart."""
+
+    before: Counted
+    after: Counted
+
+
+class Break(NamedTuple):
+    """A life of the writer is over; ``ended`` says that it ended by itself, and was not killed."""
+
+    ended: bool
+
+
+Item = Walked | Missed | Told | Again | Break
+
+
+class Shape(NamedTuple):
+    """The sizes of the plant: states, inputs, candidates."""
+
+    n: int
+    m: int
+    size: int
+
+    def unlike(self, t: Counted, *, plant: bool) -> str:
+        """The first field of ``t`` that is not of this shape; empty where all are."""
+        n, m, size = self
+        if len(t.x) != n:
+            return f"x: got {len(t.x)} numbers, expected {n}"
+        if len(t.x_next) != n:
+            return f"x_next: got {len(t.x_next)} numbers, expected {n}"
+        if len(t.candidates) != size or any(len(u) != m for u in t.candidates):
+            return f"candidates: expected {size} of {m} inputs"
+        if len(t.gauges) != size:
+            return f"gauges: got {len(t.gauges)}, expected {size}"
+        if not 0 <= t.cipher < size:
+            return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
+        if not plant and (t.coin is not None or t.u is not None):
+            return "coin, u: expected in the plant's trace only"
+        if plant and (t.u is None or len(t.u) != m):
+            return f"u: expected {m} inputs"
+        if plant and (t.coin is None or not 0 <= t.coin < size):
+            return f"coin: got {t.coin}, expected 0 to {size - 1}"
+        return ""
+
+    def unlike_missed(self, step: Missed) -> str:
+        """The same of a missed step."""
+        if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
+            return f"expected {self.n} states and {self.m} inputs"
+        return ""
+
+
+def wrong(error: ValidationError) -> str:
+    """A validation error in a line."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    path = ".".join(str(part) for part in first["loc"])
+    return f"{path}: {first['msg'].lower()}" if path else first["msg"].lower()
+
+
+def payload_of(line: EventLine) -> bytes:
+    """The message that a line holds.
+
+    Raises
+    ------
+    ValueError
+        When it is no base64.
+    """
+    if isinstance(line, SessionBegan | Refused):
+        return b""
+    try:
+        return base64.b64decode(line.payload, validate=True)
+    except binascii.Error:
+        raise ValueError("payload: expected base64") from None
+
+
+Validate = Callable[[bytes], Any]

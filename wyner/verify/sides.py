@@ -1,0 +1,278 @@
+"""One end's trace, read once from its beginning to its end, with what its journal adds."""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import ValidationError
+from pydantic_core import to_json
+
+from protocol.link.session import Rules
+from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from wyner.verify.journals import Kept
+from wyner.verify.records import (
+    KINDS,
+    Again,
+    Break,
+    Counted,
+    Item,
+    Missed,
+    Problem,
+    SessionBegan,
+    Shape,
+    Told,
+    Walked,
+    payload_of,
+    wrong,
+)
+
+_TRANSITION: Final = b'{"event":"transition",'
+
+
+class Segments:
+    """Lives of a file of JSON lines: their marks compared with the lines between them.
+
+    Feed every line to :meth:`mark` or :meth:`line`; what does not fit is among ``problems``.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.problems: list[Problem] = []
+        self.ended = False
+        self.lives = 0
+        self.unended = 0
+        self.torn = 0
+        self._name = name
+        self._begin()
+
+    def _begin(self) -> None:
+        self._count = 0
+        self._digest = hashlib.sha256()
+        self._malformed = 0
+        self._open = True
+
+    def line(self, number: int, raw: bytes) -> None:
+        """A line that is no mark."""
+        if self.ended:
+            self.problem(number, "a line after the end mark")
+            self.ended = False
+        if self._malformed:
+            self.problem(self._malformed, "not a JSON object")
+            self._malformed = 0
+        self._count += 1
+        self._digest.update(raw)
+        self._digest.update(b"\n")
+
+    def malformed(self, number: int) -> None:
+        """A line that holds no JSON object: torn by a kill, if it is its life's last."""
+        if self._malformed:
+            self.problem(self._malformed, "not a JSON object")
+        self._malformed = number
+
+    def mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
+        """A header, an end mark, or the mark of a writer that came back."""
+        kind = value["event"]
+        if kind == END:
+            if self._malformed:
+                self.problem(self._malformed, "not a JSON object")
+                self._malformed = 0
+            if self.ended:
+                self.problem(number, "a second end mark")
+            elif value.get("lines") != self._count:
+                text = f"the end mark counts {value.get('lines')} lines, there are {self._count}"
+                self.problem(number, text)
+            elif value.get("sha256") != self._digest.hexdigest():
+                self.problem(number, "the lines before the end mark are not those it was made of")
+            self.ended = True
+            return
+        if (kind == HEADER) != (self.lives == 0):
+            self.problem(number, f"{kind}: not expected here")
+        if self.lives:
+            self._close()
+        self.lives += 1
+        self._begin()
+        self.ended = False
+        self.line(number, raw)
+
+    def _close(self) -> None:
+        self.torn += bool(self._malformed)
+        self.unended += not self.ended
+
+    def finish(self, *, newline: bool) -> None:
+        """The file is over; ``newline`` says whether its last line was finished."""
+        if self._malformed and newline:
+            self.problem(self._malformed, "not a JSON object")
+            self._malformed = 0
+        self._close()
+
+    def problem(self, number: int, text: str) -> None:
+        """Note that line ``number`` cannot be so."""
+        self.problems.append(Problem(f"{self._name} line {number}", text))
+
+
+class SideReader:
+    """One end's trace as a stream of items.
+
+    Parameters
+    ----------
+    side : str
+        ``plant`` or ``controller``.
+    path : Path
+    rules : Rules
+    journal : Kept, optional
+        The transition that it holds beyond the trace is the last item.
+    """
+
+    def __init__(self, side: str, path: Path, rules: Rules, journal: Kept | None) -> None:
+        self.side = side
+        self.path = path
+        self.header: dict[str, Any] = {}
+        self.marks = Segments(path.name)
+        self.problems: list[Problem] = []
+        self.overwritten = 0
+        self.last: Counted | None = None
+        self.last_missed: Missed | None = None
+        self.transitions: dict[str, int] = {}
+        self.announced: set[str] = set()
+        self.from_journal = False
+        self._rules = rules
+        self._shape = Shape(rules.states, rules.inputs, rules.size)
+        self._journal = journal
+        self._kinds = KINDS[side]
+        self._session: str | None = None
+        self._state: Any = None
+        self._s = 0
+        self._broken = True
+        self._announce = side == "plant"
+        self._held: Missed | None = None
+
+    def __iter__(self) -> Iterator[Item]:
+        newline = True
+        for number, raw, newline in raw_lines(self.path):
+            yield from self._line(number, raw)
+        self.marks.finish(newline=newline)
+        pending = None if self._journal is None else self._journal.pending
+        if pending is not None:
+            self._broken = True
+            yield from self._transition(0, to_json(pending))
+        yield from self._flush()
+        yield Break(self.marks.ended)
+
+    def problem(self, number: int, text: str) -> None:
+        """Note that line ``number`` cannot be so."""
+        where = f"{self.path.name} line {number}" if number else "the step in the journal"
+        self.problems.append(Problem(where, text))
+
+    def _line(self, number: int, raw: bytes) -> Iterator[Item]:
+        if raw.startswith(_TRANSITION):
+            self.marks.line(number, raw)
+            yield from self._transition(number, raw)
+            return
+        value = decode(raw)
+        if value is None:
+            self.marks.malformed(number)
+            return
+        kind = value.get("event")
+        if kind in (HEADER, CONTINUED, END):
+            ended = self.marks.ended
+            self.marks.mark(number, raw, value)
+            if kind == HEADER:
+                self.header = self.header or value
+            elif kind == CONTINUED:
+                yield Break(ended)
+                self._broken, self._announce = True, self.side == "plant"
+            return
+        self.marks.line(number, raw)
+        if kind == "transition":
+            yield from self._transition(number, raw)
+            return
+        adapter = self._kinds.get(kind) if isinstance(kind, str) else None
+        if adapter is None:
+            self.problem(number, f"event: got {kind!r}, expected one of {', '.join(self._kinds)}")
+            return
+        try:
+            line = adapter.validate_json(raw)
+            if isinstance(line, Missed):
+                if unlike := self._shape.unlike_missed(line):
+                    raise ValueError(unlike)
+                yield from self._missed(number, line)
+                return
+            told = Told(line, payload_of(line))
+        except ValidationError as error:
+            self.problem(number, f"{kind}: {wrong(error)}")
+            return
+        except ValueError as error:
+            self.problem(number, f"{kind}: {error}")
+            return
+        if isinstance(line, SessionBegan):
+            self._began(number, line)
+        elif self._announce:
+            self._unannounced(number)
+        yield told
+
+    def _began(self, number: int, line: SessionBegan) -> None:
+        if not self._announce and line.session is not None and line.session == self._session:
+            self.problem(number, "session: announced already")
+        self._announce = False
+        self._session = line.session
+        if line.session is not None:
+            self.announced.add(line.session)
+
+    def _unannounced(self, number: int) -> None:
+        self.problem(number, "a plant that begins must name its session first")
+        self._announce = False
+
+    def _belongs(self, number: int, session: str) -> None:
+        if self._announce:
+            self._unannounced(number)
+        elif session != self._session:
+            self.problem(number, f"session: got {session!r}, announced was {self._session!r}")
+        self._session = session
+
+    def _transition(self, number: int, raw: bytes) -> Iterator[Item]:
+        try:
+            t: Counted = self._kinds["transition"].validate_json(raw)
+        except ValidationError as error:
+            self.problem(number, f"transition: {wrong(error)}")
+            return
+        if unlike := self._shape.unlike(t, plant=self.side == "plant"):
+            self.problem(number, f"transition: {unlike}")
+            return
+        if number:
+            self._belongs(number, t.session)
+        last = self.last
+        if last is not None and (t.session, t.j) == (last.session, last.j):
+            if not self._broken:
+                self.problem(number, f"transition {t.j} was written before, without a restart")
+            elif number:
+                self.overwritten += 1
+            self._broken = False
+            yield Again(last, t)
+            return
+        yield from self._flush(t.session, t.k)
+        self._broken = False
+        self.from_journal = not number
+        self.last = t
+        rules = self._rules
+        if t.session not in self.transitions:
+            self._state = rules.scheme.initial
+        self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
+        verdict = rules.agreement.verdict(t.x, t.candidates, t.x_next)
+        self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
+        yield Walked(t, verdict, carry, self._state[0])
+
+    def _missed(self, number: int, step: Missed) -> Iterator[Item]:
+        self._belongs(number, step.session)
+        yield from self._flush(step.session, step.k)
+        self._broken = False
+        self._held = self.last_missed = step
+
+    def _flush(self, session: str = "", k: int = -1) -> Iterator[Item]:
+        """A missed step that waited, unless a restart made step k another one."""
+        held, self._held = self._held, None
+        if held is None:
+            return
+        if self._broken and (held.session, held.k) == (session, k):
+            self.overwritten += 1
+            return
+        yield held
