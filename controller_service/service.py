@@ -72,7 +72,7 @@ class ControllerService:
         except JournalError as error:
             raise UsageError(str(error)) from None
         self.trace = TraceWriter(
-            config.run_dir / CONTROLLER_TRACE, "controller", {"scenario": scenario.name}
+            config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity()
         )
         rules = rules_of(scenario)
         fresh = symbols(config.seed, CIPHER)

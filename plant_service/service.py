@@ -81,7 +81,7 @@ class PlantService:
             )
         except JournalError as error:
             raise UsageError(str(error)) from None
-        self.trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", {"scenario": scenario.name})
+        self.trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
         self._host = Host(field, ops, stopping, clock)
         files = Files(journal, self.trace, config.run_dir / PLANT_STATUS)
         self._host.add(config.loop, self.endpoint, files, log)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
+from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
 from protocol.messages import Measurement, Offer, TapStatus
@@ -35,7 +36,7 @@ from protocol.runtime.process import (
     logger,
     stop_on_signals,
 )
-from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, write_atomically
+from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS, write_atomically
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.analysis import Assignment, Ears, analyse, listeners_of
 from tap_service.capture.channel import Ear, View, told
@@ -381,8 +382,15 @@ class TapService:
                 self._put(status.wire())
 
     def _write_beliefs(self) -> None:
+        captured = {
+            "t_ns": time.time_ns(),
+            "first_part": self._capture.first_part,
+            "captured": self._capture.written,
+            "dropped": self._overflow + self._capture.dropped,
+        }
         try:
             write_atomically(self._config.run_dir / BELIEFS, beliefs_json(self._records))
+            write_atomically(self._config.run_dir / TAP_STATUS, to_json(captured))
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

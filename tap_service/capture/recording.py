@@ -100,6 +100,7 @@ class RotatingLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._parts = {p: p.stat().st_size for p in parts_of(path)}
         self._number = max((number_of(p) for p in self._parts), default=-1)
+        self.first_part = self._number + 1
         self._old_bytes = sum(self._parts.values())
         self._file: LineWriter | None = None
         self._begin()

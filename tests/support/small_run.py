@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.plant import Plant, first_record
+from plant_service.plant import Move, Plant, first_record
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
 from protocol.link.session import rules_of
@@ -78,8 +78,8 @@ class SmallRun:
         (folder / "scenario.toml").write_text(text)
         self.scenario = parse_scenario(tomllib.loads(text), name)
         self._law = law_of(name)[1]
-        self._plant_trace = TraceWriter(folder / PLANT_TRACE, "plant", {"scenario": name})
-        self._trace = TraceWriter(folder / CONTROLLER_TRACE, "controller", {"scenario": name})
+        self._plant_trace = self._writer("plant")
+        self._trace = self._writer("controller")
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         self._view = {"capture_version": 1, "part": 0, "view": view}
         self._seen: Lines = []
@@ -121,11 +121,15 @@ class SmallRun:
     def step(self, fault: Fault = "none") -> None:
         """One step of the plant."""
         if fault == "controller forgets":
+            _kill(self._trace)
+            self._trace = self._writer("controller")
             self._tell_queue()
             self.sender = self._new_sender(None)
         if fault == "controller dies":
             before = self.sender.record
             self._measure()
+            _kill(self._trace)
+            self._trace = self._writer("controller")
             self.sender = self._new_sender(before)
             self._capture_back()
         if fault == "plant forgets":
@@ -141,12 +145,14 @@ class SmallRun:
             self._miss()
             return
         if fault == "plant dies":
-            record = self.receiver.record
-            self._apply(offer)
+            record, move = self.receiver.record, self.plant.move(offer)
+            self._count(move)
             self.plant = self._new_plant(record, "resumed from the journal")
+            self._count(move, saved=True)
             self._meet()
-            offer = self._measure()
-        self._apply(offer, saved=True)
+            return
+        assert self.receiver.check(offer) == "current"
+        self._count(self.plant.move(offer), saved=True)
 
     def _measure(self) -> Offer:
         measurement = self.receiver.measurement()
@@ -162,9 +168,8 @@ class SmallRun:
         self._see(effects.offer)
         return effects.offer
 
-    def _apply(self, offer: Offer, *, saved: bool = False) -> None:
-        assert self.receiver.check(offer) == "current"
-        step = self.plant.count(self.plant.move(offer))
+    def _count(self, move: Move, *, saved: bool = False) -> None:
+        step = self.plant.count(move)
         assert step.effects is not None
         event = {**step.effects.transition.as_event(), "coin": step.coin, "u": step.u}
         self._plant_trace.write(event)
@@ -215,6 +220,9 @@ class SmallRun:
         )
 
     def _new_plant(self, record: ReceiverRecord, reason: str) -> Plant:
+        if self._lives > 1:
+            _kill(self._plant_trace)
+            self._plant_trace = self._writer("plant")
         self._lives += 1
         self._plant_trace.write({"event": "session", "session": record.session, "reason": reason})
         return Plant(
@@ -225,6 +233,10 @@ class SmallRun:
             record,
             self._chunks,
         )
+
+    def _writer(self, side: str) -> TraceWriter:
+        path = PLANT_TRACE if side == "plant" else CONTROLLER_TRACE
+        return TraceWriter(self.folder / path, side, self.scenario.identity())
 
     def _tell_queue(self) -> None:
         for number in range(len(self._queue.payloads)):
@@ -245,6 +257,16 @@ class SmallRun:
     def _capture_back(self) -> None:
         """A controller that died before it saved had not published its offer either."""
         del self._seen[-1]
+
+
+def _kill(writer: TraceWriter) -> None:
+    """Close without an end mark."""
+
+    def gone(_file: int, _data: bytes) -> int:
+        raise OSError
+
+    writer.lines.disk = gone
+    writer.close()
 
 
 def read_lines(path: Path) -> Lines:

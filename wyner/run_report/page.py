@@ -1,11 +1,11 @@
 """The page of a run: read from its folder, judged by the same code as ``check`` and ``secrecy``."""
 
-import base64
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from wyner.scoring.score import RunScore, Said, ScoreError, Truth, read_said, sc
 from wyner.scoring.summary import in_short
 from wyner.verify import check
 from wyner.verify.clause import Finding
-from wyner.verify.evidence import Counted, Evidence, Missed, read_evidence
+from wyner.verify.evidence import Evidence, Part, read_evidence
+from wyner.verify.records import Counted, Missed, Told, Walked
 
 PAGE: Final = Path("report.html")
 
@@ -73,15 +74,17 @@ def _said(run_dir: Path) -> list[Said] | str:
 
 def page(e: Evidence, said: list[Said] | str) -> str:
     """The whole page."""
+    recorded = _Recorded()
+    findings = check(e, recorded.take)
     s = e.scenario
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
-        *_section("What was sent and what arrived", _message(e)),
-        *_section("States and inputs", _loop(e)),
-        *_section("One agreed step", _one_step(e)),
+        *_section("What was sent and what arrived", _message(e, recorded)),
+        *_section("States and inputs", _loop(e, recorded)),
+        *_section("One agreed step", _one_step(e, recorded)),
         *_section("Keys against taps", _keys(e, said)),
         *_section("Claimed and true", _secrecy(e, said)),
-        *_section("Clauses of the check", _clauses(check(e))),
+        *_section("Clauses of the check", _clauses(findings)),
         *_section("The run", _about(e)),
     ]
     return (
@@ -98,22 +101,34 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
     yield "</section>"
 
 
-def _steps(e: Evidence) -> list[Step]:
-    """The plant's steps of its last life, in order."""
-    if e.plant is None or not e.plant.lives:
-        return []
-    life = e.plant.lives[-1]
-    return [life[k] for k in sorted(life)]
+@dataclass
+class _Recorded:
+    """What the page shows of the traces: the plant's steps of its last life, and the messages."""
+
+    steps: list[Counted | Missed] = field(default_factory=list)
+    payloads: dict[str, list[bytes]] = field(default_factory=dict)
+    born_in: str = ""
+
+    def take(self, part: Part) -> None:
+        """Take a part of the run."""
+        for item in (*part.plant, *part.controller):
+            if isinstance(item, Told):
+                self.payloads.setdefault(item.line.event, []).append(item.payload)
+        for item in part.plant:
+            if isinstance(item, Walked):
+                self._step(item.t)
+            elif isinstance(item, Missed):
+                self._step(item)
+
+    def _step(self, step: Counted | Missed) -> None:
+        if step.k == 0 and step.session != self.born_in:
+            self.steps, self.born_in = [], step.session
+        self.steps.append(step)
 
 
-def _payloads(events: Iterable[dict[str, Any]], kind: str) -> list[bytes]:
-    return [base64.b64decode(x["payload"]) for x in events if x["event"] == kind]
-
-
-def _message(e: Evidence) -> Iterator[str]:
-    sent = _payloads(e.controller.trace.events, "sent") if e.controller else []
-    got = _payloads(e.plant.trace.events, "recovered") if e.plant else []
-    steps = _steps(e)
+def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    sent, got = recorded.payloads.get("sent", []), recorded.payloads.get("recovered", [])
+    steps = recorded.steps
     transitions = [t for t in steps if isinstance(t, Counted)]
     keys = sum(t.symbol >= 0 for t in transitions)
     symbols = sum(t.message_symbol >= 0 for t in transitions)
@@ -130,8 +145,8 @@ def _message(e: Evidence) -> Iterator[str]:
     )
 
 
-def _loop(e: Evidence) -> Iterator[str]:
-    steps = _steps(e)
+def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    steps = recorded.steps
     if not steps:
         yield "<p>The plant left no trace.</p>"
         return
@@ -149,8 +164,8 @@ def _loop(e: Evidence) -> Iterator[str]:
     yield '<p class="note">Ticks at the foot: steps on which a key symbol was agreed.</p>'
 
 
-def _one_step(e: Evidence) -> Iterator[str]:
-    agreed = [t for t in _steps(e) if isinstance(t, Counted) and t.symbol >= 0]
+def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    agreed = [t for t in recorded.steps if isinstance(t, Counted) and t.symbol >= 0]
     if not agreed:
         yield "<p>No key symbol was agreed.</p>"
         return

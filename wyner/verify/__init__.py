@@ -5,12 +5,13 @@ run through the same pure functions that both ends evaluate (:mod:`protocol.agre
 the scheme, :mod:`protocol.schemes.framing`), from the raw numbers of the traces.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
 from wyner.verify import bus, files, keys, loop, message
 from wyner.verify.clause import Clause, Finding, Tally
-from wyner.verify.evidence import Evidence
+from wyner.verify.evidence import Evidence, Part
 
 OVER: Final = object()
 
@@ -148,8 +149,8 @@ CLAUSES: Final[tuple[Clause, ...]] = (
 )
 
 
-def check(evidence: Evidence) -> list[Finding]:
-    """Judge every clause, in one passage over the run."""
+def check(evidence: Evidence, watch: Callable[[Part], None] | None = None) -> list[Finding]:
+    """Judge every clause, in one passage over the run; ``watch`` is shown each part as well."""
     findings = [Finding(clause, Tally()) for clause in CLAUSES]
     judging = []
     for finding in findings:
@@ -159,6 +160,8 @@ def check(evidence: Evidence) -> list[Finding]:
     for part in evidence.parts():
         for judge in judging:
             judge.send(part)
+        if watch is not None:
+            watch(part)
     for judge in judging:
         with suppress(StopIteration):
             judge.send(None)

@@ -75,8 +75,10 @@ def same_answer(e: Evidence, tally: Tally) -> Judging:
             same = first.same(seen)
             if same is not None and seen.topic in repeated:
                 repeated[seen.topic] += 1
-            text = "" if same is not False else (
-                f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
+            text = (
+                ""
+                if same is not False
+                else (f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number")
             )
             tally.count(same is not False, seen.session, -1, seen.k, text)
     tally.note = f"{repeated['measurement']} measurements and {repeated['offer']} offers repeated"
@@ -111,7 +113,7 @@ def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:
     j = -1 if step is None else step.j
     try:
         unlike = _unlike_offer(e, m, step) if seen.topic == "offer" else _unlike(e, seen, step)
-    except (ArithmeticError, TypeError, ValueError, struct.error):
+    except (LookupError, TypeError, ValueError, struct.error):
         unlike = ["its shape"]
     text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace" if unlike else ""
     tally.count(not unlike, session, j, k, text)
@@ -144,9 +146,9 @@ def _unlike(e: Evidence, seen: Seen, step: Applied | None) -> list[str]:
         return unlike
     applied = steps.find(session, last)
     after = m["x_after"]
-    if (applied is None) != (after == []):
-        unlike.append("x_after")
-    elif applied is not None and steps.of_state(after) != applied.x_next:
+    if (applied is None) != (after == []) or (
+        applied is not None and steps.of_state(after) != applied.x_next
+    ):
         unlike.append("x_after")
     return unlike
 
@@ -197,18 +199,17 @@ def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
 class _Looks:
     """What messages of one kind looked like in one automaton state."""
 
-    shapes: dict[object, tuple[Seen, int]] = field(default_factory=dict)
+    shapes: dict[tuple[bytes, int], tuple[Seen, int]] = field(default_factory=dict)
     bytes: int = 0
     count: int = 0
 
 
-def _shape(value: object) -> object:
-    """Names, lengths and kinds of number, without the numbers."""
-    if isinstance(value, dict):
-        return tuple((name, _shape(v)) for name, v in value.items())
-    if isinstance(value, list):
-        return tuple(_shape(v) for v in value)
-    return "number" if isinstance(value, int | float) else type(value).__name__
+_DIGITS: Final = b"0123456789abcdef.+-"
+
+
+def _shape(raw: bytes) -> tuple[bytes, int]:
+    """A message's names, lengths and kinds of value: all that is left without digits."""
+    return raw.translate(None, _DIGITS), raw.count(b"[]")
 
 
 def same_shape(e: Evidence, tally: Tally) -> Judging:
@@ -222,7 +223,7 @@ def same_shape(e: Evidence, tally: Tally) -> Judging:
             if step is None or step.j == NO_SYMBOL or seen.message.get("applied_k") == -1:
                 continue  # a session's first measurement has no x_after yet, in state 1 always
             look = looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
-            look.shapes.setdefault(_shape(seen.message), (seen, step.j))
+            look.shapes.setdefault(_shape(seen.raw), (seen, step.j))
             look.bytes += len(seen.raw)
             look.count += 1
             tally.counted += 1

@@ -50,8 +50,8 @@ class CaptureLines:
         Lines that hold no message of the field bus.
     parts : list of Segments
         Each part's marks.
-    lines : int
-        Messages and garbage together.
+    lines : dict of int
+        Messages and garbage together, by the number of the part.
     dropped_parts : int
         Parts that were dropped for want of room, from the beginning.
     """
@@ -61,7 +61,7 @@ class CaptureLines:
         self.last = False
         self.strange: list[Problem] = []
         self.parts: list[Segments] = []
-        self.lines = 0
+        self.lines: dict[int, int] = {}
         self._paths = parts_of(path)
         self.dropped_parts = number_of(self._paths[0]) if self._paths else 0
         for part in self._paths:
@@ -87,17 +87,18 @@ class CaptureLines:
         for part in self._paths:
             marks = Segments(part.name)
             self.parts.append(marks)
+            self.lines[number_of(part)] = 0
             if number_of(part) != expected:
                 marks.problem(1, f"part {expected} is missing before it")
             expected = number_of(part) + 1
-            newline = True
-            for number, raw, newline in raw_lines(part):
+            for number, raw, finished in raw_lines(part):
+                marks.newline = finished
                 seen = self._line(part, marks, number, raw)
                 if seen is not None:
                     yield seen
-            if not marks.lives and newline:
+            if not marks.lives and marks.newline:
                 marks.problem(1, f"expected a header of format {TRACE_FORMAT!r}")
-            marks.finish(newline=newline)
+            marks.finish()
 
     def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> Seen | None:
         match = _LINE.fullmatch(raw)
@@ -124,13 +125,13 @@ class CaptureLines:
             message, topic = value.get("message"), str(value.get("topic"))
             if kind != "field" or set(value) != {"event", "t_ns", "topic", "message"}:
                 marks.line(number, raw)
-                self.lines += kind == "garbage"
+                self.lines[number_of(part)] += kind == "garbage"
                 text = _garbage(value) if kind == "garbage" else f"event {kind!r}"
                 self.strange.append(Problem(f"{part.name} line {number}", text))
                 return None
             text = to_json(message)
         marks.line(number, raw)
-        self.lines += 1
+        self.lines[number_of(part)] += 1
         if not isinstance(message, dict):
             self.strange.append(Problem(f"{part.name} line {number}", "no message"))
             return None

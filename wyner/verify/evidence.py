@@ -22,7 +22,7 @@ from protocol.runtime.trace import TraceReader
 from protocol.scenario import Scenario, load_scenario
 from wyner.verify.capture import CaptureLines, Seen
 from wyner.verify.journals import Kept, read_controller, read_plant
-from wyner.verify.records import Counted, Item, Missed, Shape, Told, Walked
+from wyner.verify.records import Item, Missed, Shape, Walked
 from wyner.verify.sides import SideReader
 from wyner.verify.steps import Steps
 
@@ -215,6 +215,3 @@ def _manifest(path: Path) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return {}
     return value if isinstance(value, dict) else {}
-
-
-__all__ = ["Counted", "Evidence", "Missed", "Pair", "Part", "Told", "read_evidence"]

@@ -7,6 +7,7 @@ from typing import Any, Final
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, GUESSES, TAP_STATUS
 from tap_service.capture.recording import parts_of
+from wyner.verify.capture import CaptureLines
 from wyner.verify.clause import Judging, Tally
 from wyner.verify.evidence import Evidence
 from wyner.verify.journals import Kept
@@ -86,11 +87,8 @@ def whole(e: Evidence, tally: Tally) -> Judging:
         if isinstance(journal, Kept):
             text = _behind(reader, journal)
             tally.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
-    if e.wire is not None and not e.wire.dropped_parts:
-        told = _tap_counts(e.run_dir / TAP_STATUS)
-        if told is not None:
-            text = f"the capture has {e.wire.lines} messages, the tap had written {told}"
-            tally.count(e.wire.lines >= told, "", -1, -1, text)
+    if e.wire is not None:
+        _as_the_tap_says(e, e.wire, tally)
     tally.note = f"{killed} lives without an end mark: killed, or still running"
 
 
@@ -111,8 +109,8 @@ def _recordings(e: Evidence) -> Iterator[Segments]:
 def _segments_of(path: Path) -> Segments:
     """The marks of a recording whose lines no clause reads."""
     marks = Segments(path.name)
-    newline = True
-    for number, raw, newline in raw_lines(path):
+    for number, raw, finished in raw_lines(path):
+        marks.newline = finished
         value = decode(raw)
         if value is None:
             marks.malformed(number)
@@ -120,7 +118,7 @@ def _segments_of(path: Path) -> Segments:
             marks.mark(number, raw, value)
         else:
             marks.line(number, raw)
-    marks.finish(newline=newline)
+    marks.finish()
     return marks
 
 
@@ -153,16 +151,21 @@ def _elsewhere(reader: SideReader, journal: Kept) -> str:
             return ""  # killed between the two: the step will be made again
     if (k + 1, x) != (journal.k, journal.x):
         return (
-            f"it ends in x({k + 1}) = {list(x)}, "
-            f"its journal has x({journal.k}) = {list(journal.x)}"
+            f"it ends in x({k + 1}) = {list(x)}, its journal has x({journal.k}) = {list(journal.x)}"
         )
     return ""
 
 
-def _tap_counts(path: Path) -> int | None:
-    """Messages that the tap says it had written, by its last report."""
+def _as_the_tap_says(e: Evidence, wire: CaptureLines, tally: Tally) -> None:
+    """The capture has at least the messages that the tap had written by its last report."""
+    path = e.run_dir / TAP_STATUS
     if not path.is_file():
-        return None
-    told = decode(path.read_bytes())
-    count = None if told is None else told.get("captured")
-    return count if isinstance(count, int) else 2**63
+        return
+    told = decode(path.read_bytes()) or {}
+    first, captured = told.get("first_part"), told.get("captured")
+    if not isinstance(first, int) or not isinstance(captured, int):
+        tally.count(False, "", -1, -1, f"{TAP_STATUS}: expected first_part and captured")
+    elif wire.dropped_parts <= first:
+        there = sum(count for part, count in wire.lines.items() if part >= first)
+        text = f"the capture has {there} messages, the tap had written {captured}"
+        tally.count(there >= captured, "", -1, -1, text)

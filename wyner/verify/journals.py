@@ -55,7 +55,7 @@ class Kept:
 
 
 def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
-    """The controller's journal; a line that says what is wrong with it; None where there is none."""
+    """The controller's journal; or what is wrong with it; None where there is none."""
 
     def read(path: Path) -> Kept:
         with ControllerJournal(path, rules.fingerprint) as journal:
@@ -133,4 +133,3 @@ def _from_copy(path: Path, read: Callable[[Path], Kept | None]) -> Kept | str | 
             return f"cannot be read: {error.strerror}"
         except (AssertionError, ArithmeticError, LookupError, TypeError, ValueError) as error:
             return f"its step does not follow from its record: {type(error).__name__}: {error}"
-

@@ -1,6 +1,7 @@
 """The keys' clauses: the agreement test, the scheme, both ends in step."""
 
 from dataclasses import fields
+from operator import attrgetter
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
@@ -10,7 +11,7 @@ from wyner.verify.evidence import Evidence
 from wyner.verify.records import Counted, Walked
 
 
-def agreement(e: Evidence, tally: Tally) -> Judging:
+def agreement(_e: Evidence, tally: Tally) -> Judging:
     """Equations (20) and (21), recomputed from the raw numbers."""
     agreed = 0
     while (part := (yield)) is not None:
@@ -89,6 +90,7 @@ def receiver(e: Evidence, tally: Tally) -> Judging:
 
 
 _SHARED: Final = tuple(f.name for f in fields(Counted) if f.name not in ("coin", "u"))
+_shared: Final = attrgetter(*_SHARED)
 
 
 def in_step(e: Evidence, tally: Tally) -> Judging:
@@ -115,9 +117,10 @@ def in_step(e: Evidence, tally: Tally) -> Judging:
                 ahead += 1
                 continue
             b = controller.t
-            unlike = [name for name in _SHARED if getattr(a, name) != getattr(b, name)]
+            unlike = []
             text = ""
-            if unlike:
+            if _shared(a) != _shared(b):
+                unlike = [name for name in _SHARED if getattr(a, name) != getattr(b, name)]
                 mine, other = getattr(a, unlike[0]), getattr(b, unlike[0])
                 text = f"{', '.join(unlike)}: the plant has {mine}, the controller {other}"
             tally.count(not unlike, a.session, a.j, a.k, text)

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from protocol.agreement import predict
-from protocol.convex import Polytope
+from protocol.convex import Array, Polytope
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
 from wyner.verify.records import Counted, Missed, Walked
@@ -136,7 +136,7 @@ def admissible(e: Evidence, tally: Tally) -> Judging:
         tally.note = f"{terminal} of them K x inside T_0"
 
 
-def _judge(tally: Tally, ts: list[Counted], excess: np.ndarray, text: str) -> None:  # type: ignore[type-arg]
+def _judge(tally: Tally, ts: list[Counted], excess: Array, text: str) -> None:
     """Count candidates by their excess, shape (transitions, M)."""
     tally.counted += excess.size
     for at, number in np.argwhere(~(excess <= EDGE)).tolist():

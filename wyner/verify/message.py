@@ -248,7 +248,7 @@ def messages(e: Evidence, tally: Tally) -> Judging:
     tally.note = f"{len(reached)} of {len(queue.told)} queued messages arrived"
 
 
-def one_time_pad(e: Evidence, tally: Tally) -> Judging:
+def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
     """Walk the keys: each is agreed once and used once at most."""
     sessions = dict.fromkeys(("plant", "controller"), "")
     unused: dict[str, list[Counted]] = {"plant": [], "controller": []}

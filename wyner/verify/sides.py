@@ -39,6 +39,7 @@ class Segments:
     def __init__(self, name: str) -> None:
         self.problems: list[Problem] = []
         self.ended = False
+        self.newline = True
         self.lives = 0
         self.unended = 0
         self.torn = 0
@@ -98,9 +99,9 @@ class Segments:
         self.torn += bool(self._malformed)
         self.unended += not self.ended
 
-    def finish(self, *, newline: bool) -> None:
+    def finish(self) -> None:
         """The file is over; ``newline`` says whether its last line was finished."""
-        if self._malformed and newline:
+        if self._malformed and self.newline:
             self.problem(self._malformed, "not a JSON object")
             self._malformed = 0
         self._close()
@@ -147,10 +148,10 @@ class SideReader:
         self._held: Missed | None = None
 
     def __iter__(self) -> Iterator[Item]:
-        newline = True
-        for number, raw, newline in raw_lines(self.path):
+        for number, raw, finished in raw_lines(self.path):
+            self.marks.newline = finished
             yield from self._line(number, raw)
-        self.marks.finish(newline=newline)
+        self.marks.finish()
         pending = None if self._journal is None else self._journal.pending
         if pending is not None:
             self._broken = True
@@ -164,7 +165,7 @@ class SideReader:
         self.problems.append(Problem(where, text))
 
     def _line(self, number: int, raw: bytes) -> Iterator[Item]:
-        if raw.startswith(_TRANSITION):
+        if raw.startswith(_TRANSITION) and raw.endswith(b"}"):
             self.marks.line(number, raw)
             yield from self._transition(number, raw)
             return
