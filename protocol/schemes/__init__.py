@@ -1,1 +1,1 @@
-"""How transitions become key symbols and message symbols: automata, and frames."""
+"""How transitions become key symbols and message symbols: schemes, and frames."""

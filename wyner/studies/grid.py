@@ -193,11 +193,10 @@ def canonical(value: object) -> str:
 
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario the numbers depend on."""
-    found = scenario.model_dump(mode="json", exclude=set(NEUTRAL), exclude_none=True)
-    if scenario.plant.kind == "linear":
-        del found["plant"]["kind"]  # as before there were others: what was measured stays named
-    return found
+    """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
+    return scenario.model_dump(
+        mode="json", exclude=set(NEUTRAL), exclude_none=True, exclude_defaults=True
+    )
 
 
 def _hash(value: object) -> str:
