@@ -86,7 +86,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-Symbols = NDArray[np.int8]
+Symbols = NDArray[np.integer[Any]]
 
 
 def scenario_names() -> list[str]:

@@ -8,7 +8,10 @@ from protocol.schemes.base import Scheme
 SCHEMES: Final[Classes[Scheme[Any]]] = Classes(
     "scheme",
     Scheme,
-    {"switched": "protocol.schemes.switched:Switched"},
+    {
+        "switched": "protocol.schemes.switched:Switched",
+        "pipelined": "protocol.schemes.pipelined:Pipelined",
+    },
 )
 
 

@@ -33,6 +33,23 @@ class State(NamedTuple):
 INITIAL: Final = State(TEST, NO_SYMBOL)
 
 
+def check_state(state: State, alphabet: int) -> None:
+    """Refuse what is no state of the two.
+
+    Raises
+    ------
+    ValueError
+        When s or the key is wrong.
+    """
+    if state.s == TEST:
+        if state.key != NO_SYMBOL:
+            raise ValueError(f"state: got key {state.key} in state 1, expected none")
+    elif state.s != MESSAGE:
+        raise ValueError(f"state: got {state.s}, expected {TEST} or {MESSAGE}")
+    elif not 0 <= state.key < alphabet:
+        raise ValueError(f"state: got key {state.key}, expected 0 to {alphabet - 1} in state 2")
+
+
 class Switched(Scheme[State]):
     """Test, then carry: both automata of Fig. 6 as one map."""
 
@@ -43,21 +60,10 @@ class Switched(Scheme[State]):
     def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
         """One arrow of Fig. 6; in state 2 the verdict is not looked at."""
         check_verdict(verdict, self.alphabet)
-        self._check(state)
+        check_state(state, self.alphabet)
         agreed = verdict if state.s == TEST else NO_SYMBOL
         after = State(TEST if agreed == NO_SYMBOL else MESSAGE, agreed)
         return after, Carry(agreed, state.key)
-
-    def _check(self, state: State) -> None:
-        if state.s == TEST:
-            if state.key != NO_SYMBOL:
-                raise ValueError(f"state: got key {state.key} in state 1, expected none")
-        elif state.s != MESSAGE:
-            raise ValueError(f"state: got {state.s}, expected {TEST} or {MESSAGE}")
-        elif not 0 <= state.key < self.alphabet:
-            raise ValueError(
-                f"state: got key {state.key}, expected 0 to {self.alphabet - 1} in state 2"
-            )
 
     def pad(self, state: State) -> int:
         """The key held, in state 2."""

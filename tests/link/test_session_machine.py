@@ -20,10 +20,12 @@ from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.session import Transition
 from protocol.messages import Offer, PlantHello
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.schemes.pipelined import Pipelined
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
+PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
 PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
 SHIFTS = (1.5, 1.25)
 """What each controller sends, and how far its candidates are from the middle."""
@@ -69,7 +71,8 @@ class Controller:
         self.link = link
 
     def propose(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-        return ((-x[0] - self.shift,), (-x[0] + self.shift,))
+        M = self.link.shared.size
+        return tuple((-x[0] + (2 * i - M + 1) * self.shift,) for i in range(M))
 
     def said(self, message: Outgoing) -> None:
         if message.kind is Offer:
@@ -79,6 +82,7 @@ class Controller:
 
 class Link(RuleBasedStateMachine):
     controllers = 1
+    shared = RULES
     step_s: ClassVar[float | None] = None
 
     def __init__(self) -> None:
@@ -122,12 +126,14 @@ class Link(RuleBasedStateMachine):
     # --- lives ---------------------------------------------------------------------------------
 
     def start_controller(self, one: Controller) -> None:
-        one.endpoint = line_controller(RULES, one.propose, one.journal, self.fresh, self.name())
+        one.endpoint = line_controller(
+            self.shared, one.propose, one.journal, self.fresh, self.name()
+        )
         self.controller_does(one, one.endpoint.start(self.now))
 
     def start_plant(self) -> None:
         self.plant, self.line = line_plant(
-            RULES, self.plant_journal, self.name, self.name(), self.now, self.step_s
+            self.shared, self.plant_journal, self.name, self.name(), self.now, self.step_s
         )
         self.plant_does(self.plant.start(self.now))
 
@@ -194,13 +200,14 @@ class Link(RuleBasedStateMachine):
     @precondition(lambda self: self.to_plant)
     @rule(
         data=st.data(),
-        coin=st.integers(0, 1),
+        drawn=st.integers(0, 29),
         d=st.floats(-1, 1),
         dies=st.sampled_from(DEATHS),
     )
     def plant_hears(
-        self, data: st.DataObject, coin: int, d: float, dies: CrashPoint | None
+        self, data: st.DataObject, drawn: int, d: float, dies: CrashPoint | None
     ) -> None:
+        coin = drawn % self.shared.size
         self.tell_plant(data.draw(st.sampled_from(self.to_plant)), coin, d, dies)
         del self.to_plant[:-MEMORY]
 
@@ -222,7 +229,8 @@ class Link(RuleBasedStateMachine):
         for _ in range(30):
             if self.to_plant:
                 before[1].append(self.to_plant.pop(0))
-                self.tell_plant(before[1][-1], self.plant.plant.receiver.record.k % 2, 0.3)
+                k = self.plant.plant.receiver.record.k
+                self.tell_plant(before[1][-1], k % self.shared.size, 0.3)
             elif self.to_controller:
                 before[0].append(self.to_controller.pop(0))
                 for one in self.each[first:] + self.each[:first]:
@@ -288,12 +296,31 @@ class TwoControllers(Deadlines):
     controllers = 2
 
 
+class PipelinedLink(Deadlines):
+    """Five candidates that every transition tells apart, and a symbol in every transition."""
+
+    shared = PIPELINED
+
+    @invariant()
+    def every_key_serves_the_next_transition(self) -> None:
+        for (session, j), t in self.got.items():
+            assert isinstance(t, Transition)
+            assert t.symbol >= 0
+            before = self.got.get((session, j - 1))
+            if isinstance(before, Transition):
+                assert (t.role, t.key) == ("message", before.symbol)
+            elif j == 0:
+                assert t.role == "test"
+
+
 TestLink = Link.TestCase
 TestDeadlines = Deadlines.TestCase
 TestTwoControllers = TwoControllers.TestCase
+TestPipelinedLink = PipelinedLink.TestCase
 TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = settings(
     max_examples=60,
     stateful_step_count=60,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
+TestPipelinedLink.settings = TestLink.settings

@@ -16,6 +16,7 @@ from protocol.agreement import INSIDE, NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
+from wyner.simulate.engine.draws import symbol_type
 from wyner.simulate.engine.loop import Runs, SimulationError
 
 Vector = tuple[float, ...]
@@ -63,8 +64,8 @@ def simulate_plant(
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
     verdict_of = rules_of(scenario).agreement.verdict
-    coin = np.empty((steps, R), dtype=np.int8)
-    symbol = np.empty((steps, R), dtype=np.int8)
+    coin = np.empty((steps, R), dtype=symbol_type(M))
+    symbol = np.empty((steps, R), dtype=symbol_type(M))
     xs = np.empty((steps + 1, n, R))
     us = np.empty((steps, M, m, R))
     gs = np.empty((steps, M, R))

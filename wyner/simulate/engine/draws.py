@@ -59,9 +59,18 @@ class Streams:
         return out
 
 
-def cipher_symbols(seed: int, runs: Sequence[int], steps: int, size: int) -> NDArray[np.int8]:
+Symbols = NDArray[np.integer[Any]]
+
+
+def symbol_type(size: int) -> type[np.integer[Any]]:
+    """The smallest integer that holds -1 to M - 1."""
+    return np.int8 if size <= 128 else np.int16
+
+
+def cipher_symbols(seed: int, runs: Sequence[int], steps: int, size: int) -> Symbols:
     """The random cipher symbol of each transition, shape (steps, R), in range(size)."""
-    return (Streams(seed, runs, CIPHER).take(steps) * size).astype(np.int8).T.copy()
+    drawn = Streams(seed, runs, CIPHER).take(steps) * size
+    return drawn.astype(symbol_type(size)).T.copy()
 
 
 def disturbances(spec: Disturbance, first_step: int, uniforms: Array) -> Array:

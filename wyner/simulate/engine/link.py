@@ -11,12 +11,11 @@ from protocol.schemes.base import Carries
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import advance_many
-from wyner.simulate.engine.draws import cipher_symbols
+from wyner.simulate.engine.draws import Symbols, cipher_symbols, symbol_type
 from wyner.simulate.engine.loop import Runs
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-Symbols = NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +77,13 @@ class Transfer:
 
     Parameters
     ----------
-    cipher : int8 array, shape (steps, R)
+    cipher : integer array, shape (steps, R)
         The symbol that travels with the candidates.
-    agreed : int8 array, shape (steps, R)
+    agreed : integer array, shape (steps, R)
         The key symbol gained, or -1.
-    pad : int8 array, shape (steps, R)
+    pad : integer array, shape (steps, R)
         The key symbol under which ``cipher`` travelled, or -1.
-    message_symbol : int8 array, shape (steps, R)
+    message_symbol : integer array, shape (steps, R)
         The message symbol recovered on the transition, or -1.
     p : int array, shape (steps, R)
         Message symbols up to here.
@@ -118,20 +117,21 @@ def transfer(
     size = runs.scenario.secrecy.candidates
     limit = runs.scenario.secrecy.alpha if alpha is None else alpha
     stream = [*symbols, *(v for payload in payloads for v in encode_frame(payload, size))]
-    text = np.full(len(stream) + runs.steps + 1, IDLE, dtype=np.int8)
+    text = np.full(len(stream) + runs.steps + 1, IDLE, dtype=np.int16)
     text[: len(stream)] = stream
     many = carries(runs, [limit])
-    agreed, pad = many.agreed[:, 0].astype(np.int8), many.pad[:, 0].astype(np.int8)
+    kind = symbol_type(size)
+    agreed, pad = many.agreed[:, 0].astype(kind), many.pad[:, 0].astype(kind)
     carried = pad != NO_SYMBOL
     p = carried.cumsum(axis=0, dtype=np.int64)
     sent = text[np.maximum(p - 1, 0)]
     cipher = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
-    np.copyto(cipher, (sent + pad) % size, where=carried)
-    recovered = (cipher - pad) % size
+    np.copyto(cipher, ((sent + pad) % size).astype(kind), where=carried)
+    recovered = (cipher.astype(np.int16) - pad) % size
     return Transfer(
         cipher=cipher,
         agreed=agreed,
         pad=pad,
-        message_symbol=np.where(carried, recovered, np.int8(NO_SYMBOL)),
+        message_symbol=np.where(carried, recovered, NO_SYMBOL).astype(kind),
         p=p,
     )

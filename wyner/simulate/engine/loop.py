@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, Matrix
 from protocol.scenario import Scenario
-from wyner.simulate.engine.draws import Draws, disturbances
+from wyner.simulate.engine.draws import Draws, Symbols, disturbances, symbol_type
 
 Array = NDArray[np.float64]
-Symbols = NDArray[np.int8]
 
 CHUNK: Final = 4096
 """Runs simulated together: a column (32 kB) stays in cache, and NumPy's calls are paid for."""
@@ -42,9 +41,9 @@ class Runs:
     seed : int
     runs : range
         Numbers of the runs.
-    coin : int8 array, shape (steps, R)
+    coin : integer array, shape (steps, R)
         b_r.
-    symbol : int8 array, shape (steps, R)
+    symbol : integer array, shape (steps, R)
         The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
     largest : array, shape (steps, R)
         The largest gauge: a transition is in Diff at alpha when ``symbol`` is not -1 and this is at
@@ -216,8 +215,8 @@ def simulate_runs(
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
     loop = _Loop(scenario, law, runs, seed)
     M, m, n = loop.M, loop.m, loop.n
-    coin = np.empty((steps, R), dtype=np.int8)
-    symbol = np.empty((steps, R), dtype=np.int8)
+    coin = np.empty((steps, R), dtype=symbol_type(M))
+    symbol = np.empty((steps, R), dtype=symbol_type(M))
     largest = np.empty((steps, R))
     state_cost, input_effort = np.zeros(R), np.zeros(R)
     xs = np.empty((steps + 1, n, R)) if record else None
