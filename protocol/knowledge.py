@@ -34,12 +34,15 @@ class Policy(BaseModel):
     ----------
     law : str
         The law's name.
-    costs : tuple of PolicyCost, length M
-        J_0, J_1, ..., one for each candidate.
+    costs : tuple of PolicyCost
+        J_0, J_1, ..., one for each candidate; or one, beside whose minimiser the candidates
+        stand at fixed offsets.
     gain : tuple of tuple of float, shape (m, n), optional
         K of the terminal set; None where the designer did not state one.
     together : bool
         Whether every candidate is K x inside the terminal set.
+    certain : bool
+        Whether the candidates stand so far apart that every transition agrees.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -48,6 +51,7 @@ class Policy(BaseModel):
     costs: tuple[PolicyCost, ...]
     gain: Matrix | None = None
     together: bool = False
+    certain: bool = False
 
 
 class Knowledge(BaseModel):

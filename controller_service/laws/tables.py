@@ -8,6 +8,9 @@ from pydantic import Field
 from protocol.knowledge import Policy
 from protocol.scenario import Control, Cost, Part, Secrecy
 
+CERTAIN = 2.0
+"""Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
+
 
 class PaperControl(Control):
     """``[control]`` of the law ``paper``."""
@@ -48,6 +51,11 @@ class PackedControl(Control):
         """Whether there is one cost."""
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
+
+    def policy(self, n: int, m: int) -> Policy:
+        """The cost, and whether every transition agrees; the offsets are on the wire."""
+        certain = self.alphabet.spacing >= CERTAIN
+        return super().policy(n, m).model_copy(update={"certain": certain})
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
         """The alphabet depends on M and alpha too."""

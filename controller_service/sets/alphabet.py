@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controller_service.laws.tables import CERTAIN
 from controller_service.sets.polygon_alphabet import plane_offsets, plane_points
 from controller_service.sets.separation import (
     APART,
-    CERTAIN,
     TOGETHER,
     AlphabetError,
     Separation,

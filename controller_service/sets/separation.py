@@ -6,12 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controller_service.laws.tables import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.convex import Array
 from protocol.scenario import ConvexSet
-
-CERTAIN = 2.0
-"""Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
 
 APART = 1e-6
 """Candidates are this fraction farther apart than they must be: the verdict counts a gauge up to

@@ -4,7 +4,8 @@ In an agreed step the true candidate has a gauge (in D_c) of at most 1 and every
 scaling the set keeps that order: the candidate nearest to x(k+1) is the key symbol, always, at
 every alpha. Only *when* a key was agreed is hidden, behind a threshold. Her estimate of it is the
 largest nearest gauge so far, times a margin: the disturbance fills its set, so that the estimate
-grows towards the set's edge from inside.
+grows towards the set's edge from inside. Under a law of which it is public that every transition
+agrees, *when* is no question, and she needs no threshold.
 """
 
 from typing import ClassVar
@@ -36,6 +37,7 @@ class NearestCentre(Eavesdropper):
         self._even = even(self.size)
         self._follower = Follower(self.scheme)
         self._largest = 0.0
+        self._always = knowledge.policy is not None and knowledge.policy.certain
 
     def observe(self, transition: Transition) -> Guess:
         """Measure every candidate; the nearest is the guess."""
@@ -51,7 +53,7 @@ class NearestCentre(Eavesdropper):
         self._largest = max(self._largest, nearest)
         threshold = MARGIN * self._largest
         inside = sum(g <= threshold for g in gauges)
-        agreed = inside == 1 and max(gauges) <= 1.0
+        agreed = self._always or (inside == 1 and max(gauges) <= 1.0)
         symbol = gauges.index(nearest)
         self._follower.step(t.k, symbol if agreed else NO_SYMBOL, t.cipher)
         if ties > 1:

@@ -211,6 +211,8 @@ def compare_all(case: Case, folder: Path) -> None:
         Case("paper", 1500, seed=11),
         Case("sustained", 3000, seed=11, run=4),
         Case("quadruple-tank", 300, seed=11, run=1),
+        Case("packed", 1500, seed=11, run=2),
+        Case("packed-quadruple-tank", 300, seed=11, run=1),
     ],
     ids=lambda case: case.name,
 )
@@ -225,8 +227,12 @@ def test_a_faulty_network_changes_nothing_that_the_engine_says(tmp_path: Path) -
 
 
 @pytest.mark.integration
-def test_the_live_services_do_what_the_engine_says(tmp_path: Path) -> None:
-    case = Case("sustained", 3000, seed=21)
+@pytest.mark.parametrize(
+    "case",
+    [Case("sustained", 3000, seed=21), Case("packed", 1500, seed=21)],
+    ids=lambda case: case.name,
+)
+def test_the_live_services_do_what_the_engine_says(case: Case, tmp_path: Path) -> None:
     assert case.delivered() == [TEXT]
     compare_all(case, tmp_path)
 

@@ -1,0 +1,210 @@
+"""Packed and pipelined: the claimed rates, and that a tap without a threshold has it all."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
+from protocol.agreement import NO_SYMBOL
+from protocol.scenario import Scenario
+from protocol.schemes.framing import Deframer, frame_length
+from tap_service.eavesdroppers.nearest_centre import NearestCentre
+from wyner.cli.options import scenario_of
+from wyner.simulate.engine import follow, simulate_runs, transfer
+from wyner.simulate.engine.taps import listen, transcript
+from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.safety import violations
+
+RUNS, STEPS = range(20), 500
+D, D_C = (0.1, 0.1), (0.12, 0.12)
+SEVEN: dict[str, dict[str, Any]] = {
+    "uniform D": {"kind": "uniform", "half_widths": D},
+    "truncated Gaussian": {"kind": "truncated-gaussian", "half_widths": D},
+    "corners of D": {"kind": "corners", "half_widths": D},
+    "constant D": {"kind": "constant", "half_widths": D},
+    "uniform D_c": {"kind": "uniform", "half_widths": D_C},
+    "corners of D_c": {"kind": "corners", "half_widths": D_C},
+    "constant D_c": {"kind": "constant", "half_widths": D_C},
+}
+SHIPPED = {
+    "packed": 4,
+    "packed-double-integrator": 4,
+    "packed-quadruple-tank": 16,
+    "packed-batch-reactor": 16,
+}
+
+
+def system(
+    name: str, size: int, alpha: float, disturbance: dict[str, Any] | None = None
+) -> tuple[Scenario, CandidateLaw]:
+    scenario = scenario_of(name)
+    secrecy = scenario.secrecy.model_copy(update={"candidates": size, "alpha": alpha})
+    spec = scenario.plant.disturbance.model_copy(update=disturbance or {})
+    plant = scenario.plant.model_copy(update={"disturbance": spec})
+    scenario = scenario.model_copy(update={"secrecy": secrecy, "plant": plant})
+    return scenario, make_law(scenario, cached_design(scenario))
+
+
+def claimed_bits(scenario: Scenario, law: CandidateLaw) -> float:
+    """Bits of agreed symbols a transition; every one of them is the applied candidate."""
+    runs = simulate_runs(scenario, law, seed=1, runs=RUNS, steps=STEPS)
+    link = follow(runs, [scenario.secrecy.alpha])
+    assert link.mistaken.sum() == 0
+    assert (link.message_symbols == STEPS - 1).all()
+    share = float(link.agreements.sum()) / (len(RUNS) * STEPS)
+    assert share >= 0.9999
+    return share * math.log2(scenario.secrecy.candidates)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "size", "bits"), [(3.01, 2, 1.0), (5.01, 3, 1.585), (7.01, 4, 2.0), (9.01, 5, 2.322)]
+)
+def test_bits_a_step_on_the_papers_plant(alpha: float, size: int, bits: float) -> None:
+    assert claimed_bits(*system("packed", size, alpha)) == pytest.approx(bits, abs=5e-4)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_bits_a_step_on_the_shipped_plants(name: str) -> None:
+    size = SHIPPED[name]
+    assert claimed_bits(*system(name, size, 8.0)) == pytest.approx(math.log2(size), abs=5e-4)
+
+
+@pytest.mark.parametrize("kind", SEVEN)
+@pytest.mark.parametrize(("alpha", "size"), [(3.01, 2), (8.0, 4)])
+def test_the_law_of_the_disturbance_is_all_one(kind: str, alpha: float, size: int) -> None:
+    bits = claimed_bits(*system("packed", size, alpha, SEVEN[kind]))
+    assert bits == pytest.approx(math.log2(size), abs=5e-4)
+
+
+def test_at_odd_alphas_one_symbol_less() -> None:
+    """alpha is compared sharply: at 3 exactly two candidates cannot both stay within alpha."""
+    loop = system("packed", 2, 3.01, SEVEN["corners of D_c"])
+    runs = simulate_runs(*loop, seed=1, runs=RUNS, steps=STEPS)
+    agreed = follow(runs, [3.0, 3.01]).agreements.sum(axis=1) / (len(RUNS) * STEPS)
+    assert agreed.tolist() == [pytest.approx(0.5, abs=0.02), 1.0]
+
+
+def test_two_hundred_candidates() -> None:
+    scenario = Scenario.model_validate(
+        {
+            "name": "line",
+            "plant": {
+                "A": [[0.8]],
+                "B": [[1.0]],
+                "period_s": 0.1,
+                "initial_state": [0.0],
+                "disturbance": {"half_widths": [0.01]},
+            },
+            "defender": {"disturbance": {"half_widths": [0.01]}},
+            "control": {"law": "packed", "horizon": 5, "inputs": {"half_widths": [5.0]}},
+            "secrecy": {"alpha": 402.0, "candidates": 200, "scheme": "pipelined"},
+        }
+    )
+    law = make_law(scenario, cached_design(scenario))
+    assert claimed_bits(scenario, law) == pytest.approx(math.log2(200), abs=5e-4)
+    runs = simulate_runs(scenario, law, seed=1, runs=range(2), steps=80)
+    link = transfer(runs, payloads=[b"The old mill, at nine."])
+    deframer = Deframer(200)
+    frames = [deframer.push(v) for v in link.message_symbol[:, 0].tolist() if v != NO_SYMBOL]
+    assert [f.payload for f in frames if f] == [b"The old mill, at nine."]
+    assert runs.coin.max() > 127
+    history = Simulation(scenario, law, seed=1, payloads=(b"both ends",)).run(steps=60)
+    assert history.inbox == [b"both ends"]
+
+
+@pytest.mark.parametrize("kind", ["uniform D", "corners of D_c"])
+@pytest.mark.parametrize("name", ["packed", "packed-quadruple-tank"])
+def test_nearest_centre_names_every_key_and_has_the_message(name: str, kind: str) -> None:
+    """Claimed 2 or 4 bits a step; true 0: she reads along, at the plant's own step."""
+    message = b"The old mill, at nine."
+    scenario, law = system(name, SHIPPED[name], 8.0)
+    if kind == "corners of D_c":
+        widths = scenario.defender.disturbance.half_widths
+        scenario, law = system(name, SHIPPED[name], 8.0, {"kind": "corners", "half_widths": widths})
+    steps = 2 + frame_length(len(message), SHIPPED[name])
+    runs = simulate_runs(scenario, law, seed=3, runs=range(3), steps=steps, record=True)
+    link = transfer(runs, payloads=[message])
+    for place in range(3):
+        (heard,) = listen(runs, link, [NearestCentre], place)
+        assert heard.agreements == heard.right == steps
+        assert heard.delivered == heard.read == 1
+        tap, deframer, plant_has_it = (
+            NearestCentre(scenario.knowledge()),
+            Deframer(SHIPPED[name]),
+            -1,
+        )
+        for t, symbol in zip(
+            transcript(runs, link, place), link.message_symbol[:, place].tolist(), strict=True
+        ):
+            tap.observe(t)
+            if symbol != NO_SYMBOL and deframer.push(symbol) is not None:
+                plant_has_it = t.k
+        assert tap.belief().solved_k == plant_has_it > 0
+
+
+def test_list_decoder_and_learner_have_it_too() -> None:
+    message = b"We sail at dawn."
+    scenario, law = system("packed", 4, 8.0)
+    runs = simulate_runs(scenario, law, seed=5, runs=range(1), steps=400, record=True)
+    link = transfer(runs, payloads=[message])
+    for heard in listen(runs, link, ["list-decoder", "learning", "smoother"], 0):
+        assert heard.delivered == heard.read == 1
+        assert heard.right >= 0.95 * heard.agreements
+
+
+FAULTS = {
+    "clean": Faults(),
+    "loses and repeats": Faults(loss=0.15, repeat=0.1, delay_s=0.15, until_s=40),
+    "dies": Faults(loss=0.1, repeat=0.1, delay_s=0.15, crash=0.02, until_s=40),
+    "forgets": Faults(0.15, 0.1, 0.15, 0.02, 0.3, until_s=40),
+}
+PAYLOADS = (b"first", b"second message", b"3")
+
+
+@pytest.mark.parametrize("size", [2, 3, 4])
+@pytest.mark.parametrize("network", FAULTS)
+@pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
+def test_exactly_once_on_a_bad_network(network: str, size: int, step_s: float | None) -> None:
+    scenario, law = system("packed", size, 8.0)
+    faults = FAULTS[network]
+    sim = Simulation(scenario, law, seed=size, payloads=PAYLOADS, faults=faults, step_s=step_s)
+    history = sim.run(seconds=300, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
+    assert list(violations(history, PAYLOADS)) == []
+    assert len(history.delivered) >= len(PAYLOADS)
+    if not faults.amnesia:
+        assert history.inbox == list(PAYLOADS)
+    for (session, j), t in history.plant.items():
+        before = history.plant.get((session, j - 1))
+        if before is not None:
+            assert t.key == before.symbol  # the key of the verdict before, and no other
+        assert t.role == ("test" if t.key == NO_SYMBOL else "message")
+        assert t.symbol == history.coins[session, j]
+
+
+def test_without_faults_all_but_the_first_transition_carry() -> None:
+    scenario, law = system("packed", 4, 8.0)
+    sim = Simulation(scenario, law, seed=7, payloads=(b"abc",))
+    history = sim.run(steps=1000)
+    assert sum(t.role == "message" for t in history.plant.values()) == 999
+    assert history.inbox == [b"abc"]
+
+
+def test_any_law_with_either_scheme() -> None:
+    """`sustained` pipelined carries p a step, `packed` switched 1/2."""
+    shares = {}
+    for name in ("sustained", "packed"):
+        for scheme in ("switched", "pipelined"):
+            scenario = scenario_of(name)
+            secrecy = scenario.secrecy.model_copy(update={"scheme": scheme})
+            scenario = scenario.model_copy(update={"secrecy": secrecy})
+            law = make_law(scenario, cached_design(scenario))
+            runs = simulate_runs(scenario, law, seed=2, runs=range(100), steps=1000)
+            link = follow(runs, [8.0])
+            shares[name, scheme] = float(np.mean(link.message_symbols)) / 1000
+    assert shares["packed", "switched"] == 0.5
+    assert shares["packed", "pipelined"] == 0.999
+    assert shares["sustained", "switched"] == pytest.approx(0.230, abs=0.003)
+    assert shares["sustained", "pipelined"] == pytest.approx(0.299, abs=0.003)
