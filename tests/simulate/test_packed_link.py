@@ -10,9 +10,9 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
+from protocol.scenario.files import scenario_of
 from protocol.schemes.framing import Deframer, frame_length
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
-from wyner.cli.options import scenario_of
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Faults, Simulation
