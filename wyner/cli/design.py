@@ -87,7 +87,8 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "horizon": N,
         "horizon_asked": scenario.control.horizon,
         "gain": design.K.tolist(),
-        "gain_source": "given" if design.gain_given else "linear quadratic regulator",
+        "gain_source": _gain_source(design),
+        "alphabet": _alphabet(scenario, design),
         "terminal": vars(design.terminal),
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
@@ -98,6 +99,33 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
+    }
+
+
+def _gain_source(design: "Design") -> str:
+    if design.terminal.method == "invariant":
+        return "none"
+    if design.terminal.weight != 1:
+        return f"linear quadratic regulator, weights of the input x {design.terminal.weight:.3g}"
+    return "given" if design.gain_given else "linear quadratic regulator"
+
+
+def _alphabet(scenario: "Scenario", design: "Design") -> dict[str, Any] | None:
+    """The offsets of a packed alphabet, what holds it and what it costs."""
+    if design.offsets is None:
+        return None
+    from controller_service.sets.capacity import capacity
+
+    table = capacity(scenario, [scenario.secrecy.alpha])
+    (row,) = table.rows
+    return {
+        "candidates": len(design.offsets),
+        "reach": abs(design.offsets).max(axis=0).tolist(),
+        "most_at_alpha": row.certain,
+        "most_held": row.held,
+        "price": None
+        if table.price is None
+        else {"state": list(table.price.state), "input": list(table.price.input)},
     }
 
 
@@ -179,8 +207,12 @@ def render(r: dict[str, Any]) -> str:
             if r["horizon"] < r["horizon_asked"]
             else ""
         ),
-        f"K ({r['gain_source']}): " + "; ".join(" ".join(f"{v:.6g}" for v in k) for k in r["gain"]),
     ]
+    if r["gain_source"] == "none":
+        lines.append("K: none; T_0 needs no gain, and the law uses none")
+    else:
+        rows = "; ".join(" ".join(f"{v:.6g}" for v in k) for k in r["gain"])
+        lines.append(f"K ({r['gain_source']}): {rows}")
     t = r["terminal"]
     if t["method"] == "rakovic":
         lines.append(
@@ -189,9 +221,26 @@ def render(r: dict[str, Any]) -> str:
         )
     elif t["method"] == "interval":
         lines.append("T_0: the minimal invariant interval")
+    elif t["method"] == "invariant":
+        lines.append(
+            f"T_0: the largest set within the state bounds that any control keeps, after "
+            f"{t['order']} steps, radius {t['bound']:.3g}"
+        )
     else:
         lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
-    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    if t["method"] == "invariant":
+        lines.append("T_0 is kept by some input in U at every state, whatever d in D_c (checked)")
+    else:
+        lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    if r["alphabet"] is not None:
+        a = r["alphabet"]
+        reach = ", ".join(f"{v:.6g}" for v in a["reach"])
+        lines.append(
+            f"alphabet: {a['candidates']} candidates, offsets up to {reach}; at most "
+            f"{a['most_at_alpha']} are certain at this alpha, of which U and the plant's unstable "
+            f"modes leave {a['most_held']} (an integer alpha such as 3, 5, 7 holds one fewer than "
+            "just above)"
+        )
     extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
     lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
     for s in r["sets"]:
