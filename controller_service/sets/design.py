@@ -102,6 +102,17 @@ class Design:
         return self.targets[i]
 
 
+def candidate_target(design: Design, scenario: Scenario, i: int) -> tuple[Array, Array]:
+    """Where each candidate of index i + 1 must lead: T_i ~ D_c as (H, h).
+
+    With a packed alphabet the law's own target is smaller, T_i ~ D', for v that is no candidate.
+    """
+    if design.offsets is None:
+        return design.target(i)
+    H, h = design.set(i)
+    return H, h - support(set_corners(scenario.control_set), H)
+
+
 def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) -> None:
     """T_0 robust invariant with the programs' margin to spare, K T_0 within U, T_0 within X."""
     V = corners(T0.H, T0.h)

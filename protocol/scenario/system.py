@@ -179,8 +179,13 @@ class Scenario(Part):
         )
 
     def loop_fingerprint(self) -> str:
-        """SHA-256 (hex) over all that controller and plant work with: everything but the words."""
-        return _digest(self.model_dump(mode="json", exclude={"description", "source", "tap"}))
+        """SHA-256 (hex) over all that controller and plant work with: everything but the words.
+
+        Of the law's table only what is stated: its defaults are known to the controller alone.
+        """
+        rest = self.model_dump(mode="json", exclude={"description", "source", "tap", "control"})
+        control = self.control.model_dump(mode="json", exclude_unset=True)
+        return _digest({**rest, "control": _as_floats(control)})
 
     def identity(self) -> dict[str, str]:
         """What a recording says of the scenario it was made under, for a check to compare."""
@@ -221,6 +226,15 @@ class Scenario(Part):
     def oracle_knowledge(self) -> Knowledge:
         """What the defender knows, in the form a tap reads: the control of the measurement."""
         return self.knowledge().model_copy(update={"alpha": self.secrecy.alpha})
+
+
+def _as_floats(value: object) -> object:
+    """The same with every whole number as a float, as a table that knows its fields reads it."""
+    if isinstance(value, dict):
+        return {key: _as_floats(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_as_floats(item) for item in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def _digest(value: object) -> str:

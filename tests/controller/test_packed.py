@@ -1,5 +1,7 @@
 """The law ``packed``: every candidate is admissible for ever, and every transition agrees."""
 
+import subprocess
+import sys
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -234,3 +236,13 @@ def test_every_offset_pair_is_apart_and_together() -> None:
         )
         assert apart.min() > 1 + 1e-7
         assert together.max() <= alpha - 1
+
+
+def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
+    """The plant's recordings name the scenario that the controller's do."""
+    lines = "from protocol.scenario.files import scenario_of\nprint(scenario_of({!r}).identity())"
+    for name in ("packed", "packed-quadruple-tank", "sustained"):
+        there = subprocess.run(
+            [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True
+        ).stdout
+        assert there.strip() == str(scenario_of(name).identity())

@@ -95,7 +95,7 @@ def _gauge(e: Evidence, step: Counted | Missed) -> float:
 def admissible(e: Evidence, tally: Tally) -> Judging:
     """(27): u in U, and A x + B u in T_(i-1) ~ D_c."""
     from controller_service.laws.registry import cached_design, make_law
-    from controller_service.sets.design import SynthesisError
+    from controller_service.sets.design import SynthesisError, candidate_target
 
     try:
         design = cached_design(e.scenario)
@@ -123,7 +123,7 @@ def admissible(e: Evidence, tally: Tally) -> Judging:
                 terminal += away.size
                 _judge(tally, ts, away, "is {:.3g} away from K x inside T_0")
                 continue
-            target = Polytope(*design.targets[max(i - 1, 0)])
+            target = Polytope(*candidate_target(design, e.scenario, max(i - 1, 0)))
             centres = (X @ A.T)[:, None] + U @ B.T
             beyond = (centres @ target.H.T - target.h).max(axis=2)
             _judge(tally, ts, beyond, f"leads {{:.3g}} beyond T_{max(i - 1, 0)} ~ D_c")
