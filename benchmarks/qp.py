@@ -14,7 +14,8 @@ import numpy as np
 from controller_service.laws.base import ProgramLaw
 from controller_service.laws.programs import Quadratic, solve_daqp, solve_osqp
 from controller_service.sets.design import Design, synthesise
-from protocol.convex import Array, Polytope, corners
+from protocol.arrays import Array
+from protocol.convex import Polytope, corners
 from protocol.scenario import Scenario
 
 SEED = 1

@@ -14,7 +14,7 @@ from scipy.sparse import csc_matrix, eye, triu, vstack
 
 from controller_service.sets.design import Design, input_interval
 from protocol.agreement import NO_SYMBOL
-from protocol.convex import Array
+from protocol.arrays import Array
 from protocol.scenario import Scenario
 from wyner.simulate.engine.draws import Draws, disturbances
 

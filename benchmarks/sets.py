@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.exact_sets import Row, exact_sets, support, whole
 from controller_service.sets.design import Design, synthesise
-from protocol.convex import Array
+from protocol.arrays import Array
 from protocol.scenario import Scenario
 
 HORIZONS = (20, 50, 250)

@@ -6,7 +6,8 @@ from typing import Literal, Protocol
 from controller_service.laws.base import CandidateLaw
 from protocol.link.sender import Outbox, Sender
 from protocol.messages import ControllerStatus
-from protocol.schemes.framing import frame_length, readable
+from protocol.schemes.framing import frame_length
+from protocol.text import readable
 
 Phase = Literal["greeting", "running", "outside", "stopped", "refused"]
 

@@ -4,8 +4,7 @@ import math
 from collections.abc import Sequence
 
 from protocol.scenario import Disturbance
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 
 def disturbance(spec: Disturbance, k: int, uniforms: Sequence[float]) -> Vector:

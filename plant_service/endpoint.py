@@ -22,7 +22,8 @@ from protocol.messages import (
     PlantStatus,
 )
 from protocol.runtime.process import DONE, USAGE, spoken
-from protocol.schemes.framing import Frame, readable
+from protocol.schemes.framing import Frame
+from protocol.text import readable
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""

@@ -17,8 +17,7 @@ from protocol.messages import Offer
 from protocol.runtime.process import Failure
 from protocol.scenario import Scenario
 from protocol.streams import Stream, SymbolSource
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 
 class Step(NamedTuple):

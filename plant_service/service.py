@@ -15,8 +15,8 @@ from protocol.runtime.process import Pace, UsageError, logger, new_id, spoken
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
-from protocol.schemes.framing import readable
 from protocol.streams import COIN, noise, symbols
+from protocol.text import readable
 
 
 @dataclass(frozen=True, slots=True)

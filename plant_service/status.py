@@ -10,7 +10,7 @@ from protocol.link.receiver import Receiver
 from protocol.link.session import Transition
 from protocol.messages import PlantStatus
 from protocol.scenario import Scenario
-from protocol.schemes.framing import readable
+from protocol.text import readable
 
 TAIL: Final = 64
 """Transitions shown in a status."""

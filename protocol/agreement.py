@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from operator import sub
 from typing import Final, NamedTuple
 
-Vector = tuple[float, ...]
-Matrix = tuple[Vector, ...]
+from protocol.vectors import Matrix, Vector
 
 NO_SYMBOL = -1
 """In place of a key symbol where none was agreed."""

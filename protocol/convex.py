@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from protocol.arrays import Array, Indices
 
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 class SetError(Exception):

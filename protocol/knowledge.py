@@ -6,8 +6,7 @@ message or a key. Every optional field left out is something she does not know.
 
 from pydantic import BaseModel, ConfigDict
 
-Vector = tuple[float, ...]
-Matrix = tuple[Vector, ...]
+from protocol.vectors import Matrix, Vector
 
 
 class PolicyCost(BaseModel):

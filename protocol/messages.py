@@ -9,14 +9,14 @@ Models are flat (no nested model), so that a recorder's schema of each needs no 
 
 from typing import Annotated, ClassVar, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from protocol.secret.nonces import NONCE_FORM
+from protocol.vectors import FiniteVector
 
 SCHEMA: Final = 2
 """Version of the wire format; a message of another version is garbage."""
 
-Vector = tuple[FiniteFloat, ...]
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
@@ -57,9 +57,9 @@ class Measurement(Message):
     topic: ClassVar[str] = "measurement"
     session: SessionId
     k: Count
-    x: Vector
+    x: FiniteVector
     applied_k: Annotated[int, Field(ge=-1)]
-    x_after: Vector
+    x_after: FiniteVector
     copy_number: Copy = 0
     nonce: Nonce = ""
     applied_copy: Copy = 0
@@ -77,7 +77,7 @@ class Offer(Message):
     topic: ClassVar[str] = "offer"
     session: SessionId
     k: Count
-    candidates: tuple[Vector, ...]
+    candidates: tuple[FiniteVector, ...]
     cipher: Count
     copy_number: Copy = 0
     nonce: Nonce = ""
@@ -161,14 +161,14 @@ class PlantStatus(Message):
     seeded: bool
     period_s: float
     alpha: float
-    defender_H: tuple[Vector, ...]
-    defender_h: Vector
-    A: tuple[Vector, ...]
-    B: tuple[Vector, ...]
+    defender_H: tuple[FiniteVector, ...]
+    defender_h: FiniteVector
+    A: tuple[FiniteVector, ...]
+    B: tuple[FiniteVector, ...]
     session: SessionId
     sessions: Count
     k: Count
-    x: Vector
+    x: FiniteVector
     transitions: Count
     missed: Count
     late: Count
@@ -186,13 +186,13 @@ class PlantStatus(Message):
     frame_length: Count
     frames_refused: Count
     pictured_k: Annotated[int, Field(ge=-1)] = -1
-    pictured_x: Vector = ()
-    pictured_candidates: tuple[Vector, ...] = ()
-    pictured_x_next: Vector = ()
-    pictured_gauges: Vector = ()
+    pictured_x: FiniteVector = ()
+    pictured_candidates: tuple[FiniteVector, ...] = ()
+    pictured_x_next: FiniteVector = ()
+    pictured_gauges: FiniteVector = ()
     pictured_symbol: Annotated[int, Field(ge=-1)] = -1
     tail_k: tuple[int, ...] = ()
-    tail_x: tuple[Vector, ...] = ()
+    tail_x: tuple[FiniteVector, ...] = ()
     tail_role: tuple[Literal["test", "message"], ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_coin: tuple[int, ...] = ()
@@ -259,12 +259,12 @@ class TapStatus(Message):
     confidence: float
     candidates_left: Count
     solved_k: Annotated[int, Field(ge=-1)]
-    A: tuple[Vector, ...] = ()
-    B: tuple[Vector, ...] = ()
+    A: tuple[FiniteVector, ...] = ()
+    B: tuple[FiniteVector, ...] = ()
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()
-    tail_probability: Vector = ()
-    tail_agreed: Vector = ()
+    tail_probability: FiniteVector = ()
+    tail_agreed: FiniteVector = ()
 
 
 FIELD: tuple[type[Message], ...] = (Measurement, Offer)

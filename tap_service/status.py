@@ -13,6 +13,7 @@ from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
+from protocol.text import readable
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
@@ -176,12 +177,6 @@ def sound_belief(belief: object) -> Belief:
     )
 
 
-def printable(message: bytes) -> str:
-    """A message as text on one line; what cannot be shown becomes a middle dot."""
-    text = message.decode("utf-8", errors="replace")
-    return "".join(c if c.isprintable() and c != "\ufffd" else "·" for c in text)[:SHOWN_TEXT]
-
-
 def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> TapStatus:
     """The status of one eavesdropper; ``counts`` holds the service's own figures."""
     tail = list(listener.tail)
@@ -189,7 +184,9 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         name=listener.name,
         steps=listener.steps,
         lost=listener.holes,
-        message=f"stopped: {listener.failed}" if listener.failed else printable(belief.message),
+        message=f"stopped: {listener.failed}"
+        if listener.failed
+        else readable(belief.message)[:SHOWN_TEXT],
         whole_messages=belief.whole_count,
         confidence=belief.confidence,
         candidates_left=belief.candidates_left,

@@ -28,6 +28,7 @@ from controller_service.sets.design import Design, SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
 from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array, Symbols
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
@@ -84,9 +85,6 @@ __all__ = [
     "scenario_names",
     "vary",
 ]
-
-Array = NDArray[np.float64]
-Symbols = NDArray[np.integer[Any]]
 
 
 def scenario_names() -> list[str]:

@@ -8,16 +8,15 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controller_service.laws.planar import Planar
 from controller_service.laws.programs import General, Quadratic
 from controller_service.sets.design import Design, Progress, input_interval, synthesise
-from protocol.convex import Array, Polytope
+from protocol.arrays import Array, Indices
+from protocol.convex import Polytope
 from protocol.scenario import Cost, Scenario
 from protocol.scenario.sets import ConvexSet
-
-Indices = NDArray[np.intp]
 
 
 class OutsideError(LookupError):

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controller_service.laws.base import Indices, ProgramLaw
+from controller_service.laws.base import ProgramLaw
 from controller_service.laws.programs import products
 from controller_service.sets.design import Design
-from protocol.convex import Array
+from protocol.arrays import Array, Indices
 from protocol.scenario import Scenario
 
 

@@ -14,15 +14,13 @@ from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller_service.laws.programs import Quadratic
 from controller_service.sets.design import Design
 from controller_service.tolerances import CHAIN_PARALLEL
-from protocol.convex import Array, Polytope, planar_vertices
+from protocol.arrays import Array, Indices
+from protocol.convex import Polytope, planar_vertices
 from protocol.scenario import Cost
-
-Indices = NDArray[np.intp]
 
 
 def pseudo_angle(x1: Array, x2: Array) -> Array:

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from controller_service.sets.design import Design, set_corners
 from controller_service.tolerances import CHAIN_PARALLEL, SOLVER_MARGIN, SOLVER_TOLERANCE
-from protocol.convex import Array, Polytope
+from protocol.arrays import Array, Indices
+from protocol.convex import Polytope
 from protocol.scenario import ConvexSet, Cost
-
-Indices = NDArray[np.intp]
 
 ROWS_AT_ONCE = 2_000_000
 """Products held at a time when many states meet many facets (16 MB)."""

@@ -25,7 +25,7 @@ from controller_service.sets.separation import (
     Separation,
 )
 from controller_service.sets.terminal import set_corners
-from protocol.convex import Array
+from protocol.arrays import Array
 from protocol.scenario import ConvexSet
 
 ROUNDING = 1e-12

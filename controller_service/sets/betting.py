@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.agreement import INSIDE
-from protocol.convex import Array
+from protocol.arrays import Array
 from protocol.scenario import Disturbance
 
 Cumulative = Callable[[Array], Array]

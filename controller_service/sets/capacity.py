@@ -24,7 +24,8 @@ from controller_service.sets.betting import Bet, DisturbanceLaw, best_bet
 from controller_service.sets.polygon_alphabet import plane_bound
 from controller_service.sets.separation import AlphabetError, Separation
 from controller_service.sets.terminal import SynthesisError, feedback_gain
-from protocol.convex import Array, SetError
+from protocol.arrays import Array
+from protocol.convex import SetError
 from protocol.scenario import Scenario
 
 

@@ -21,7 +21,8 @@ from controller_service.sets.terminal import (
     terminal_set,
 )
 from controller_service.tolerances import TERMINAL_MARGIN
-from protocol.convex import Array, Polytope, SetError, corners
+from protocol.arrays import Array
+from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import Scenario
 
 __all__ = [

@@ -14,7 +14,8 @@ import numpy as np
 
 from controller_service.sets.clique import adjacency, largest_clique
 from controller_service.sets.separation import APART, TOGETHER, AlphabetError, Separation
-from protocol.convex import Array, SetError, planar_area, planar_reduce, planar_vertices
+from protocol.arrays import Array
+from protocol.convex import SetError, planar_area, planar_reduce, planar_vertices
 
 BRANCHES = 200_000
 """Branches of one clique search, some seconds."""

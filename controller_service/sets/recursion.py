@@ -18,9 +18,8 @@ from controller_service.tolerances import (
     ROUNDINGS,
     SOLVED_DEFLATION,
 )
+from protocol.arrays import Array, Indices
 from protocol.convex import (
-    Array,
-    Indices,
     Polytope,
     Ring,
     SetError,

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from controller_service.laws.tables import CERTAIN
 from controller_service.sets.terminal import set_corners
-from protocol.convex import Array
+from protocol.arrays import Array
 from protocol.scenario import ConvexSet
 
 APART = 1e-6

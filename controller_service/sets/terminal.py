@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller_service.tolerances import NEARLY_PARALLEL, TERMINAL_ERROR
-from protocol.convex import Array, Polytope, corners, planar_reduce, planar_vertices
+from protocol.arrays import Array
+from protocol.convex import Polytope, corners, planar_reduce, planar_vertices
 from protocol.scenario import ConvexSet, Scenario
 
 

@@ -14,9 +14,9 @@ from plant_service.adapters.base import (
     Sample,
     Simulated,
     Stepped,
-    Vector,
 )
 from plant_service.adapters.operated import Operated, OperatingPoint
+from protocol.vectors import Vector
 
 __all__ = [
     "Displaceable",

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from protocol.runtime.process import Failure
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 
 class PlantError(Failure):

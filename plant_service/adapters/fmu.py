@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plant_service.adapters.base import PlantError, Vector
+from plant_service.adapters.base import PlantError
+from protocol.vectors import Vector
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription

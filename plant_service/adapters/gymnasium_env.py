@@ -2,7 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-from plant_service.adapters.base import PlantError, Vector
+from plant_service.adapters.base import PlantError
+from protocol.vectors import Vector
 
 if TYPE_CHECKING:
     import gymnasium

@@ -2,8 +2,8 @@
 
 from operator import add
 
-from plant_service.adapters.base import Vector
-from protocol.agreement import Matrix, predict
+from protocol.agreement import predict
+from protocol.vectors import Matrix, Vector
 
 
 class Linear:

@@ -6,7 +6,8 @@ There is one solver and it has one setting, the number of substeps: a run repeat
 from collections.abc import Callable, Sequence
 from operator import add
 
-from plant_service.adapters.base import PlantError, Vector
+from plant_service.adapters.base import PlantError
+from protocol.vectors import Vector
 
 Dynamics = Callable[[float, Sequence[float], Sequence[float]], Sequence[float]]
 

@@ -17,10 +17,10 @@ from plant_service.adapters.base import (
     Resumable,
     Sample,
     Simulated,
-    Vector,
 )
 from protocol.agreement import Gauge
 from protocol.link.fallback import clip
+from protocol.vectors import Vector
 
 _R = TypeVar("_R")
 

@@ -14,7 +14,8 @@ from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
 from protocol.scenario import PLANTS, Plant, Scenario
-from protocol.scenario.parts import Matrix, Positive, Vector
+from protocol.scenario.parts import Positive
+from protocol.vectors import FiniteMatrix, FiniteVector
 
 
 class LinearPlant(Plant):
@@ -22,14 +23,14 @@ class LinearPlant(Plant):
 
     kind: Literal["linear"] = "linear"
     """A linear plant, simulated exactly."""
-    A: Matrix
+    A: FiniteMatrix
     """State matrix, n rows of n numbers."""
-    B: Matrix
+    B: FiniteMatrix
     """Input matrix, n rows of m numbers."""
-    initial_state: Vector
+    initial_state: FiniteVector
     """x(0), n numbers."""
 
-    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant at the reading ``start``."""
         return Simulated(Linear(self.A, self.B, start), self.period_s)
 
@@ -39,7 +40,7 @@ class ModelledElsewhere(Plant):
 
     @field_validator("A", "B")
     @classmethod
-    def _no_matrices(cls, matrix: Matrix | None) -> Matrix | None:
+    def _no_matrices(cls, matrix: FiniteMatrix | None) -> FiniteMatrix | None:
         if matrix is not None:
             raise ValueError("expected it under [defender]: a plant of this kind has none")
         return matrix
@@ -54,10 +55,10 @@ class OdePlant(ModelledElsewhere):
     """The function f(t, x, u), as FILE.py:NAME or module:NAME."""
     substeps: Annotated[int, Field(ge=1, le=10000)] = 10
     """Runge-Kutta steps to a period."""
-    initial_state: Vector
+    initial_state: FiniteVector
     """x(0) as a deviation from the operating point."""
 
-    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:
+    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:
         """The plant at the reading ``start``."""
         from plant_service.adapters.ode import Ode
         from plant_service.adapters.python_object import load_attribute
@@ -80,7 +81,7 @@ class PythonPlant(ModelledElsewhere):
     initial_state: tuple[()] = ()
     """None: it starts as it stands."""
 
-    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as it stands."""
         from plant_service.adapters.python_object import load_attribute, made
 
@@ -110,7 +111,7 @@ class FmuPlant(ModelledElsewhere):
     initial_state: tuple[()] = ()
     """None: it starts as it stands."""
 
-    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as the file has it."""
         from plant_service.adapters.fmu import Fmu
 
@@ -131,7 +132,7 @@ class GymnasiumPlant(ModelledElsewhere):
     arguments: dict[str, Any] | None = None
     """Arguments of gymnasium.make."""
 
-    def adapter(self, start: Vector, folder: Path) -> PlantAdapter:  # noqa: ARG002
+    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The environment, at ``start`` where the file has an initial state."""
         from plant_service.adapters.gymnasium_env import make
 

@@ -3,7 +3,8 @@
 import base64
 from typing import Any, NamedTuple, Protocol
 
-from protocol.link.session import Transition, Vector
+from protocol.link.session import Transition
+from protocol.vectors import Vector
 
 
 class Event(Protocol):

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.agreement import Gauge, Matrix
+from protocol.agreement import Gauge
 from protocol.scenario import Scenario
-
-Vector = tuple[float, ...]
+from protocol.vectors import Matrix, Vector
 
 
 def clip(u: Sequence[float], inputs: Gauge) -> Vector:

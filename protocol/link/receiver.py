@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.session import Rules, Transition, Vector
+from protocol.link.session import Rules, Transition
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
+from protocol.vectors import Vector
 
 CHUNK: Final = 64
 """Symbols of the frame under way that the record holds before they go to the journal's own table.

@@ -4,11 +4,12 @@ from collections.abc import Callable
 from typing import Final, Literal, NamedTuple, Protocol
 
 from protocol.agreement import NO_SYMBOL, Verdict
-from protocol.link.session import Rules, Transition, Vector
+from protocol.link.session import Rules, Transition
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.streams import SymbolSource
+from protocol.vectors import Vector
 
 REMEMBERED_SESSIONS: Final = 16
 """Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""

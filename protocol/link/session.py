@@ -28,8 +28,7 @@ from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
 from protocol.scenario import Scenario
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import make_scheme
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""

@@ -6,17 +6,10 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from protocol.knowledge import Policy, PolicyCost
-from protocol.scenario.parts import (
-    Matrix,
-    NotNegative,
-    Part,
-    Positive,
-    check_matrix,
-    shape,
-    shape_problem,
-)
+from protocol.scenario.parts import NotNegative, Part, Positive, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
+from protocol.vectors import FiniteMatrix
 
 
 def _form(value: object) -> str:
@@ -66,7 +59,7 @@ class Control(Part):
     """X, which no state may leave; none where not given."""
     disturbance: ConvexSet | None = None
     """What the sets resist; D_c where not given, and it contains D_c."""
-    gain: Matrix | None = None
+    gain: FiniteMatrix | None = None
     """K of u = K x near the origin, m rows of n numbers; or `regulator`."""
     regulator: Regulator | None = None
     """Weights from which K is computed; or `gain`."""

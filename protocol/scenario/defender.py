@@ -5,9 +5,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from protocol.scenario.parts import Matrix, Part, shape, shape_problem
+from protocol.scenario.parts import Part, shape, shape_problem
 from protocol.scenario.plant import Disturbance
 from protocol.scenario.sets import ConvexSet
+from protocol.vectors import FiniteMatrix
 
 
 class Calibration(Part):
@@ -34,9 +35,9 @@ class Calibration(Part):
 class Defender(Part):
     """The identified model (5): A and B (the plant's own where not given) and D_c."""
 
-    A: Matrix | None = None
+    A: FiniteMatrix | None = None
     """State matrix of the identified model; the plant's own where not given."""
-    B: Matrix | None = None
+    B: FiniteMatrix | None = None
     """Input matrix of the identified model; the plant's own where not given."""
     disturbance: ConvexSet
     """D_c, which both ends know and she does not: it decides what a key is."""

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field
 
-Vector = tuple[FiniteFloat, ...]
-Matrix = tuple[Vector, ...]
+from protocol.vectors import FiniteMatrix
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -17,7 +17,7 @@ class Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def check_matrix(matrix: Matrix) -> Matrix:
+def check_matrix(matrix: FiniteMatrix) -> FiniteMatrix:
     """The matrix, or ValueError where it is empty or ragged."""
     if not matrix or not matrix[0]:
         raise ValueError("expected at least one row and one column")
@@ -26,7 +26,7 @@ def check_matrix(matrix: Matrix) -> Matrix:
     return matrix
 
 
-def shape(matrix: Matrix) -> tuple[int, int]:
+def shape(matrix: FiniteMatrix) -> tuple[int, int]:
     """Rows and columns."""
     return len(matrix), len(matrix[0])
 

@@ -5,16 +5,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, field_validator
 
-from protocol.scenario.parts import (
-    Matrix,
-    NotNegative,
-    Part,
-    Positive,
-    Vector,
-    check_matrix,
-    shape,
-    shape_problem,
-)
+from protocol.scenario.parts import NotNegative, Part, Positive, check_matrix, shape, shape_problem
+from protocol.vectors import FiniteMatrix, FiniteVector
 
 
 class Disturbance(Part):
@@ -53,9 +45,9 @@ class OperatingPoint(Part):
     ``state`` may be left out where the plant settles at the operating input first.
     """
 
-    state: Vector | None = None
+    state: FiniteVector | None = None
     """Reading at which x = 0; where not given, that at which the plant settles."""
-    input: Vector
+    input: FiniteVector
     """What is applied where u = 0, in the plant's units."""
     state_scale: tuple[Positive, ...] | None = None
     """Reading units to one of x, a state each; 1 where not given."""
@@ -89,13 +81,13 @@ class Plant(Part):
 
     kind: str = "linear"
     """What is simulated or driven."""
-    A: Matrix | None = None
+    A: FiniteMatrix | None = None
     """State matrix, n rows of n numbers."""
-    B: Matrix | None = None
+    B: FiniteMatrix | None = None
     """Input matrix, n rows of m numbers."""
     period_s: Positive
     """Seconds from one step to the next."""
-    initial_state: Vector = ()
+    initial_state: FiniteVector = ()
     """x(0); empty where the plant starts as it stands."""
     disturbance: Disturbance
     """What disturbs the plant."""
@@ -106,7 +98,7 @@ class Plant(Part):
 
     @field_validator("A", "B")
     @classmethod
-    def _matrices(cls, matrix: Matrix | None) -> Matrix | None:
+    def _matrices(cls, matrix: FiniteMatrix | None) -> FiniteMatrix | None:
         return None if matrix is None else check_matrix(matrix)
 
     def problems(self, n: int, m: int) -> Iterator[str]:

@@ -4,7 +4,8 @@ from typing import Self
 
 from pydantic import model_validator
 
-from protocol.scenario.parts import Matrix, Part, Positive, Vector, check_matrix
+from protocol.scenario.parts import Part, Positive, check_matrix
+from protocol.vectors import FiniteMatrix, FiniteVector
 
 
 class ConvexSet(Part):
@@ -20,7 +21,7 @@ class ConvexSet(Part):
 
     half_widths: tuple[Positive, ...] | None = None
     """The box of vectors with |v_i| at most this; or H and h."""
-    H: Matrix | None = None
+    H: FiniteMatrix | None = None
     """Rows of { v : H v <= h }."""
     h: tuple[Positive, ...] | None = None
     """Right-hand sides, each above 0."""
@@ -48,7 +49,7 @@ class ConvexSet(Part):
         assert self.H is not None
         return len(self.H[0])
 
-    def rows(self) -> tuple[Matrix, Vector]:
+    def rows(self) -> tuple[FiniteMatrix, FiniteVector]:
         """The set as (H, h) with H v <= h, for a box the rows e_i and -e_i in turn."""
         if self.half_widths is None:
             assert self.H is not None

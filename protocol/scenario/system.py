@@ -19,12 +19,13 @@ from protocol.scenario.kinds import (
     by_kind,
 )
 from protocol.scenario.link import Link
-from protocol.scenario.parts import Matrix, Part, Vector
+from protocol.scenario.parts import Part
 from protocol.scenario.plant import Plant
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
 from protocol.schemes.registry import SCHEMES
+from protocol.vectors import FiniteMatrix, FiniteVector
 
 RULES_VERSION = 2
 """Version of agreement and framing together; part of the fingerprint, beside the scheme's own."""
@@ -58,21 +59,21 @@ class Scenario(Part):
     """What is claimed that she misses; distilled keys rest on it."""
 
     @property
-    def A(self) -> Matrix:
+    def A(self) -> FiniteMatrix:
         """State matrix of the defender's model f_c, shape (n, n)."""
         A = self.defender.A or self.plant.A
         assert A is not None, "validated"
         return A
 
     @property
-    def B(self) -> Matrix:
+    def B(self) -> FiniteMatrix:
         """Input matrix of the defender's model f_c, shape (n, m)."""
         B = self.defender.B or self.plant.B
         assert B is not None, "validated"
         return B
 
     @property
-    def plant_model(self) -> tuple[Matrix, Matrix]:
+    def plant_model(self) -> tuple[FiniteMatrix, FiniteMatrix]:
         """The plant's own A and B where it is linear, else the defender's."""
         return self.plant.A or self.A, self.plant.B or self.B
 
@@ -87,7 +88,7 @@ class Scenario(Part):
         return len(self.plant_model[1][0])
 
     @property
-    def initial_state(self) -> Vector:
+    def initial_state(self) -> FiniteVector:
         """x(0); zero, the operating point, where the plant starts as it stands."""
         return self.plant.initial_state or (0.0,) * self.n
 

@@ -159,9 +159,3 @@ class Deframer:
         self.symbols = bytearray()
         self._bytes = bytearray()
         self._begin(LENGTH_BYTES)
-
-
-def readable(payload: bytes) -> str:
-    """A payload as one line of text for people: undecodable and unprintable characters as ``·``."""
-    text = payload.decode("utf-8", errors="replace").replace("\ufffd", "·")
-    return "".join(c if c.isprintable() else "·" for c in text)

@@ -3,12 +3,10 @@
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Integers
 from protocol.schemes.base import Carries, Scheme
-
-Integers = NDArray[np.integer[Any]]
 
 ROOM: Final = 16
 """States that a table has room for at first; it doubles."""

@@ -11,11 +11,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from protocol.knowledge import Knowledge, Matrix
+from protocol.knowledge import Knowledge
 from protocol.messages import Measurement, Offer
+from protocol.vectors import Matrix, Vector
 from tap_service.eavesdroppers.base import Eavesdropper
-
-Vector = tuple[float, ...]
 
 
 class View(BaseModel):

@@ -13,8 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from protocol.messages import Measurement, Offer
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 PATIENCE = 4
 """Steps by which both senders must have been heard later before a hole is given out."""

@@ -17,10 +17,8 @@ from protocol.registry import UnknownError
 from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
 from protocol.schemes.registry import make_scheme
+from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
-
-Vector = tuple[float, ...]
-Matrix = tuple[Vector, ...]
 
 KEPT_SYMBOLS: Final = 32768
 """Message symbols that a belief keeps, the newest; memory stays bounded over any run."""

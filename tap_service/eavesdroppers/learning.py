@@ -16,19 +16,13 @@ from typing import ClassVar, Final
 import numpy as np
 
 from protocol.agreement import Gauge
+from protocol.arrays import Array
 from protocol.knowledge import Knowledge
+from protocol.vectors import Matrix
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import (
-    KEPT_MESSAGES,
-    Belief,
-    Eavesdropper,
-    Guess,
-    Matrix,
-    Model,
-    even,
-)
+from tap_service.eavesdroppers.base import KEPT_MESSAGES, Belief, Eavesdropper, Guess, Model, even
 from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
-from tap_service.inference.identification import Array, identify
+from tap_service.inference.identification import identify
 from tap_service.inference.list_decoding import Beam
 
 KEPT: Final = 4096

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Array, Flags
 from tap_service.inference.policy import KnownLaw
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SAME: Final = 1e-9
 """Candidates nearer than this, over their spread, coincide."""

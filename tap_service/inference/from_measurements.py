@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Array
 from tap_service.capture.transcript import Transition
 from tap_service.inference.gap_smoother import Step
 from tap_service.inference.policy import KnownLaw
-
-Array = NDArray[np.float64]
 
 WIDTHS: Final = tuple(np.geomspace(1 / 64, 1.0, 209).tolist())
 """Widths of D_c over D_e that are tried, two in a hundred apart."""

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.law_pieces import Form, Law, Reading, heard_exactly, learn_law
-
-Array = NDArray[np.float64]
 
 SAMPLES: Final = 32
 """Trajectories drawn for a stretch with something missed."""

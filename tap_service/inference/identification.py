@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from protocol.arrays import Array
+
 Choice = NDArray[np.intp]
 
 ROUNDS: Final = 100

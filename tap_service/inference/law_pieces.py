@@ -15,7 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from protocol.arrays import Array
 
 EXACT: Final = 1e-6
 """Residual, over the spread of the input, up to which a pair lies on a piece."""

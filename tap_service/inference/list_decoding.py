@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Indices
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import (
     CHECK_BYTES,
@@ -32,8 +33,6 @@ from protocol.schemes.framing import (
 from protocol.schemes.table import StateTable
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.language_model import OTHER, class_of, table
-
-Indices = NDArray[np.intp]
 
 CAP: Final = 3000
 """Hypotheses kept at most."""

@@ -21,12 +21,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.active_sets import Explanations, Scales, Ways
 from tap_service.inference.gap_smoother import Step
 from tap_service.inference.policy import KnownLaw
 
-Array = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 SAMPLES: Final = 64

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Array, Flags
 from protocol.knowledge import Knowledge
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 TINY: Final = 1e-9
 

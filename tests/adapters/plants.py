@@ -12,8 +12,7 @@ from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sampl
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.ode import Ode
 from protocol.agreement import Gauge
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 A = ((1.0, 1.0), (0.0, 1.0))
 B = ((0.5,), (1.0,))

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_service.laws.base import Indices, ProgramLaw
+from controller_service.laws.base import ProgramLaw
 from controller_service.laws.planar import Planar
 from controller_service.laws.registry import cached_design, law_named, make_law, registered
 from controller_service.sets.design import Design, Progress, synthesise
-from protocol.convex import Array
+from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
 from protocol.registry import UnknownError
 from protocol.runtime.run_folder import SCENARIO

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, predict
+from protocol.arrays import Array
 from protocol.link.session import rules_of
 from protocol.scenario import load_scenario
 
-Array = NDArray[np.float64]
 Case = tuple[tuple[float, ...], tuple[tuple[float, ...], ...], int, tuple[float, ...]]
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"

@@ -18,8 +18,8 @@ from protocol.schemes.framing import (
     digits_of,
     encode_frame,
     frame_length,
-    readable,
 )
+from protocol.text import readable
 
 sizes = st.one_of(st.integers(2, 16), st.integers(17, 256))
 payloads = st.binary(max_size=40)

@@ -14,8 +14,8 @@ from protocol.link.session import Rules
 from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.streams import SymbolSource
+from protocol.vectors import Vector
 
-Vector = tuple[float, ...]
 PERIOD_S = 1.0
 
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
 from protocol.messages import PlantStatus
+from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import Board, TapView, reduce_all
 from wyner.dashboard.score import characters_right, score, secrecy, truth_for
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, letters, percent, printable
+from wyner.dashboard.text import component, letters, percent
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""

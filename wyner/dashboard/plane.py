@@ -14,11 +14,10 @@ from math import isfinite
 from typing import Final, Literal
 
 from protocol.messages import PlantStatus
+from protocol.vectors import Matrix, Vector
 
 Kind = Literal["", "eavesdropper", "defender", "centre", "next"]
 Point = tuple[float, float]
-Vector = tuple[float, ...]
-Matrix = tuple[Vector, ...]
 
 VERTEX_TOLERANCE: Final = 1e-9
 """A point counts as inside a set's row when it leaves it by no more than this, relative to h."""

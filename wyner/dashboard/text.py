@@ -80,11 +80,6 @@ def longest(room: int, *texts: str) -> str:
     return next((text for text in texts if cell_len(text) <= room), "")
 
 
-def printable(text: str) -> str:
-    """Text from elsewhere, for a plain line: what could move a cursor is shown as ``·``."""
-    return "".join(c if c.isprintable() else "·" for c in text)
-
-
 def drawn(text: str) -> str:
     """Text from elsewhere, for the screen, where every character has its cells."""
     return "".join(map(glyph, letters(text)))

@@ -13,7 +13,7 @@ from protocol.agreement import predict
 from protocol.convex import corners
 from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE, write_atomically
 from protocol.scenario import Scenario
-from protocol.schemes.framing import readable
+from protocol.text import readable
 from wyner.run_report.chart import Line, Mark, chart, plane
 from wyner.scoring.report import HEADINGS, rows
 from wyner.scoring.report import report as report_of

@@ -8,7 +8,7 @@ from typing import Any, Final
 from protocol.runtime.run_folder import PLANT_TRACE, SCENARIO
 from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import load_scenario
-from protocol.schemes.framing import readable
+from protocol.text import readable
 from wyner.scoring.report import report
 from wyner.scoring.score import RunScore, ScoreError, score_run, summary_of
 

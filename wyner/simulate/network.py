@@ -27,8 +27,7 @@ from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 
 class Law(Protocol):

@@ -16,10 +16,9 @@ from protocol.agreement import INSIDE, NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
+from protocol.vectors import Vector
 from wyner.simulate.engine.draws import symbol_type
 from wyner.simulate.engine.loop import Runs, SimulationError
-
-Vector = tuple[float, ...]
 
 
 class Law(Protocol):

@@ -288,7 +288,9 @@ SOURCES: Final = (
     "protocol/streams.py",
     "protocol/registry.py",
     "protocol/scenario/*.py",
+    "protocol/arrays.py",
     "protocol/convex.py",
+    "protocol/vectors.py",
 )
 """Where the numbers come from."""
 

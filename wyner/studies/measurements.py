@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.arrays import Array
 from protocol.convex import Polytope, planar_vertices
 from protocol.runtime.run_folder import PUBLIC_FILE, replacing
 from protocol.scenario import Scenario, load_scenario
@@ -23,8 +23,6 @@ from wyner.studies.grid import Point, code_version, load_sweep, points_of
 from wyner.studies.results import Results
 from wyner.studies.secrecy.study import STUDIES, measure_study
 from wyner.studies.sweep import SerialExecutor, run_sweep
-
-Array = NDArray[np.float64]
 
 SEED: Final = 7
 ALPHAS: Final = (1.5, 3.0, 8.0)

@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 
 from protocol.agreement import predict
-from protocol.convex import Array, Polytope
+from protocol.arrays import Array
+from protocol.convex import Polytope
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
 from wyner.verify.records import Counted, Missed, Walked

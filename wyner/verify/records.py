@@ -10,8 +10,8 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from protocol.agreement import Verdict
 from protocol.schemes.base import Carry
+from protocol.vectors import Vector
 
-Vector = tuple[float, ...]
 STRICT: Final = ConfigDict(extra="forbid", strict=True)
 
 

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Array, Symbols
 from protocol.scenario import Disturbance
 from protocol.streams import CIPHER, COIN, DISTURBANCE
 from wyner.simulate.engine.seeding import generator_states
-
-Array = NDArray[np.float64]
 
 
 class Draws:
@@ -57,9 +55,6 @@ class Streams:
             self._generator.random(out=out[r])
             self._states[r] = self._bits.state
         return out
-
-
-Symbols = NDArray[np.integer[Any]]
 
 
 def symbol_type(size: int) -> type[np.integer[Any]]:

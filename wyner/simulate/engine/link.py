@@ -7,15 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Counts, Symbols
 from protocol.schemes.base import Carries
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import advance_many
-from wyner.simulate.engine.draws import Symbols, cipher_symbols, symbol_type
+from wyner.simulate.engine.draws import cipher_symbols, symbol_type
 from wyner.simulate.engine.loop import Runs
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

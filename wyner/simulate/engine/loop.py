@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
-from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, Matrix
+from protocol.agreement import INSIDE, NO_SYMBOL, Gauge
+from protocol.arrays import Array, Symbols
 from protocol.scenario import Scenario
-from wyner.simulate.engine.draws import Draws, Symbols, disturbances, symbol_type
-
-Array = NDArray[np.float64]
+from protocol.vectors import Matrix
+from wyner.simulate.engine.draws import Draws, disturbances, symbol_type
 
 CHUNK: Final = 4096
 """Runs simulated together: a column (32 kB) stays in cache, and NumPy's calls are paid for."""

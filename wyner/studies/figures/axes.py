@@ -6,9 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from protocol.arrays import Array
 from wyner.scoring.statistics import Interval
-
-Array = NDArray[np.float64]
 
 
 def _closed(points: Array) -> Array:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller_service.sets.design import SynthesisError
+from protocol.arrays import Array
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from wyner.simulate.single import Law
 from wyner.studies.fit.conformal import (
@@ -23,7 +23,6 @@ from wyner.studies.fit.conformal import (
 from wyner.studies.fit.identification import FitError, Model, identify
 from wyner.studies.fit.sessions import OpenPlant, excite, residuals_under
 
-Array = NDArray[np.float64]
 Tables = dict[str, Any]
 MakeLaw = Callable[[Scenario], Law]
 Tell = Callable[[str], None]

@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant_service.adapters import Operated
+from protocol.arrays import Array
 from protocol.scenario import Scenario
 from wyner.simulate.single import Law, simulate_plant
 
-Array = NDArray[np.float64]
 OpenPlant = Callable[[Scenario], Operated]
 
 
