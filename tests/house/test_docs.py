@@ -52,7 +52,7 @@ def test_the_diagrams_show_every_arrow() -> None:
     for name in SCHEMES.shipped:
         scheme = make_scheme(name, 2)
         drawn = state_diagram(scheme)
-        assert len(arrows_of(scheme)) == 4
+        assert len(arrows_of(scheme)) == 4  # two states, two events
         for a in arrows_of(scheme):
             arrow = rf"s{a.s} --> s{a.following} : ({a.event}|always)<br/>{re.escape(a.action)}$"
             assert re.search(arrow, drawn, re.MULTILINE), a
