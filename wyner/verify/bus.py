@@ -28,6 +28,11 @@ PUBLIC: Final[dict[str, frozenset[str]]] = {
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""
 
+WITHOUT_KEYS: Final = {
+    **{"copy_number": 0, "nonce": "", "applied_copy": 0, "heard": 0, "block": -1, "tag": ""}
+}
+"""What fields of keys hold where the scenario makes none."""
+
 _MODELS: Final[dict[str, type[Measurement] | type[Offer]]] = {
     "measurement": Measurement,
     "offer": Offer,
@@ -182,6 +187,12 @@ def public_fields(e: Evidence, tally: Tally) -> Judging:
                 fits = len(message.candidates) == size and message.cipher < size
                 fits = fits and all(len(u) == m for u in message.candidates)
             text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
+            if e.scenario.keys is None and fits:
+                idle = [
+                    f for f, value in WITHOUT_KEYS.items() if getattr(message, f, value) != value
+                ]
+                fits = not idle
+                text = f"{seen.where}: {', '.join(idle)}: not as where no keys are made"
             tally.count(fits, *where, text)
     for problem in e.wire.strange:
         text = f"{problem.where}: neither Measurement nor Offer ({problem.text})"

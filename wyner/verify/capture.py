@@ -9,13 +9,20 @@ from typing import Any, Final, NamedTuple
 from pydantic_core import from_json, to_json
 
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from protocol.runtime.trace import TRACE_FORMAT
-from tap_service.capture.recording import number_of, parts_of
+from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
+from tap_service.capture.recording import CAPTURE_VERSION, number_of, parts_of
 from wyner.verify.records import Problem
 from wyner.verify.sides import Segments
 
 SHOWN: Final = 60
 """Bytes of garbage that are shown."""
+
+HEADS: Final = {
+    "format": TRACE_FORMAT,
+    "version": TRACE_VERSION,
+    "vantage": "tap",
+    "capture_version": CAPTURE_VERSION,
+}
 
 _LINE: Final = re.compile(
     rb'\{"event":"field","t_ns":(?P<t>\d+),"topic":"(?P<topic>[a-z]+)","message":(?P<message>.*)\}'
@@ -118,8 +125,10 @@ class CaptureLines:
             kind = value.get("event")
             if kind in (HEADER, CONTINUED, END):
                 self.last = value.get("last") is True
-                if kind == HEADER and value.get("part") != number_of(part):
-                    marks.problem(number, f"part: got {value.get('part')!r}")
+                if kind == HEADER:
+                    expected = {**HEADS, "part": number_of(part)}
+                    for name in [n for n, v in expected.items() if value.get(n) != v]:
+                        marks.problem(number, f"{name}: got {value.get(name)!r}")
                 marks.mark(number, raw, value)
                 return None
             message, topic = value.get("message"), str(value.get("topic"))
