@@ -103,7 +103,37 @@ def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
     rate = r["rate"]
     p, (low, high) = rate["agreement_probability"], rate["agreement_interval_95"]
     assert 0 <= low <= p <= high <= 1
-    assert rate["bits_per_second"] == pytest.approx(p / (1 + p) / 0.1)
+    assert rate["bits_per_second"] == pytest.approx(p / (1 + p) / 0.1, rel=0.15)
+    low, high = rate["bits_per_second_interval_95"]
+    assert low <= rate["bits_per_second"] <= high <= rate["ceiling_bits_per_second"] == 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [
+        ("uniform", 0.26, 0.34),
+        ("corners", 0.07, 0.13),
+        ("constant", 0.0, 0.02),
+        ("sinusoid", 0.19, 0.25),
+        ("truncated-gaussian", 0.22, 0.30),
+    ],
+)
+def test_the_rate_is_that_of_the_scenarios_own_disturbance(
+    kind: str,
+    low: float,
+    high: float,
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """p of long runs of the engine at alpha 8: 0.294, 0.096, 0.006, 0.220 and 0.256."""
+    monkeypatch.setattr(command, "RUNS", 20)
+    monkeypatch.setattr(command, "STEPS", 250)
+    text = PLANAR.replace("alpha = 4.0", "alpha = 8.0")
+    text = text.replace("[plant.disturbance]", f'[plant.disturbance]\nkind = "{kind}"')
+    assert main(["design", scenario(tmp_path, text), "--json"]) == 0
+    rate = json.loads(capsys.readouterr().out)["rate"]
+    assert low < rate["agreement_probability"] < high
 
 
 def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:

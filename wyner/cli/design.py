@@ -130,67 +130,44 @@ def _alphabet(scenario: "Scenario", design: "Design") -> dict[str, Any] | None:
 
 
 def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] | None:
-    """Estimate p, the probability that a tested step agrees, and the rate it gives.
+    """Simulate the loop under the scenario's own plant, disturbance and scheme; p and the rate.
 
-    Each run starts at the scenario's initial state; d is uniform in the plant's box, b_r uniform.
-    The interval is over runs, for the steps of one run depend on each other. None when the initial
-    state is outside every set.
+    p is the share of tested transitions that agree; its interval is over runs, for the steps of
+    one run depend on each other. The rate counts message symbols; its interval resamples runs.
+    None when the loop cannot start or leaves the sets.
     """
+    from collections import Counter
+
     import numpy as np
 
-    from controller_service.laws.base import OutsideError
-    from protocol.agreement import AgreementRule, Gauge, predict
+    from protocol.schemes.registry import make_scheme
+    from protocol.schemes.table import advance_many
+    from wyner.scoring.statistics import bootstrap_mean
+    from wyner.simulate.engine import SimulationError, follow, simulate_runs
 
-    rule = AgreementRule(
-        A=scenario.A,
-        B=scenario.B,
-        gauge=Gauge.from_rows(*scenario.defender.disturbance.rows()),
-        alpha=scenario.secrecy.alpha,
-    )
-    widths = np.array(scenario.plant.disturbance.half_widths)
     M, T = scenario.secrecy.candidates, scenario.plant.period_s
-    rates, tested_all, agreed_all = [], 0, 0
     try:
-        for child in np.random.SeedSequence(SEED).spawn(RUNS):
-            rng = np.random.default_rng(child)
-            noise = (rng.uniform(-1, 1, (STEPS, scenario.n)) * widths).tolist()
-            choices = rng.integers(0, M, STEPS).tolist()
-            x = tuple(scenario.initial_state)
-            tested = agreed = 0
-            carrying = False
-            for d, b in zip(noise, choices, strict=True):
-                u = law.candidates(x)
-                x_next = tuple(
-                    c + e for c, e in zip(predict(scenario.A, scenario.B, x, u[b]), d, strict=True)
-                )
-                if carrying:
-                    carrying = False
-                else:
-                    tested += 1
-                    carrying = rule.verdict(x, u, x_next).agreed
-                    agreed += carrying
-                x = x_next
-            rates.append(agreed / tested)
-            tested_all += tested
-            agreed_all += agreed
-    except OutsideError:
+        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
+    except SimulationError:
         return None
-    p = agreed_all / tested_all
-    half = 1.96 * float(np.std(rates, ddof=1)) / RUNS**0.5
-
-    def bits(q: float) -> float:
-        q = min(max(q, 0.0), 1.0)
-        return float(np.log2(M)) * q / (1 + q) / T
-
+    link = follow(runs, [scenario.secrecy.alpha])
+    tested, agreed = link.tested[0], link.agreements[0]
+    p = float(agreed.sum() / tested.sum())
+    half = 1.96 * float(np.std(agreed / tested, ddof=1)) / RUNS**0.5
+    bits = float(np.log2(M)) / (STEPS * T)
+    carried = Counter(link.message_symbols[0].tolist())
+    rate = bootstrap_mean(carried).scaled(bits)
+    scheme = make_scheme(scenario.secrecy.scheme, M)
+    most = advance_many(scheme, np.zeros((STEPS, 1), dtype=np.int8)).pad >= 0
     return {
         "runs": RUNS,
         "steps": STEPS,
         "seed": SEED,
         "agreement_probability": p,
         "agreement_interval_95": [max(0.0, p - half), min(1.0, p + half)],
-        "bits_per_second": bits(p),
-        "bits_per_second_interval_95": [bits(p - half), bits(p + half)],
-        "ceiling_bits_per_second": bits(1.0),
+        "bits_per_second": rate.value,
+        "bits_per_second_interval_95": [rate.low, rate.high],
+        "ceiling_bits_per_second": float(most.sum()) * bits,
     }
 
 
@@ -265,7 +242,7 @@ def render(r: dict[str, Any]) -> str:
             f"agreement p = {rate['agreement_probability']:.3f} [{low:.3f}, {high:.3f}] a tested "
             f"step ({rate['runs']} runs of {rate['steps']} steps, seed {rate['seed']}, 95 % "
             "interval over runs)",
-            f"expected rate p / (1 + p) / T = {rate['bits_per_second']:.3g} [{rlow:.3g}, "
+            f"expected rate {rate['bits_per_second']:.3g} [{rlow:.3g}, "
             f"{rhigh:.3g}] bit/s, ceiling {rate['ceiling_bits_per_second']:.3g} bit/s",
         ]
     return "\n".join(lines)
