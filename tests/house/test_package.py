@@ -1,49 +1,129 @@
-"""The wheel: what is installed away from the source tree brings what the command needs."""
+"""The wheel: five names, and what the command needs, away from the source tree."""
 
+import json
+import os
 import shutil
 import subprocess
 import sys
+import sysconfig
+import zipfile
 from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
-BUILT = ("build", "*.egg-info", "__pycache__", ".*", "runs", "docs", "tests")
+BUILT = ("build", "*.egg-info", "__pycache__", ".*", "runs", "tests")
+NAMES = {"protocol", "controller_service", "plant_service", "tap_service", "wyner"}
 
 
-@pytest.mark.slow
-def test_a_wheel_finds_its_own_scenarios_and_sweeps(tmp_path: Path) -> None:
-    shutil.copytree(ROOT, tmp_path / "source", ignore=shutil.ignore_patterns(*BUILT))
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(*BUILT))
     subprocess.run(
-        [*pip, "install", "--no-deps", "--no-build-isolation", "--target", "installed", "./source"],
-        cwd=tmp_path,
+        [
+            *(sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check"),
+            *("--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), "./source"),
+        ],
+        cwd=folder,
         check=True,
         timeout=120,
     )
-    shutil.rmtree(tmp_path / "source")
-    # without the finder of an editable installation, which would find the source tree
-    code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path / 'installed')!r})\n"
-        "sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in repr(f).lower()]\n"
-        "from wyner.studies.grid import load_sweep\n"
-        "from protocol.shipped import SCENARIOS\n"
-        "from wyner.shipped import SWEEPS\n"
-        "from protocol.scenario.files import scenario_of\n"
-        "print(*(scenario_of(f.stem).name for f in SCENARIOS.glob('*.toml')))\n"
-        "print(*(load_sweep(f).name for f in SWEEPS.glob('*.toml')))\n"
-        "print(SCENARIOS)\n"
+    shutil.rmtree(folder / "source")
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+class Installed:
+    """An environment that has the wheel, and its dependencies from the one that tests run in."""
+
+    def __init__(self, wheel: Path, folder: Path) -> None:
+        self.folder = folder
+        subprocess.run(
+            [sys.executable, "-m", "venv", "--without-pip", str(folder / "env")],
+            check=True,
+            timeout=60,
+        )
+        self.python = folder / "env" / "bin" / "python"
+        subprocess.run(
+            [
+                *(sys.executable, "-m", "pip", "--python", str(self.python), "install", "--quiet"),
+                *("--disable-pip-version-check", "--no-deps", "--no-index", str(wheel)),
+            ],
+            check=True,
+            timeout=120,
+        )
+        (packages,) = (folder / "env" / "lib").glob("python*/site-packages")
+        # A path in a .pth file comes last, and .pth files there are not followed: the source tree
+        # of an editable installation stays out of sight.
+        (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+        self.packages = packages
+
+    def run(self, *arguments: str, code: int = 0) -> str:
+        hidden = {"PYTHONPATH", "XDG_CACHE_HOME"}
+        done = subprocess.run(
+            [str(self.folder / "env" / "bin" / "wyner"), *arguments],
+            capture_output=True,
+            text=True,
+            cwd=self.folder,
+            env={k: v for k, v in os.environ.items() if k not in hidden}
+            | {"XDG_CACHE_HOME": str(self.folder / "cache")},
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == code, done.stderr
+        return done.stdout if code == 0 else done.stderr
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    return Installed(wheel, tmp_path_factory.mktemp("away"))
+
+
+def test_five_names_and_no_more(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        files = archive.namelist()
+    top = {name.split("/")[0] for name in files}
+    assert {name for name in top if not name.endswith(".dist-info")} == NAMES
+    for folder in ("scenarios", "sweeps"):
+        shipped = {f"wyner/{folder}/{p.name}" for p in (ROOT / "wyner" / folder).glob("*.toml")}
+        assert shipped <= set(files)
+    data = {Path(f).name for f in files if f.startswith("wyner/studies/data/")}
+    assert data == {p.name for p in (ROOT / "docs" / "data").glob("*.csv")}
+
+
+def test_a_run(installed: Installed) -> None:
+    out = installed.run(
+        *("up", "--scenario", "sustained", "--pace", "fast", "--until-delivered", "--headless")
     )
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-        timeout=60,
+    assert "Secret     claimed" in out
+    (run,) = (installed.folder / "runs").iterdir()
+    out = installed.run("check", str(run))
+    assert " 0 FAIL" in out
+
+
+def test_a_design(installed: Installed) -> None:
+    told = json.loads(installed.run("design", "sustained", "--json"))
+    assert told["rate"]["bits_per_second"] > 1
+
+
+def test_a_sweep(installed: Installed) -> None:
+    assert "rows in runs/sweeps/price-quick.csv" in installed.run("sweep", "price", "--quick")
+
+
+def test_figures_go_into_a_folder_of_the_users(installed: Installed) -> None:
+    before = sorted(installed.packages.rglob("*.svg"))
+    out = installed.run("figures", "sets", "distance")
+    assert out.split()[0] == "figures/sets.svg"
+    assert (
+        installed.run("figures", "distance", "--output", "mine").split()[0] == "mine/distance.svg"
     )
-    assert done.returncode == 0, done.stderr
-    scenarios, sweeps, where = done.stdout.splitlines()
-    assert where == str(tmp_path / "installed" / "wyner" / "scenarios")
-    assert set(scenarios.split()) == {f.stem for f in (ROOT / "wyner" / "scenarios").glob("*.toml")}
-    assert len(sweeps.split()) == len(list((ROOT / "wyner" / "sweeps").glob("*.toml"))) > 0
+    assert (installed.folder / "mine" / "distance.png").stat().st_size > 10_000
+    assert sorted(installed.packages.rglob("*.svg")) == before
+    assert "expected --data FOLDER" in installed.run("figures", "sets", "--measure", code=2)
+
+
+def test_benchmarks_stay_in_the_checkout(installed: Installed) -> None:
+    assert "run it from a checkout" in installed.run("bench", "qp", code=2)

@@ -16,8 +16,9 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from wyner.cli.main import main
 from wyner.scoring.statistics import normal_mean, wilson
+from wyner.shipped import DATA, FIGURES_FOLDER
 from wyner.simulate.engine import simulate_runs
-from wyner.studies.figures import DATA, FIGURES, OUTPUT, FigureError, draw
+from wyner.studies.figures import FIGURES, FigureError, draw
 from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from wyner.studies.figures.style import plain_rows
 from wyner.studies.grid import ROOT, Row, load_sweep, points_of
@@ -74,8 +75,8 @@ def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
         document = PAGE if name.startswith("secrecy-") else DOCUMENT
         text = document.read_text(encoding="utf-8")
         assert f"figures/{name}.svg" in text
-        assert (OUTPUT / f"{name}.svg").exists()
-        assert (OUTPUT / f"{name}.png").exists()
+        assert (FIGURES_FOLDER / f"{name}.svg").exists()
+        assert (FIGURES_FOLDER / f"{name}.png").exists()
         for file in kind.data:
             assert f"data/{file}.csv" in text
             assert (DATA / f"{file}.csv").exists()

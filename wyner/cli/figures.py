@@ -21,8 +21,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="make their data anew before; to those of a secrecy-* figure, whose runs take long, "
         "only what they lack is added",
     )
-    parser.add_argument("--data", metavar="D", help="folder of the data (default: docs/data)")
-    parser.add_argument("--output", metavar="D", help="folder to draw in (default: docs/figures)")
+    parser.add_argument(
+        "--data", metavar="D", help="folder of the data (default: what the documents show)"
+    )
+    parser.add_argument(
+        "--output", metavar="D", help="folder to draw in (default: docs/figures, or figures)"
+    )
     parser.set_defaults(run=run)
 
 
@@ -35,13 +39,16 @@ def run(args: argparse.Namespace) -> int:
             "figures: needs matplotlib, which `make figures` brings; or pip install '.[figures]' "
             "in the project's folder"
         ) from None
-    from wyner.studies.figures import DATA, FIGURES, OUTPUT, FigureError, draw
+    from wyner.shipped import DATA, FIGURES_FOLDER, IN_CHECKOUT
+    from wyner.studies.figures import FIGURES, FigureError, draw
 
     unknown = [name for name in args.name if name not in FIGURES]
     if unknown:
         raise UsageError(f"figures: got {unknown[0]!r}, expected {', '.join(FIGURES)}")
     names = args.name or list(FIGURES)
     data = Path(args.data) if args.data else DATA
+    if args.measure and not args.data and not IN_CHECKOUT:
+        raise UsageError("--measure: expected --data FOLDER too, the package's are kept")
     if args.measure:
         from wyner.studies.measurements import MEASUREMENTS
 
@@ -50,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             MEASUREMENTS[file](data / f"{file}.csv")
     try:
         for name in names:
-            for path in draw(name, data, Path(args.output) if args.output else OUTPUT):
+            for path in draw(name, data, Path(args.output) if args.output else FIGURES_FOLDER):
                 print(path)
     except FigureError as error:
         raise Failure(str(error)) from None

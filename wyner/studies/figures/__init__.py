@@ -6,14 +6,11 @@ A figure's note states its runs, seeds and intervals, all read from the data.
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from wyner.shipped import DATA, FIGURES_FOLDER
 from wyner.studies.figures import idea, loop, secrecy
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
-from wyner.studies.grid import ROOT
 
-__all__ = ["DATA", "FIGURES", "OUTPUT", "FigureError", "draw"]
-
-DATA: Final = ROOT / "docs" / "data"
-OUTPUT: Final = ROOT / "docs" / "figures"
+__all__ = ["FIGURES", "FigureError", "draw"]
 
 
 class Kind(NamedTuple):
@@ -41,7 +38,7 @@ FIGURES: Final[dict[str, Kind]] = {
 """The figures, in the order of docs/experiments.md and then of docs/secrecy.md."""
 
 
-def draw(name: str, data: Path = DATA, output: Path = OUTPUT) -> tuple[Path, Path]:
+def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:
     """Draw one figure; returns the paths of its SVG and its PNG.
 
     Raises

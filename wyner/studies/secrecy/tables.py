@@ -12,10 +12,10 @@ from typing import Final
 
 from wyner.scoring.report import Share
 from wyner.scoring.score import Proportion
+from wyner.shipped import DATA
 from wyner.studies.grid import ROOT
 from wyner.studies.secrecy.study import measure_study
 
-DATA: Final = ROOT / "docs" / "data"
 PAGE: Final = ROOT / "docs" / "secrecy.md"
 
 TABLES: Final = ("ladder", "learning", "view")
