@@ -297,8 +297,8 @@ def test_a_row_of_the_data_comes_out_again() -> None:
 
 
 def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
-    from wyner.studies.measurements import MEASUREMENTS
     from wyner.shipped import DATA
+    from wyner.studies.measurements import MEASUREMENTS
 
     whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
     path = tmp_path / "secrecy-alpha.csv"
