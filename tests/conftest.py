@@ -1,5 +1,6 @@
 """Fixtures that many tests share."""
 
+import os
 import signal
 
 import pytest
@@ -19,6 +20,12 @@ settings.load_profile("wyner")
 # that a test starts: it could not be interrupted.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_runtime_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Runs on this machine that are no test's are not joined by a test, nor the other way round."""
+    os.environ["XDG_RUNTIME_DIR"] = str(tmp_path_factory.mktemp("runtime"))
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ from controller_service.sets.terminal import (
 from controller_service.tolerances import TERMINAL_MARGIN
 from protocol.arrays import Array
 from protocol.convex import Polytope, SetError, corners
-from protocol.scenario import Scenario
+from protocol.scenario import ConvexSet, Scenario
 
 __all__ = [
     "Design",
@@ -114,6 +114,25 @@ def candidate_target(design: Design, scenario: Scenario, i: int) -> tuple[Array,
     return H, h - support(set_corners(scenario.control_set), H)
 
 
+def _in_words(row: Array, allowed: ConvexSet, complaint: str) -> str:
+    """What a row of a set bounds, as a reader of the file knows it."""
+    name = "x" if complaint.startswith("control.states") else "u"
+    places = np.flatnonzero(row)
+    if allowed.half_widths is not None or len(places) == 1:
+        j = int(places[0])
+        scale = float(row[j])
+        sign = "-" if scale < 0 else ""
+        return f"{sign}{name}_{j + 1}" + ("" if abs(scale) == 1 else f" times {abs(scale):g}")
+    terms = " ".join(f"{row[j]:+g} {name}_{j + 1}" for j in places)
+    return terms.removeprefix("+")
+
+
+def _remedy(complaint: str) -> str:
+    if complaint.startswith("control.states"):
+        return "; wider control.states, a smaller defender.disturbance or a faster K would do"
+    return "; wider control.inputs, a smaller defender.disturbance or a softer K would do"
+
+
 def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) -> None:
     """T_0 robust invariant with the programs' margin to spare, K T_0 within U, T_0 within X."""
     V = corners(T0.H, T0.h)
@@ -135,7 +154,8 @@ def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) ->
         if not (reach <= h).all():
             j = int((reach / h).argmax())
             raise SynthesisError(
-                f"{complaint}, row {j + 1} reaches {reach[j]:.6g}, expected at most {h[j]:.6g}"
+                f"{complaint}: {_in_words(H[j], allowed, complaint)} reaches {reach[j]:.6g}, "
+                f"expected at most {h[j]:.6g}{_remedy(complaint)}"
             )
 
 

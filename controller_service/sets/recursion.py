@@ -45,6 +45,19 @@ def support(V: Array, H: Array) -> Array:
     return out
 
 
+def _ended(i: int, error: SetError) -> str:
+    """Where the sets end, why, and what would do."""
+    if i == 0:
+        return (
+            f"defender.disturbance: T_0 has no room for it ({error}); "
+            "a smaller one or wider control.inputs would do"
+        )
+    return (
+        f"control.horizon: the sets end at index {i}: {error}; control.horizon = {i - 1} would do, "
+        "or a smaller defender.disturbance, or wider control.inputs"
+    )
+
+
 class Recursion(ABC):
     """The steps of one plant.
 
@@ -90,9 +103,7 @@ class Recursion(ABC):
                 if i < horizon:
                     rows, previous = self.backward(S, deflation), T
             except SetError as error:
-                raise SynthesisError(
-                    f"control.horizon: the sets end at index {i}: {error}"
-                ) from None
+                raise SynthesisError(_ended(i, error)) from None
 
     @abstractmethod
     def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:

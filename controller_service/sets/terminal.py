@@ -9,6 +9,9 @@ from protocol.arrays import Array
 from protocol.convex import Polytope, corners, planar_reduce, planar_vertices
 from protocol.scenario import ConvexSet, Scenario
 
+MOST_TERMS = 200
+"""Terms of a sum after which T_0 is taken as it is, or K said to be too slow."""
+
 
 class SynthesisError(Exception):
     """A scenario for which no sets exist; the message is one line."""
@@ -139,10 +142,19 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
             bound = alpha / (1 - alpha) * radius
             if s == order or (order is None and bound <= TERMINAL_ERROR * radius):
                 break
-        if s == order or s >= 200:
+        if s >= MOST_TERMS and alpha < 1 and order is None:
+            break  # K is slow: a set that is larger than the smallest by more than we aim at
+        if s == order:
             raise SynthesisError(
                 f"control.terminal_order: with {s} terms A_c^s D_c is {alpha:.3g} times D_c, "
                 "expected below 1"
+            )
+        if s >= MOST_TERMS:
+            radius = float(np.abs(np.linalg.eigvals(Ac)).max())
+            raise SynthesisError(
+                "control.regulator: K is too slow, the spectral radius of A + B K is "
+                f"{radius:.4g}: after {s} steps a disturbance is still {alpha:.3g} times itself; "
+                "a smaller regulator.input or a larger regulator.next_state makes it faster"
             )
         powers.append(power)
     # The sum's normals are those across the terms' edges; its support is the sum of theirs.

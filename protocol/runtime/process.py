@@ -160,6 +160,11 @@ def freeze_startup() -> None:
     gc.freeze()
 
 
+def needs(what: str, package: str) -> str:
+    """One line: ``what`` asks for a package that is not there, and how this very Python gets it."""
+    return f"{what}: needs {package}: {sys.executable} -m pip install {package}"
+
+
 def new_id() -> str:
     """A random id of 64 bits, as 16 hexadecimal digits."""
     return os.urandom(8).hex()

@@ -7,7 +7,7 @@ from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import SCENARIO, write_atomically
 from protocol.scenario.reading import ScenarioError, load_scenario
 from protocol.scenario.system import Scenario
-from protocol.shipped import scenario_file_of
+from protocol.shipped import SCENARIOS, scenario_file_of
 
 
 def scenario_of(text: str) -> Scenario:
@@ -18,8 +18,12 @@ def scenario_of(text: str) -> Scenario:
     UsageError
         With one line for each wrong field.
     """
+    path = scenario_file_of(text)
+    if not path.exists():
+        names = ", ".join(sorted(p.stem for p in SCENARIOS.glob("*.toml")))
+        raise UsageError(f"{text}: no such file, and no shipped scenario; shipped are {names}")
     try:
-        return load_scenario(scenario_file_of(text))
+        return load_scenario(path)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
 

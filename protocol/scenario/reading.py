@@ -10,6 +10,17 @@ from pydantic import ValidationError
 
 from protocol.scenario.system import Scenario
 
+EXPECTED = {
+    "tuple_type": "expected a list, such as [1.0] for one number",
+    "missing": "expected here, and not given",
+    "extra_forbidden": "no such field",
+    "float_type": "expected a number",
+    "int_type": "expected a whole number",
+    "model_type": "expected a table",
+    "model_attributes_type": "expected a table",
+}
+"""What pydantic's errors are called where a scenario's reader would not know its words."""
+
 
 class ScenarioError(Exception):
     """A scenario that cannot be used; ``problems`` holds one line for each wrong field."""
@@ -24,7 +35,7 @@ def describe_errors(error: ValidationError, source: str) -> list[str]:
     lines = []
     for item in error.errors(include_url=False):
         path = ".".join(str(part) for part in item["loc"] if part not in ("number", "entries"))
-        message = item["msg"].removeprefix("Value error, ")
+        message = EXPECTED.get(item["type"], item["msg"].removeprefix("Value error, "))
         if item["type"] == "value_error" and not path:
             lines += [f"{source}: {part}" for part in message.split("; ")]
             continue

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.messages import FIELD, Measurement, Offer
+from protocol.runtime.process import needs
 from protocol.topics import key_of
 from tap_service.capture.recording import CaptureReader, first_part, parts_of
 
@@ -64,9 +65,7 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise ExportError(
-            "parquet: needs pyarrow: pip install '.[parquet]' in the project's folder"
-        ) from None
+        raise ExportError(needs("parquet", "pyarrow")) from None
     vector = pyarrow.list_(pyarrow.float64())
     schema = pyarrow.schema(
         [
@@ -125,9 +124,7 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
     try:
         from mcap.writer import Writer
     except ImportError:
-        raise ExportError(
-            "mcap: needs mcap: pip install '.[mcap]' in the project's folder"
-        ) from None
+        raise ExportError(needs("mcap", "mcap")) from None
     written = 0
     with path.open("wb") as file:
         writer: Any = Writer(file)

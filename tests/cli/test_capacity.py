@@ -52,23 +52,3 @@ def test_wrong_arguments_are_one_line(
     assert captured.out == ""
     assert line in captured.err
     assert captured.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "lines"),
-    [
-        ("packed", ["alphabet: 4 candidates, offsets up to 0.738159", "Rakovic"]),
-        ("packed-double-integrator", ["K: none", "the largest set within the state bounds"]),
-        ("packed-batch-reactor", ["alphabet: 16 candidates", "linear quadratic regulator"]),
-    ],
-)
-def test_design_shows_the_alphabet(
-    name: str, lines: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["design", name]) == 0
-    out = capsys.readouterr().out
-    for line in lines:
-        assert line in out
-    assert main(["design", name, "--json"]) == 0
-    r = json.loads(capsys.readouterr().out)
-    assert r["alphabet"]["most_held"] == r["alphabet"]["candidates"]

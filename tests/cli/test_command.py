@@ -96,7 +96,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["up", "--message", ""], "message: got 0 bytes, expected 1 to 65535"),
         (["up", "--message-file", "none.txt"], "none.txt: cannot be read"),
         (["up", "--message", "a", "--message-file", "b"], "not allowed with"),
-        (["up", "--scenario", "none.toml"], "none.toml: cannot be read"),
+        (["up", "--scenario", "none.toml"], "none.toml: no such file"),
         (["plant", "--seed", "-1"], "--seed: got -1"),
         (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
         (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
@@ -110,8 +110,8 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["send", "text", "--id", "a b"], "--id: got 'a b'"),
         (["check"], "the following arguments are required: RUN_DIR"),
         (["check", "no-such-run"], "no-such-run: no run here"),
-        (["design", "none"], "none: cannot be read"),
-        (["knowledge", "none"], "none: cannot be read"),
+        (["design", "none"], "none: no such file"),
+        (["knowledge", "none"], "none: no such file"),
     ],
 )
 def test_wrong_use_is_one_line(

@@ -221,7 +221,7 @@ def test_a_missing_file_is_one_line(capsys: Any) -> None:
     assert main(["design", "nowhere.toml"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert "nowhere.toml: cannot be read" in err
+    assert "nowhere.toml: no such file" in err
 
 
 @pytest.mark.parametrize("name", ["up", "controller"])

@@ -120,7 +120,11 @@ def test_nothing_runs_in_a_circle() -> None:
     [
         ("zenoh", {"protocol.runtime.zenoh_bus"}),
         ("rich", {"wyner", "tools"}),
-        ("matplotlib", {"wyner.studies.figures*", "wyner.cli.figures", "wyner.api", "tools"}),
+        (
+            "matplotlib",
+            {"wyner.studies.figures*", "wyner.cli.figures", "wyner.cli.plot", "wyner.cli.design"}
+            | {"wyner.api", "tools"},
+        ),
         ("osqp", {"controller_service", "benchmarks"}),
         ("daqp", {"controller_service", "benchmarks"}),
     ],

@@ -7,7 +7,6 @@ import pytest
 
 from protocol.link.endpoint import Actions, Append, Endpoint, Keep, Notice, Outgoing, Write
 from protocol.link.events import Applied, Event, Missed, Recovered
-from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import SenderRecord
 from protocol.link.session import Transition
@@ -154,12 +153,7 @@ class Pair:
             endpoint = line_controller(RULES, self.propose, self.queue, self.draws, self.name())
         else:
             endpoint, self.line = line_plant(
-                RULES,
-                self.plant_journal,
-                self.name,
-                self.name(),
-                self.now,
-                Pacing(None, 4, self.now),
+                RULES, self.plant_journal, self.name, self.name(), self.now, None
             )
         self.ends[side] = (endpoint, Mortal(ports))
         self.do(side, lambda: endpoint.start(self.now))

@@ -16,7 +16,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from controller_service.endpoint import ControllerEndpoint
 from protocol.link.endpoint import Actions, Keep, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
-from protocol.link.pacing import Pacing
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.session import Transition
 from protocol.messages import Offer, PlantHello
@@ -134,12 +133,7 @@ class Link(RuleBasedStateMachine):
 
     def start_plant(self) -> None:
         self.plant, self.line = line_plant(
-            self.shared,
-            self.plant_journal,
-            self.name,
-            self.name(),
-            self.now,
-            Pacing(self.step_s, 4, self.now),
+            self.shared, self.plant_journal, self.name, self.name(), self.now, self.step_s
         )
         self.plant_does(self.plant.start(self.now))
 

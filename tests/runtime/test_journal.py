@@ -5,7 +5,6 @@ import sqlite3
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -87,9 +86,6 @@ def test_a_message_is_queued_once_and_in_order(tmp_path: Path) -> None:
         assert journal.enqueue("a", b"first")
         assert journal.enqueue("b", bytes(range(256)))
         assert not journal.enqueue("a", b"another text, the same identifier")
-        assert journal.queued == 2
-        assert journal.payload(1) == bytes(range(256))
-        assert journal.payload(2) is None
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.queued == 2
         assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
@@ -305,40 +301,11 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             assert len(journal.chunks()) == chunks
 
 
-@pytest.fixture
-def connections(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
-    """Every connection that is opened, as it is opened."""
-    opened: list[sqlite3.Connection] = []
-    connect = sqlite3.connect
-
-    def remembered(*args: Any, **options: Any) -> sqlite3.Connection:
-        opened.append(connect(*args, **options))
-        return opened[-1]
-
-    monkeypatch.setattr(sqlite3, "connect", remembered)
-    return opened
-
-
-@pytest.mark.parametrize("journal", [PlantJournal, ControllerJournal])
-def test_a_checkpoint_waits_for_the_disk(
-    journal: type[PlantJournal | ControllerJournal],
-    connections: list[sqlite3.Connection],
-    tmp_path: Path,
-) -> None:
-    """With it off, a power failure may leave a file that is no database any more."""
-    with journal(tmp_path / "j", SCENARIO):
-        (mode,) = connections[0].execute("PRAGMA journal_mode").fetchone()
-        (synchronous,) = connections[0].execute("PRAGMA synchronous").fetchone()
-    assert (mode, synchronous) == ("wal", 1)
-
-
-def test_a_journal_that_cannot_be_written_any_more_names_its_file(
-    connections: list[sqlite3.Connection], tmp_path: Path
-) -> None:
+def test_a_journal_that_cannot_be_written_any_more_names_its_file(tmp_path: Path) -> None:
     path = tmp_path / "j"
     with PlantJournal(path, SCENARIO) as journal:
         journal.save(RECEIVER)
-        connections[0].execute("PRAGMA query_only = 1")
+        journal._db.execute("PRAGMA query_only = 1")
         with pytest.raises(JournalError) as error:
             journal.append(b"{}", b"{}", 0)
         one_line(error, path)

@@ -95,7 +95,7 @@ def line_plant(
     new_id: Callable[[], str],
     instance: str,
     now: float,
-    pacing: Pacing,
+    step_s: float | None,
 ) -> tuple[PlantEndpoint, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     record, step = journal.load(), journal.step()
@@ -103,7 +103,7 @@ def line_plant(
     plant = LinePlant(Receiver(rules, instance, first, journal.chunks()))
     endpoint = PlantEndpoint(
         plant,
-        pacing,
+        Pacing(step_s, 4, now),
         new_id,
         now,
         pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),

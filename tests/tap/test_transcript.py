@@ -2,13 +2,11 @@
 
 import random
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.messages import Measurement, Offer
 from tap_service.capture.transcript import (
-    JOINED_EARLY,
     LONGEST_BRIDGE,
     ONE_SIDED_PATIENCE,
     UNHEARD_PATIENCE,
@@ -176,15 +174,3 @@ def test_memory_is_bounded_whatever_comes() -> None:
         transcript.hear(offer(k) if rng.random() < 0.5 else measurement(k, k - 1))
     held = sum(len(s) for s in (transcript._x, transcript._offers, transcript._after))
     assert held + len(transcript._missed) < 8 * LONGEST_BRIDGE
-
-
-@pytest.mark.parametrize("joined", [JOINED_EARLY, JOINED_EARLY + 1])
-def test_a_session_joined_early_is_taken_from_its_beginning(joined: int) -> None:
-    """What came before is then a hole of known length, and no automaton starts in the middle."""
-    early = joined <= JOINED_EARLY
-    heard = hear([m for m in lock_step(40) if m.k >= joined])
-    assert JOINED_EARLY == 16
-    assert heard[0].start == early
-    assert heard[0].gap != early
-    assert [t.k for t in heard if t.whole] == list(range(joined, 40))
-    assert heard[0].k == (0 if early else joined)

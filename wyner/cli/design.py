@@ -4,12 +4,15 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.process import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
+    from wyner.studies.why import Why
 
 RUNS, STEPS, SEED = 40, 250, 1
 """The simulation behind the expected rate: 10,000 steps, about a second or less."""
@@ -26,6 +29,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
+    parser.add_argument(
+        "--plot", metavar="F", help="draw the sets and a run, as F.png, F.pdf or F.svg"
+    )
     parser.set_defaults(run=run)
 
 
@@ -53,8 +59,40 @@ def run(args: argparse.Namespace) -> int:
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
     result["rate"] = expected_rate(scenario, law) if linear else None
     result["simulated"] = linear
+    reasons = _why(scenario, law) if result["rate"] is not None else None
+    result["why"] = None if reasons is None else reasons.as_json()
+    if args.plot is not None:
+        _plot(args.plot, scenario, design, law)
     print(json.dumps(result) if args.json else render(result))
+    if reasons is not None and not args.json:
+        print("\n".join(reasons.lines()))
     return DONE
+
+
+def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
+    """Why the rate is what it is; None where the loop leaves its sets meanwhile."""
+    from wyner.simulate.engine import SimulationError
+    from wyner.studies.why import why
+
+    try:
+        return why(scenario, law)
+    except SimulationError:
+        return None
+
+
+def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:
+    from wyner.cli.plot import drawn_to
+
+    def draw(figure: "Figure") -> str:
+        from wyner.simulate.engine import SimulationError
+        from wyner.studies.figures.design import draw_design
+
+        try:
+            return draw_design(figure, scenario, design, law)
+        except SimulationError as error:
+            raise Failure(f"--plot: {error}") from None
+
+    drawn_to("--plot", text, (9.0, 4.2), draw)
 
 
 def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:
@@ -87,8 +125,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "horizon": N,
         "horizon_asked": scenario.control.horizon,
         "gain": design.K.tolist(),
-        "gain_source": _gain_source(design),
-        "alphabet": _alphabet(scenario, design),
+        "gain_source": "given" if design.gain_given else "linear quadratic regulator",
         "terminal": vars(design.terminal),
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
@@ -99,33 +136,6 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
-    }
-
-
-def _gain_source(design: "Design") -> str:
-    if design.terminal.method == "invariant":
-        return "none"
-    if design.terminal.weight != 1:
-        return f"linear quadratic regulator, weights of the input x {design.terminal.weight:.3g}"
-    return "given" if design.gain_given else "linear quadratic regulator"
-
-
-def _alphabet(scenario: "Scenario", design: "Design") -> dict[str, Any] | None:
-    """The offsets of a packed alphabet, what holds it and what it costs."""
-    if design.offsets is None:
-        return None
-    from controller_service.sets.capacity import capacity
-
-    table = capacity(scenario, [scenario.secrecy.alpha])
-    (row,) = table.rows
-    return {
-        "candidates": len(design.offsets),
-        "reach": abs(design.offsets).max(axis=0).tolist(),
-        "most_at_alpha": row.certain,
-        "most_held": row.held,
-        "price": None
-        if table.price is None
-        else {"state": list(table.price.state), "input": list(table.price.input)},
     }
 
 
@@ -184,12 +194,8 @@ def render(r: dict[str, Any]) -> str:
             if r["horizon"] < r["horizon_asked"]
             else ""
         ),
+        f"K ({r['gain_source']}): " + "; ".join(" ".join(f"{v:.6g}" for v in k) for k in r["gain"]),
     ]
-    if r["gain_source"] == "none":
-        lines.append("K: none; T_0 needs no gain, and the law uses none")
-    else:
-        rows = "; ".join(" ".join(f"{v:.6g}" for v in k) for k in r["gain"])
-        lines.append(f"K ({r['gain_source']}): {rows}")
     t = r["terminal"]
     if t["method"] == "rakovic":
         lines.append(
@@ -198,26 +204,9 @@ def render(r: dict[str, Any]) -> str:
         )
     elif t["method"] == "interval":
         lines.append("T_0: the minimal invariant interval")
-    elif t["method"] == "invariant":
-        lines.append(
-            f"T_0: the largest set within the state bounds that any control keeps, after "
-            f"{t['order']} steps, radius {t['bound']:.3g}"
-        )
     else:
         lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
-    if t["method"] == "invariant":
-        lines.append("T_0 is kept by some input in U at every state, whatever d in D_c (checked)")
-    else:
-        lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
-    if r["alphabet"] is not None:
-        a = r["alphabet"]
-        reach = ", ".join(f"{v:.6g}" for v in a["reach"])
-        lines.append(
-            f"alphabet: {a['candidates']} candidates, offsets up to {reach}; at most "
-            f"{a['most_at_alpha']} are certain at this alpha, of which U and the plant's unstable "
-            f"modes leave {a['most_held']} (an integer alpha such as 3, 5, 7 holds one fewer than "
-            "just above)"
-        )
+    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
     extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
     lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
     for s in r["sets"]:

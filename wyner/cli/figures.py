@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.process import DONE, Failure, UsageError, needs
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -35,10 +35,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise UsageError(
-            "figures: needs matplotlib, which `make figures` brings; or pip install '.[figures]' "
-            "in the project's folder"
-        ) from None
+        raise UsageError(needs("figures", "matplotlib")) from None
     from wyner.shipped import DATA, FIGURES_FOLDER, IN_CHECKOUT
     from wyner.studies.figures import FIGURES, FigureError, draw
 

@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from protocol.runtime.services import CONTROLLER_OPS, SERVICES
+from protocol.topics import DEFAULT_LOOP
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
@@ -32,7 +33,7 @@ def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
     from wyner.deployment.running import chosen
 
     told = args.connect or args.listen or args.client or args.scouting
-    if told and args.run_name is None:
+    if (told or args.loop != DEFAULT_LOOP) and args.run_name is None:
         return None
     loop = chosen(args.run_name, CONTROLLER_OPS)
     if loop is not None:

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.runtime.process import DONE, Failure, UsageError
+    from protocol.runtime.process import DONE, Failure, UsageError, needs
     from tap_service.command import names_of
     from wyner.scoring import report as reporting
     from wyner.scoring.score import ScoreError, score_run
@@ -67,9 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
             draw_report(report, Path(args.figure))
         except ImportError:
-            raise Failure(
-                "--figure: needs matplotlib: pip install '.[figures]' in the project's folder"
-            ) from None
+            raise Failure(needs("--figure", "matplotlib")) from None
         except OSError as error:
             raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
     if args.json:

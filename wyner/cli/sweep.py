@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
+from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
 from wyner.shipped import SWEEPS
 
 if TYPE_CHECKING:
@@ -100,9 +100,7 @@ def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
-        raise UsageError(
-            "--executor dask: needs Dask: pip install '.[dask]' in the project's folder"
-        ) from None
+        raise UsageError(needs("--executor dask", "distributed")) from None
     with ExitStack() as stack:
         if scheduler is None:
             # Worker processes take over that Ctrl-C is ignored, and leave it to this one.
@@ -156,9 +154,11 @@ def _progress(name: str) -> "Iterator[Progress | None]":
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep."""
-    from wyner.studies.grid import SweepError, load_sweep, points_of
-    from wyner.studies.results import Results, key_of, summarise
-    from wyner.studies.sweep import run_sweep
+    from tap_service.command import find_each
+    from tap_service.eavesdroppers import named
+    from wyner.studies.grid import SweepError, eavesdroppers_of, load_sweep, points_of
+    from wyner.studies.results import Results, key_of, ready_rows, summarise, write_ready
+    from wyner.studies.sweep import name_of, run_sweep
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
     if jobs < 1:
@@ -171,10 +171,15 @@ def run(args: argparse.Namespace) -> int:
         sweep = load_sweep(path)
         if args.quick:
             sweep = sweep.quickly()
+        sweep = sweep.model_copy(
+            update={"eavesdroppers": tuple(eavesdroppers_of(sweep, path.parent))}
+        )
+        find_each(sweep.eavesdroppers, named, f"{path}: eavesdroppers: ")
         points = points_of(sweep, path.parent)
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
-        results = Results(output, list(sweep.grid), args.resume)
+        taps = [name_of(e) for e in sweep.eavesdroppers]
+        results = Results(output, list(sweep.grid), args.resume, taps)
     except SweepError as error:
         raise UsageError(error.problems) from None
     except OSError as error:
@@ -200,11 +205,15 @@ def run(args: argparse.Namespace) -> int:
     ours = {p.key for p in points}
     summaries = summarise(row for row in results.rows if key_of(row) in ours)
     grid, new = list(sweep.grid), len(results.rows) - before
+    ready = output.with_name(f"{output.stem}-rates.csv")
+    if summaries:
+        write_ready(ready, ready_rows(summaries, grid))
     if args.json:
         print(json.dumps(_as_object(sweep.name, output, grid, new, summaries)))
     else:
         print(_render(grid, summaries))
         print(f"{len(results.rows)} rows in {output}, {new} of them new")
+        print(f"rates and intervals, a row a point, in {ready}; `wyner plot {ready}` draws them")
     for line in failures:
         print(f"wyner: {line}", file=sys.stderr)
     return FAILED if failures else DONE
@@ -231,9 +240,16 @@ def _as_object(
     return {"sweep": name, "output": str(output), "new_rows": new, "points": points}
 
 
+def _share(counts: dict[str, int]) -> str:
+    keys = 100 * counts["right"] / counts["agreed"] if counts["agreed"] else float("nan")
+    return f"{keys:.1f} %, {counts['read']} of {counts['delivered']}"
+
+
 def _render(grid: list[str], summaries: "list[Summary]") -> str:
     """A table: the fields of each point, its runs, its rate with the interval."""
+    taps = list(summaries[0].taps) if summaries else []
     head = ["scenario", "variant", *grid, "runs", "bit/s", "95 % interval", "mistaken"]
+    head += [f"{name} keys, messages" for name in taps]
     rows = [head]
     for s in summaries:
         rate = s.rate
@@ -246,6 +262,7 @@ def _render(grid: list[str], summaries: "list[Summary]") -> str:
                 f"{rate.value:.4g}",
                 f"[{rate.low:.4g}, {rate.high:.4g}]",
                 str(s.counts["mistaken"]),
+                *(_share(s.taps[name]) for name in taps),
             ]
         )
     keep = [i for i in range(len(head)) if any(row[i] for row in rows[1:])] or [0]

@@ -57,7 +57,7 @@ def _step(board: Board, k: int, width: int, glyphs: Glyphs) -> list[Text]:
             zip(shown.pictured_candidates, shown.pictured_gauges, strict=False)
         ):
             vector = "  ".join(component(v, "+") for v in u)
-            where = "inside D_c" if gauge <= 1 else f"{number(gauge)} widths of D_c off"
+            where = "inside D_c" if gauge <= 1 else f"at {number(gauge)} times D_c"
             lines.append(row(f"input {i}", Text(f"{vector}   next state {where}")))
         lines.append(row("verdict", Text(plane.verdict(shown))))
     return lines

@@ -35,7 +35,7 @@ def bars(
     Parameters
     ----------
     gauges : sequence of float
-        Of x(k+1) from each prediction, in widths of D_c.
+        Of x(k+1) from each prediction: 1 is the edge of D_c.
     alpha : float
         D_e = alpha D_c.
     width : int

@@ -43,8 +43,8 @@ FOOTER_NAMED: Final = 72
 """From this width on the last line says what its keys do; ? always does."""
 
 HELP: Final = (
-    "Bars: how far the next state lies from where each input would have led, in",
-    "widths of D_c: 0 to D_c, then to D_e = alpha D_c. A key is agreed when one bar",
+    "Bars: how far the next state lies from where each input would have led: up to",
+    "the edge of D_c (1), then of D_e = alpha D_c. A key is agreed when one bar",
     "alone ends in D_c and none beyond D_e. Below: the same in the plane of states.",
     "keys: true key symbols, the strongest tap's below; ^ stands under wrong ones.",
     "claimed: all keys as secret bits. true: what the strongest tap leaves of it.",

@@ -87,6 +87,10 @@ class Sweep(_Part):
         Dotted path of a scenario field, and the values that it takes.
     variant : list of Variant
         Settings of several fields, each a further axis value.
+    eavesdroppers : list of str
+        Who listens to every run, as ``wyner tap --eavesdropper`` takes them; each run then sends
+        ``message`` again and again. Paths are relative to the file.
+    message : str
     stop : Stop, optional
     """
 
@@ -99,6 +103,8 @@ class Sweep(_Part):
     batch: Annotated[int, Field(ge=1)] = 1000
     grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = {}
     variant: tuple[Variant, ...] = (Variant(label=""),)
+    eavesdroppers: tuple[str, ...] = ()
+    message: Annotated[str, Field(min_length=1, max_length=1000)] = "At nine."
     stop: Stop | None = None
     quick: Quick = Quick()
 
@@ -203,6 +209,28 @@ def _hash(value: object) -> str:
     return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
 
 
+def _heard(sweep: Sweep) -> dict[str, Any]:
+    """What of a point's name the eavesdroppers are; nothing where nobody listens."""
+    if not sweep.eavesdroppers:
+        return {}
+    files = [name.rpartition(":")[0] for name in sweep.eavesdroppers if ":" in name]
+    own = [_hash(Path(name).read_text(encoding="utf-8", errors="replace")) for name in files]
+    return {
+        "eavesdroppers": [name.rpartition("/")[2] for name in sweep.eavesdroppers],
+        "message": sweep.message,
+        "version": code_version(*TAP_SOURCES),
+        "files": own,
+    }
+
+
+def eavesdroppers_of(sweep: Sweep, folder: Path) -> list[str]:
+    """The eavesdroppers, files beside the sweep with their whole path."""
+    return [
+        str((folder / name).resolve()) if name.rpartition(":")[0].endswith(".py") else name
+        for name in sweep.eavesdroppers
+    ]
+
+
 def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     """Every point of the grid, in order; ``folder`` is the sweep file's.
 
@@ -242,6 +270,7 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                         "steps": sweep.steps,
                         "seed": sweep.seed,
                         "batch": sweep.batch,
+                        **_heard(sweep),
                     }
                 )
                 point = Point(scenario, variant.label, fields, task)
@@ -293,6 +322,9 @@ SOURCES: Final = (
     "protocol/vectors.py",
 )
 """Where the numbers come from."""
+
+TAP_SOURCES: Final = ("wyner/simulate/engine/*.py", "tap_service/**/*.py", "protocol/knowledge.py")
+"""Where the numbers of eavesdroppers come from besides."""
 
 SHELLS: Final = ("service.py", "__main__.py", "design_cache.py", "diagrams.py")
 

@@ -11,7 +11,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final
 
-from wyner.scoring.statistics import Interval, bootstrap_mean
+from wyner.scoring.statistics import Interval, bootstrap_mean, wilson
 from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
@@ -24,6 +24,20 @@ MEASURED: Final = (
     "runs_by_symbols",
 )
 """Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
+TAPPED: Final = ("agreed", "right", "delivered", "read")
+"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, guessed right at once;
+messages that the plant had whole and, of these, those that she had. Named ``tap.NAME.right``."""
+
+
+def tap_columns(names: Iterable[str]) -> tuple[str, ...]:
+    """The columns of the eavesdroppers of these names."""
+    return tuple(f"tap.{name}.{count}" for name in names for count in TAPPED)
+
+
+def taps_in(row: Row) -> list[str]:
+    """The eavesdroppers of a row, by its columns."""
+    end = f".{TAPPED[0]}"
+    return [c[4 : -len(end)] for c in row if c.startswith("tap.") and c.endswith(end)]
 
 
 class Results:
@@ -36,6 +50,8 @@ class Results:
         The grid's.
     resume : bool
         Go on with a file that is there.
+    taps : sequence of str
+        Names of the eavesdroppers that listen.
 
     Raises
     ------
@@ -44,9 +60,11 @@ class Results:
         another version's, or another process writes it. It is then left as it is.
     """
 
-    def __init__(self, path: Path, fields: Sequence[str], resume: bool) -> None:
+    def __init__(
+        self, path: Path, fields: Sequence[str], resume: bool, taps: Sequence[str] = ()
+    ) -> None:
         self.path = path
-        self.columns = (*FIXED, *fields, *MEASURED)
+        self.columns = (*FIXED, *fields, *MEASURED, *tap_columns(taps))
         self.rows: list[Row] = []
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -165,11 +183,12 @@ def read_rows(path: Path) -> list[Row]:
 def _numbers(path: Path, rows: list[Row]) -> list[Row]:
     for number, row in enumerate(rows, start=2):
         try:
-            for name in MEASURED:
+            for name in (*MEASURED, *tap_columns(taps_in(row))):
                 if name in ("period_s", *SUMS):
                     row[name] = float(row[name])
                 elif name != "runs_by_symbols":
                     row[name] = int(row[name])
+            name = "runs_by_symbols"
             counted = sum(histogram_of(row[name]).values())
         except (KeyError, ValueError):
             raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
@@ -194,6 +213,8 @@ class Summary:
     counts, sums : dict
     histogram : dict
         How many runs carried each number of message symbols.
+    taps : dict
+        For each eavesdropper the counts of `TAPPED`.
     """
 
     first: Row
@@ -201,6 +222,7 @@ class Summary:
     counts: dict[str, int]
     sums: dict[str, float]
     histogram: dict[int, int]
+    taps: dict[str, dict[str, int]]
 
     @property
     def rate(self) -> Interval:
@@ -245,6 +267,56 @@ def summarise(rows: Iterable[Row]) -> list[Summary]:
                 counts={name: sum(row[name] for row in same) for name in COUNTS},
                 sums={name: sum(row[name] for row in same) for name in SUMS},
                 histogram=histogram,
+                taps={
+                    name: {c: sum(row[f"tap.{name}.{c}"] for row in same) for c in TAPPED}
+                    for name in taps_in(same[0])
+                },
             )
         )
     return out
+
+
+def ready_rows(summaries: Sequence[Summary], fields: Sequence[str]) -> list[Row]:
+    """One row a point with what people plot: rates, shares, and the ends of their 95 % intervals.
+
+    Rates have a bootstrap interval over runs. Shares of keys and messages have Wilson intervals,
+    which count trials as independent.
+    """
+    rows = []
+    for s in summaries:
+        rate = s.rate
+        row: Row = {
+            "scenario": s.first["scenario"],
+            "variant": s.first["variant"],
+            **{name: s.first[name] for name in fields},
+            "runs": s.runs,
+            "steps": s.first["steps"],
+            "bits_per_second": rate.value,
+            "bits_per_second_low": rate.low,
+            "bits_per_second_high": rate.high,
+        }
+        shares = {"agreed": (s.counts["agreements"], s.counts["tested"])}
+        for name, counts in s.taps.items():
+            shares[f"{name} keys right"] = (counts["right"], counts["agreed"])
+            shares[f"{name} messages read"] = (counts["read"], counts["delivered"])
+        for name, (right, of) in shares.items():
+            share = wilson(right, of) if of else None
+            row[name] = "" if share is None else share.value
+            row[f"{name} low"] = "" if share is None else share.low
+            row[f"{name} high"] = "" if share is None else share.high
+        rows.append(row)
+    return rows
+
+
+def write_ready(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows of `ready_rows` as CSV."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def fields_in(rows: Sequence[Row]) -> list[str]:
+    """The grid's fields, by the columns of a results file."""
+    known = {*FIXED, *MEASURED, *tap_columns(taps_in(rows[0]))}
+    return [name for name in rows[0] if name not in known]

@@ -9,7 +9,7 @@ Where more runs are asked for later, a batch that was cut short gets a further r
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any
@@ -18,7 +18,8 @@ from controller_service.laws.base import CandidateLaw, ProgramError
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import SynthesisError
 from protocol.scenario import Scenario
-from wyner.simulate.engine import SimulationError, follow, simulate_runs
+from protocol.schemes.framing import frame_length
+from wyner.simulate.engine import Runs, SimulationError, follow, simulate_runs, transfer
 from wyner.studies.grid import (
     Group,
     Point,
@@ -29,7 +30,7 @@ from wyner.studies.grid import (
     describe,
     groups_of,
 )
-from wyner.studies.results import COUNTS, Results, key_of, summarise
+from wyner.studies.results import COUNTS, Results, key_of, summarise, tap_columns
 
 
 @lru_cache(maxsize=64)
@@ -39,7 +40,14 @@ def _law(substance: str) -> CandidateLaw:
 
 
 def run_task(
-    scenario: str, alphas: Sequence[float], seed: int, first: int, runs: int, steps: int
+    scenario: str,
+    alphas: Sequence[float],
+    seed: int,
+    first: int,
+    runs: int,
+    steps: int,
+    eavesdroppers: Sequence[str] = (),
+    message: str = "",
 ) -> tuple[str, list[Row] | str]:
     """Simulate one batch; the code's version, and the measured columns for each alpha.
 
@@ -52,12 +60,23 @@ def run_task(
     alphas : sequence of float
     seed, first, runs, steps : int
         Runs ``first`` to ``first + runs - 1``.
+    eavesdroppers : sequence of str
+        Who listens, each by name or as ``FILE.py:CLASS``.
+    message : str
+        What every run sends while they do.
     """
     one = Scenario.model_validate_json(scenario)
     neutral = one.model_copy(update={"secrecy": one.secrecy.model_copy(update={"alpha": 1.0})})
     try:
         law = _law(neutral.model_dump_json(exclude={"description", "source"}))
-        simulated = simulate_runs(one, law, seed=seed, runs=range(first, first + runs), steps=steps)
+        simulated = simulate_runs(
+            one,
+            law,
+            seed=seed,
+            runs=range(first, first + runs),
+            steps=steps,
+            record=bool(eavesdroppers),
+        )
     except (SynthesisError, ProgramError, SimulationError) as error:
         return code_version(), str(error)
     link = follow(simulated, alphas)
@@ -83,8 +102,32 @@ def run_task(
         for value in link.message_symbols[i].tolist():
             histogram[value] = histogram.get(value, 0) + 1
         text = " ".join(f"{v}:{histogram[v]}" for v in sorted(histogram))
-        rows.append(common | counts | sums | {"runs_by_symbols": text})
+        heard = _heard(simulated, alphas[i], eavesdroppers, message) if eavesdroppers else {}
+        rows.append(common | counts | sums | {"runs_by_symbols": text} | heard)
     return code_version(), rows
+
+
+def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str) -> Row:
+    """What each eavesdropper got of these runs at one alpha."""
+    from wyner.simulate.engine.taps import listen
+
+    secrecy = runs.scenario.secrecy.model_copy(update={"alpha": alpha})
+    runs = replace(runs, scenario=runs.scenario.model_copy(update={"secrecy": secrecy}))
+    payload = message.encode()
+    size = frame_length(len(payload), secrecy.candidates)
+    link = transfer(runs, payloads=[payload] * (1 + runs.steps // size))
+    counts = dict.fromkeys(tap_columns(name_of(name) for name in eavesdroppers), 0)
+    for place in range(len(runs.runs)):
+        for name, got in zip(eavesdroppers, listen(runs, link, eavesdroppers, place), strict=True):
+            hers = (got.agreements, got.right, got.delivered, got.read)
+            for column, value in zip(tap_columns([name_of(name)]), hers, strict=True):
+                counts[column] += value
+    return counts
+
+
+def name_of(eavesdropper: str) -> str:
+    """What her columns are called: her name, or that of her class."""
+    return eavesdropper.rpartition(":")[2]
 
 
 class SerialExecutor(Executor):
@@ -192,11 +235,12 @@ class _Task:
     first: int
     runs: int
 
-    def arguments(self, sweep: Sweep) -> tuple[str, list[float], int, int, int, int]:
+    def arguments(self, sweep: Sweep) -> tuple[Any, ...]:
         """What :func:`run_task` takes."""
         text = self.points[0].scenario.model_dump_json()
         alphas = [p.scenario.secrecy.alpha for p in self.points]
-        return text, alphas, sweep.seed, self.first, self.runs, sweep.steps
+        loop = (text, alphas, sweep.seed, self.first, self.runs, sweep.steps)
+        return (*loop, list(sweep.eavesdroppers), sweep.message) if sweep.eavesdroppers else loop
 
 
 def _missing(group: Group, number: int, batch: int, runs: int) -> list[_Task]:

@@ -66,9 +66,15 @@ def drawing(size: tuple[float, float]) -> Iterator[Figure]:
         yield figure
 
 
+KINDS: Final = (".png", ".pdf", ".svg")
+"""Suffixes of what can be drawn."""
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG or PNG, by the path's suffix, the same bytes each time."""
-    if path.suffix == ".svg":
+    """Write a figure as SVG, PDF or PNG, by the path's suffix, the same bytes each time."""
+    if path.suffix == ".pdf":
+        figure.savefig(path, metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    elif path.suffix == ".svg":
         figure.savefig(path, metadata={"Date": None, "Creator": None})
     else:
         figure.savefig(path, dpi=DPI, metadata={"Software": None})

@@ -1,0 +1,199 @@
+"""``wyner new``: a scenario file of one's own, with comments."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.runtime.process import DONE, Failure, UsageError
+
+EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
+"""A mass that is pushed: A, B and the period where none are given; continuous."""
+
+HORIZONS: Final = {1: 50, 2: 50, 3: 30}
+"""Sets that a design of so many states computes in seconds; more states get `HORIZON`."""
+HORIZON: Final = 10
+
+SHARE: Final = 0.05
+"""Half-width of D, as a share of what the largest inputs move each state by in a step."""
+
+WIDER: Final = 1.2
+"""D_c over D, the ratio of the paper's example."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "new",
+        help="write a scenario file of one's own, with comments",
+        description="Write NAME.toml from a plant's matrices: discrete ones, or continuous ones "
+        "that are sampled here with a zero-order hold. Without matrices it is a mass that is "
+        "pushed, to be changed by hand.",
+    )
+    parser.add_argument("name", metavar="NAME", help="letters, digits, dots, dashes, underscores")
+    parser.add_argument("--A", metavar="ROWS", help='such as "[[1, 0.1], [0, 1]]"')
+    parser.add_argument("--B", metavar="ROWS", help='such as "[[0], [0.1]]"')
+    parser.add_argument("--period", type=float, metavar="S", help="seconds to a step")
+    parser.add_argument(
+        "--continuous", action="store_true", help="A and B are of dx/dt = A x + B u"
+    )
+    parser.add_argument(
+        "--input", type=float, default=1.0, metavar="V", help="bound of each input (default 1)"
+    )
+    parser.add_argument(
+        "--disturbance",
+        type=float,
+        metavar="V",
+        help="half-width of D in each state (default: a twentieth of what an input does in a step)",
+    )
+    parser.add_argument("--output", metavar="F", help="default: NAME.toml here")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file, once it has been read back."""
+    import tomllib
+
+    from protocol.scenario import ScenarioError, parse_scenario
+
+    given = (args.A, args.B, args.period)
+    if any(v is not None for v in given) and None in given:
+        raise UsageError("expected --A, --B and --period together, or none of them")
+    for option in ("period", "input", "disturbance"):
+        value = getattr(args, option)
+        if value is not None and not value > 0:
+            raise UsageError(f"--{option}: got {value:g}, expected more than 0")
+    example = args.A is None
+    A, B = _matrix("--A", args.A or EXAMPLE[0]), _matrix("--B", args.B or EXAMPLE[1])
+    period = args.period or EXAMPLE[2]
+    if len(A) != len(A[0]) or len(A) != len(B):
+        raise UsageError(
+            f"--A, --B: got {len(A)} x {len(A[0])} and {len(B)} x {len(B[0])}, expected n x n and "
+            "n x m"
+        )
+    if args.continuous or example:
+        A, B = sampled(A, B, period)
+    text = scenario_text(args.name, A, B, period, args.input, args.disturbance)
+    path = Path(args.output or f"{args.name}.toml")
+    try:
+        parse_scenario(tomllib.loads(text), str(path))
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise UsageError(f"{path}: is there already, expected a new file (--output)") from None
+    except OSError as error:
+        raise Failure(f"{path}: cannot be written: {error.strerror}") from None
+    print(f"{path}: {len(A)} states, {len(B[0])} inputs; `wyner design {path}` says what it gives")
+    return DONE
+
+
+def _matrix(option: str, text: str) -> list[list[float]]:
+    try:
+        rows = json.loads(text)
+        matrix = [[float(v) for v in row] for row in rows]
+        if not matrix or not matrix[0] or len({len(row) for row in matrix}) != 1:
+            raise ValueError
+    except (TypeError, ValueError):
+        raise UsageError(
+            f"{option}: got {text!r}, expected rows of one length, such as [[1, 0.1], [0, 1]]"
+        ) from None
+    return matrix
+
+
+def sampled(
+    A: list[list[float]], B: list[list[float]], period_s: float
+) -> tuple[list[list[float]], list[list[float]]]:
+    """Zero-order hold of dx/dt = A x + B u: the exponential of [[A, B], [0, 0]] over a period."""
+    import numpy as np
+    from scipy.linalg import expm
+
+    n, m = len(A), len(B[0])
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = A, B
+    step = expm(block * period_s)
+    return step[:n, :n].tolist(), step[:n, n:].tolist()
+
+
+def scenario_text(
+    name: str,
+    A: list[list[float]],
+    B: list[list[float]],
+    period_s: float,
+    bound: float,
+    disturbance: float | None,
+) -> str:
+    """The file, each field with a line that says why."""
+    n, m = len(A), len(B[0])
+    moved = [bound * sum(abs(b) for b in row) for row in B]
+    widths = [disturbance or SHARE * (step or max(moved) or bound) for step in moved]
+    values: dict[str, Any] = {
+        "name": name,
+        "A": _rows(A),
+        "B": _rows(B),
+        "period_s": f"{period_s:g}",
+        "start": _list([0.0] * n),
+        "D": _list(widths),
+        "D_c": _list([WIDER * w for w in widths]),
+        "horizon": HORIZONS.get(n, HORIZON),
+        "next_state": _list([1.0] * n),
+        "input": _list([1.0] * m),
+        "U": _list([bound] * m),
+    }
+    return TEMPLATE.format(**values)
+
+
+def _list(values: list[float]) -> str:
+    return "[" + ", ".join(f"{float(f'{v:.6g}')!r}" for v in values) + "]"
+
+
+def _rows(matrix: list[list[float]]) -> str:
+    return (
+        "[" + ", ".join("[" + ", ".join(repr(float(v)) for v in row) + "]" for row in matrix) + "]"
+    )
+
+
+TEMPLATE: Final = """\
+# {name}: a scenario of wyner. docs/scenario-reference.md has every field.
+#   wyner design {name}.toml     its sets, its rate, and why it is what it is
+#   wyner up --scenario {name}.toml --pace x10
+name = "{name}"
+description = ""
+
+[plant]                          # x+ = A x + B u + d, every period_s seconds
+A = {A}
+B = {B}
+period_s = {period_s}
+initial_state = {start}
+
+[plant.disturbance]              # D, what the simulated plant suffers, in units of the state
+kind = "uniform"                 # or corners, truncated-gaussian, gaussian, constant, sinusoid
+half_widths = {D}
+
+[defender.disturbance]           # D_c contains D; both ends know it, she does not
+half_widths = {D_c}
+
+[control]
+law = "sustained"                # or paper (quiet inside T_0), packed (predictions kept apart)
+horizon = {horizon}              # sets T_1 to T_N: more states to start from, more time to compute
+
+[control.regulator]              # weights of u = K x near the origin; a larger input weight makes
+next_state = {next_state}        # a softer K, a wider T_0, and more room between the candidates
+input = {input}
+
+[control.inputs]                 # U: no input leaves it
+half_widths = {U}
+
+[[control.costs]]                # candidate 0 goes home fast
+next_state = 1.0
+input = 0.0
+
+[[control.costs]]                # candidate 1 spares the input
+next_state = 0.0
+input = 1.0
+
+[secrecy]
+alpha = 8.0                      # D_e = alpha D_c, the set that she is said to know
+"""

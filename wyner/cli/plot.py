@@ -1,0 +1,170 @@
+"""``wyner plot``: a figure from any sweep's rows."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from protocol.runtime.process import DONE, Failure, UsageError, needs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Row = dict[str, Any]
+
+RATE: Final = "bits_per_second"
+SIZE: Final = (6.4, 4.2)
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "plot",
+        help="draw a sweep's rows: rates, or what an eavesdropper got",
+        description="Draw the rows of FILE, a sweep's CSV file or its -rates.csv, with 95 % "
+        "intervals. What does not stand on the axes makes a curve each.",
+    )
+    parser.add_argument("file", metavar="FILE.csv")
+    parser.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
+    parser.add_argument(
+        "--y",
+        metavar="COLUMN",
+        action="append",
+        help=f"default: {RATE}; or 'NAME keys right', 'NAME messages read' (repeatable)",
+    )
+    parser.add_argument("--log", action="store_true", help="a logarithmic x axis")
+    parser.add_argument("--output", metavar="F", help="F.png, F.pdf or F.svg (default: FILE.png)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, choose the columns, draw."""
+    path = Path(args.file)
+    rows, fields = ready(path)
+    x = args.x or _longest(rows, fields)
+    ys: list[str] = args.y or [RATE]
+    for option, name in (("--x", x), *(("--y", y) for y in ys)):
+        if name not in rows[0]:
+            known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
+            raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
+    output = args.output or str(path.with_suffix(".png"))
+
+    def draw(figure: "Figure") -> str:
+        return draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
+
+    print(drawn_to("--output", output, SIZE, draw))
+    return DONE
+
+
+def ready(path: Path) -> tuple[list[Row], list[str]]:
+    """The rows with rates and intervals of a sweep's file, and the fields of its grid."""
+    from wyner.studies.grid import SweepError
+    from wyner.studies.results import fields_in, read_rows, read_table, ready_rows, summarise
+
+    try:
+        rows = read_table(path)
+        if "runs_by_symbols" in rows[0]:
+            rows = read_rows(path)
+            fields = fields_in(rows)
+            return ready_rows(summarise(rows), fields), fields
+    except SweepError as error:
+        raise UsageError(error.problems) from None
+    names = list(rows[0])
+    if "runs" not in names or RATE not in names:
+        raise UsageError(f"{path}: expected the rows of `wyner sweep`, or its -rates.csv")
+    return rows, names[names.index("variant") + 1 : names.index("runs")]
+
+
+def _longest(rows: Sequence[Row], fields: Sequence[str]) -> str:
+    """The field with the most different numbers."""
+    if not fields:
+        raise UsageError("--x: the sweep has no grid, expected a column")
+
+    def numbers(name: str) -> int:
+        values = {_number(row[name]) for row in rows}
+        return 0 if None in values else len(values)
+
+    return max(fields, key=numbers)
+
+
+def _number(value: object) -> float | None:
+    try:
+        return float(str(value))
+    except ValueError:
+        return None
+
+
+def draw_rows(
+    figure: "Figure",
+    rows: Sequence[Row],
+    fields: Sequence[str],
+    x: str,
+    ys: Sequence[str],
+    *,
+    logarithmic: bool,
+) -> str:
+    """A curve for each column and each setting of the other fields; returns the note."""
+    from wyner.studies.figures.style import COLOURS, MARKERS
+
+    others = [name for name in ("scenario", "variant", *fields) if name != x]
+    told = [name for name in others if len({row[name] for row in rows}) > 1]
+    axes = figure.subplots()
+    curves: dict[str, list[tuple[float, float, float, float]]] = {}
+    for row in rows:
+        at = _number(row[x])
+        if at is None:
+            raise UsageError(f"--x: {x}: got {row[x]!r}, expected numbers")
+        setting = ", ".join(f"{row[name]}" for name in told)
+        for y in ys:
+            value = _number(row[y])
+            if value is None:  # nothing was agreed or delivered there
+                continue
+            low = _number(row.get(f"{y}_low", row.get(f"{y} low", value)))
+            high = _number(row.get(f"{y}_high", row.get(f"{y} high", value)))
+            label = " / ".join(part for part in (y if len(ys) > 1 else "", setting) if part)
+            ends = (value if low is None else low, value if high is None else high)
+            curves.setdefault(label, []).append((at, value, *ends))
+    for place, (label, points) in enumerate(curves.items()):
+        points.sort()
+        columns = [list(column) for column in zip(*points, strict=True)]
+        colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+        axes.fill_between(columns[0], columns[2], columns[3], color=colour, alpha=0.18, lw=0)
+        axes.plot(columns[0], columns[1], color=colour, marker=marker, lw=1, label=label or None)
+    if any(curves):
+        axes.legend()
+    if logarithmic:
+        axes.set_xscale("log")
+    axes.set_xlabel(x)
+    axes.set_ylabel(ys[0].replace("bits_per_second", "bit/s") if len(ys) == 1 else "share")
+    axes.set_ylim(bottom=0)
+    runs = sorted({int(row["runs"]) for row in rows})
+    shown = str(runs[0]) if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
+    return f"{shown} runs of {rows[0]['steps']} steps a point; bands: 95 % intervals"
+
+
+def drawn_to(
+    option: str, text: str, size: tuple[float, float], draw: "Callable[[Figure], str]"
+) -> Path:
+    """Draw a figure into the file that an option names.
+
+    Raises
+    ------
+    UsageError
+        When matplotlib is missing, or the file's kind is none that can be drawn.
+    Failure
+        When the file cannot be written.
+    """
+    try:
+        from wyner.studies.figures.style import KINDS, drawing, save
+    except ImportError:
+        raise UsageError(needs(option, "matplotlib")) from None
+    path = Path(text)
+    if path.suffix not in KINDS:
+        raise UsageError(f"{option}: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
+    with drawing(size) as figure:
+        figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
+        try:
+            save(figure, path)
+        except OSError as error:
+            raise Failure(f"{path}: cannot be written: {error.strerror}") from None
+    return path

@@ -1,0 +1,172 @@
+"""Why a link has the rate it has: what became of the tested steps, and what would change it."""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from controller_service.laws.base import CandidateLaw
+    from protocol.scenario import Scenario
+
+RUNS: Final = 16
+STEPS: Final = 250
+SEED: Final = 1
+
+SETTLED: Final = 50
+"""Steps at the start of each run that are left out: the way to the target set is another loop."""
+
+EQUAL: Final = 1e-3
+"""Candidates whose predictions are no further apart than this, in D_c's gauge, are one."""
+
+APART: Final = 2.0
+"""Distance of two predictions, in D_c's gauge, from which no state lies in D_c around both."""
+
+OFTEN: Final = 0.5
+"""Share of the steps from which a reason is worth a remedy."""
+
+FULL: Final = 0.9
+"""Agreement above which nothing is to be explained."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """What became of the steps of a short simulation, as shares of all after the first `SETTLED`.
+
+    Parameters
+    ----------
+    agreed, several, none, beyond : float
+        One candidate explains the state; several do; none does; one does, but a D_e does not hold
+        the state. They add up to 1.
+    equal : float
+        Share of the steps in which the closest two predictions are one.
+    distance : float
+        Median distance of the closest two predictions, in D_c's gauge; from 2 on a key is certain.
+    saturated : float
+        Share of the steps in which an input of a candidate is at a bound of U.
+    remedies : tuple of str
+        What to change, the most promising first.
+    """
+
+    agreed: float
+    several: float
+    none: float
+    beyond: float
+    equal: float
+    distance: float
+    saturated: float
+    remedies: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """One object for machines."""
+        return asdict(self)
+
+    def lines(self) -> list[str]:
+        """For people."""
+        told = [
+            f"of 100 steps {100 * self.agreed:.0f} could agree a key; in {100 * self.several:.0f} "
+            f"several inputs explain the state, in {100 * self.none:.0f} none does, in "
+            f"{100 * self.beyond:.0f} it is outside a D_e",
+            f"the two closest predictions are {self.distance:.2g} half-widths of D_c apart "
+            f"(median; from {APART:g} on each step agrees), and one and the same in "
+            f"{100 * self.equal:.0f} of 100 steps",
+        ]
+        return told + [f"to raise the rate: {remedy}" for remedy in self.remedies]
+
+
+def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
+    """Simulate `RUNS` runs and count.
+
+    Raises
+    ------
+    wyner.simulate.engine.SimulationError
+        When a run leaves the sets.
+    """
+    from wyner.simulate.engine import simulate_runs
+
+    runs = simulate_runs(
+        scenario, law, seed=SEED, runs=range(RUNS), steps=SETTLED + STEPS, record=True
+    )
+    assert runs.candidates is not None
+    assert runs.gauges is not None
+    gauges = runs.gauges[SETTLED:]
+    inside = (gauges <= 1).sum(axis=1)
+    held = gauges.max(axis=1) <= scenario.secrecy.alpha
+    one = inside == 1
+    U, bound = (np.array(v) for v in scenario.control.inputs.rows())
+    candidates = runs.candidates[SETTLED:]
+    reach = np.einsum("rm,kjmn->kjrn", U, candidates)
+    at_bound = (reach >= bound[None, None, :, None] * (1 - 1e-6)).any(axis=(1, 2))
+    apart = closest_predictions(scenario, candidates)
+    found = {
+        "agreed": float((one & held).mean()),
+        "several": float((inside > 1).mean()),
+        "none": float((inside == 0).mean()),
+        "beyond": float((one & ~held).mean()),
+        "equal": float((apart <= EQUAL).mean()),
+        "distance": float(np.median(apart)),
+        "saturated": float(at_bound.mean()),
+    }
+    return Why(**found, remedies=tuple(_remedies(scenario, found)))
+
+
+def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
+    """Distance of the two closest predictions in D_c's gauge, shape (steps, R).
+
+    Parameters
+    ----------
+    scenario : Scenario
+    candidates : array, shape (steps, M, m, R)
+    """
+    B = np.array(scenario.B)
+    H, h = (np.array(v) for v in scenario.defender.disturbance.rows())
+    rows = H / h[:, None]
+    at = np.einsum("nm,kjmr->kjnr", B, candidates)
+    best = np.full((len(candidates), candidates.shape[-1]), np.inf)
+    M = candidates.shape[1]
+    for i in range(M):
+        for j in range(i):
+            far = np.einsum("hn,knr->khr", rows, at[:, i] - at[:, j]).max(axis=1)
+            back = np.einsum("hn,knr->khr", rows, at[:, j] - at[:, i]).max(axis=1)
+            best = np.minimum(best, np.maximum(far, back))
+    return best
+
+
+def _remedies(scenario: "Scenario", found: dict[str, float]) -> list[str]:
+    control, remedies = scenario.control, []
+    if found["agreed"] >= FULL:
+        return []
+    if found["equal"] >= OFTEN and control.law == "paper":
+        remedies.append(
+            'control.law = "sustained": inside T_0 the law paper applies u = K x in both programs, '
+            "so that the candidates are one"
+        )
+    elif found["equal"] >= OFTEN:
+        remedies.append(
+            "a larger target set: smaller control.regulator.next_state or larger "
+            "control.regulator.input make a softer K and a wider T_0, in which the candidates can "
+            "lie apart"
+        )
+    if found["several"] >= OFTEN:
+        if control.law != "packed":
+            remedies.append(
+                'control.law = "packed": it keeps the predictions apart by as much as you say'
+            )
+        if found["saturated"] >= OFTEN:
+            remedies.append(
+                "wider control.inputs: the candidates are at their bounds in "
+                f"{100 * found['saturated']:.0f} of 100 steps"
+            )
+    if found["several"] >= OFTEN > found["equal"]:
+        remedies.append(
+            "a smaller defender.disturbance, if the plant's own allows it: predictions that lie "
+            f"{found['distance']:.2g} half-widths of D_c apart now would lie further"
+        )
+    if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
+        remedies.append("a larger secrecy.alpha, if she really knows so little")
+    if found["none"] > 1 - FULL:
+        remedies.append("a larger defender.disturbance: the state leaves every D_c")
+    return remedies
