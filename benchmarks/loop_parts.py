@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from protocol.messages import Message
     from protocol.runtime.host import Files
     from protocol.scenario import Scenario
+    from protocol.secret.tasks import Task
 
 T = TypeVar("T")
 
@@ -110,6 +111,10 @@ class TimedPorts:
     def publish(self, kind: "type[Message]", payload: bytes) -> None:
         """Leave it for the partner."""
         self._partner.append(Outgoing(kind, payload))
+
+    def keep(self, task: "Task") -> None:
+        """Hand it to the keeper's thread."""
+        raise AssertionError(f"this scenario makes no keys: {task}")
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from controller_service.telemetry import Messages, Phase, Telemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
+from protocol.link.key_events import key_events, key_notices
 from protocol.link.sender import Sender, SenderEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
@@ -24,6 +25,7 @@ from protocol.messages import (
 )
 from protocol.runtime.process import USAGE, spoken
 from protocol.schemes.framing import MAX_PAYLOAD
+from protocol.secret.tasks import Done
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""
@@ -94,7 +96,9 @@ class ControllerEndpoint:
         if self._message is not None and self._messages.queued_as(INITIAL_ID) is None:
             message = self._message
             self._later.append(lambda: self._queue(INITIAL_ID, message))
-        self._later.append(lambda: Actions(publish=(self._greeting(),)))
+        self._later.append(
+            lambda: Actions(publish=(self._greeting(),), keys=self.sender.keying.tasks())
+        )
         return self.settle()
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
@@ -165,9 +169,30 @@ class ControllerEndpoint:
         return Actions(write=Append(payload, offer), publish=(Outgoing(Offer, offer),), settle=True)
 
     def _settle(self) -> Actions:
-        effects = self.sender.settle()
+        sender = self.sender
+        effects = sender.settle()
         actions = self._actions(effects)
-        return actions if effects.save else actions._replace(write=Keep(self.sender.record, True))
+        write = Keep(
+            sender.record,
+            later=not effects.save,
+            raw=effects.raw,
+            settled=sender.keying.settled(),
+        )
+        actions = actions._replace(write=write, keys=sender.keying.tasks(effects.judged))
+        if any(judgement.what == "unequal" for judgement in effects.judged):
+            self._later.append(self._unequal)
+        return actions
+
+    def _unequal(self) -> Actions:
+        effects = self.sender.unequal()
+        return self._actions(effects, SessionBegan(None, effects.refusal))
+
+    def kept(self, done: Done, now: float) -> Actions:
+        """The keeper of keys has done a task."""
+        self._now = now
+        keying = self.sender.keying
+        tasks = keying.done(done)
+        return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
     def _actions(self, effects: SenderEffects, *events: Event) -> Actions:
         """What the sender asks for, beside the step itself."""

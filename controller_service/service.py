@@ -15,9 +15,15 @@ from protocol.runtime.bus import Bus
 from protocol.runtime.host import Files, Host
 from protocol.runtime.journal import ControllerJournal, JournalError
 from protocol.runtime.process import UsageError, logger, new_id, spoken
-from protocol.runtime.run_folder import CONTROLLER_JOURNAL, CONTROLLER_STATUS, CONTROLLER_TRACE
+from protocol.runtime.run_folder import (
+    CONTROLLER_JOURNAL,
+    CONTROLLER_KEYS,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+)
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
+from protocol.secret.opening import open_keeper
 from protocol.streams import CIPHER, symbols
 
 
@@ -26,7 +32,8 @@ class ControllerConfig:
     """What the controller service is started with.
 
     ``message`` is queued once in a journal's life, however often the service is started with it;
-    ``seed`` is for experiments only.
+    ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
+    are signed.
     """
 
     scenario: Scenario
@@ -35,6 +42,7 @@ class ControllerConfig:
     loop: str
     message: bytes | None = None
     seed: int | None = None
+    secret: Path | None = None
 
 
 class ControllerService:
@@ -69,6 +77,10 @@ class ControllerService:
         try:
             journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
             record, step = journal.load(), journal.step()
+            raws = journal.raws(None if record is None else record.session)
+            keeper = open_keeper(
+                config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed, config.secret
+            )
         except JournalError as error:
             raise UsageError(str(error)) from None
         self.trace = TraceWriter(
@@ -76,7 +88,9 @@ class ControllerService:
         )
         rules = rules_of(scenario)
         fresh = symbols(config.seed, CIPHER)
-        self.sender = Sender(rules, config.law.candidates, journal, fresh, new_id(), record, step)
+        self.sender = Sender(
+            rules, config.law.candidates, journal, fresh, new_id(), record, step, raws
+        )
         self.endpoint = ControllerEndpoint(
             self.sender,
             journal,
@@ -85,7 +99,7 @@ class ControllerService:
             telemetry=Telemetry(scenario.name, config.law, seeded=seeded),
         )
         self._host = Host(field, ops, stopping, clock)
-        files = Files(journal, self.trace, config.run_dir / CONTROLLER_STATUS)
+        files = Files(journal, self.trace, config.run_dir / CONTROLLER_STATUS, keeper)
         self._host.add(config.loop, self.endpoint, files, log)
         if seeded:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)

@@ -10,8 +10,9 @@ from plant_service.plant import Move, Step
 from plant_service.status import News
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
+from protocol.link.key_events import key_events, key_notices
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
-from protocol.link.receiver import Receiver
+from protocol.link.receiver import Receiver, ReceiverEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
     ControllerHello,
@@ -23,6 +24,7 @@ from protocol.messages import (
 )
 from protocol.runtime.process import DONE, USAGE, spoken
 from protocol.schemes.framing import Frame
+from protocol.secret.tasks import Done
 from protocol.text import readable
 
 HELLO_S: Final = 0.1
@@ -129,6 +131,7 @@ class PlantEndpoint:
         return Actions(
             events=(SessionBegan(record.session, reason),),
             write=Keep(record) if self._fresh else None,
+            keys=self.plant.receiver.keying.tasks(),
             settle=self._uncounted is not None,
         )
 
@@ -204,8 +207,42 @@ class PlantEndpoint:
         effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
         applied = Applied(effects.transition, step.coin, step.u)
         if frame is None:
-            return Actions((applied,), Keep(record, later=not effects.chunk, chunk=effects.chunk))
-        return self._frame_ended(applied, effects.chunk, frame)
+            write = Keep(record, later=not effects.chunk, chunk=effects.chunk)
+            actions = Actions((applied,), write)
+        else:
+            actions = self._frame_ended(applied, effects.chunk, frame)
+        if not self.plant.receiver.keying.on:
+            return actions
+        return self._keyed(actions, effects)
+
+    def _keyed(self, actions: Actions, effects: ReceiverEffects) -> Actions:
+        """Add what the transition means for keys."""
+        receiver = self.plant.receiver
+        keying = receiver.keying
+        tasks = keying.tasks(effects.judged)
+        if all(judgement.what != "unequal" for judgement in effects.judged):
+            assert isinstance(actions.write, Keep)
+            write = actions.write._replace(raw=effects.raw, settled=keying.settled())
+            return actions._replace(write=write, keys=tasks)
+        receiver.end_session(self._new_id())
+        self._phase("greeting")
+        record = receiver.record
+        text = "a key block differs from the controller's"
+        assert isinstance(actions.write, Keep)
+        return actions._replace(
+            events=(*actions.events, SessionBegan(record.session, text)),
+            write=actions.write._replace(record=record, later=False, chunk="", drop_chunks=True),
+            publish=(*actions.publish, self._hello()),
+            notices=(*actions.notices, Notice(f"{text}; new session {record.session}", "error")),
+            keys=tasks,
+        )
+
+    def kept(self, done: Done, now: float) -> Actions:
+        """The keeper of keys has done a task."""
+        self._now = now
+        keying = self.plant.receiver.keying
+        tasks = keying.done(done)
+        return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
     def stop(self, now: float) -> Actions:
         """The last status."""
@@ -246,10 +283,12 @@ class PlantEndpoint:
         if what != "current" or pacing.waiting:
             return NOTHING_TO_DO
         self._uncounted = move = self.plant.move(offer)
-        report = receiver.moved(move.x_next).wire()
+        report = receiver.moved(offer, move.x_next).wire()
         pacing.applied()
         self._moved = True
         due = receiver.accepted and pacing.measurement_due(now)
+        if due:
+            receiver.reported()
         return Actions(
             write=Append(payload, report, move.coin),
             publish=(Outgoing(Measurement, report),) if due else (),
@@ -281,7 +320,8 @@ class PlantEndpoint:
         record = self.plant.receiver.record
         self._moved = True
         missed = Missed(record.session, step.k, step.x, step.u, step.x_next)
-        return Actions(events=(missed,), write=Keep(record))
+        settled = self.plant.receiver.keying.settled()
+        return Actions(events=(missed,), write=Keep(record, settled=settled))
 
     def _last_word(self, now: float) -> Actions:
         """Report the last transition until the controller has answered, or a second has passed."""

@@ -10,6 +10,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.receiver import ReceiverRecord
 from protocol.runtime.journal import ReceiverStep
 from protocol.scenario import Scenario
+from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
 
 
@@ -24,6 +25,9 @@ class PlantDisk(Protocol):
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record."""
+
+    def raws(self, session: str | None) -> list[Raw]:
+        """Rows of the session's key blocks that are not settled."""
 
 
 def plant_endpoint(
@@ -45,7 +49,16 @@ def plant_endpoint(
     record, step = journal.load(), journal.step()
     first = record or first_record(scenario, new_id())
     return PlantEndpoint(
-        Plant(scenario, new_id(), coin, noise, first, journal.chunks()),
+        Plant(
+            scenario,
+            new_id(),
+            coin,
+            noise,
+            first,
+            journal.chunks(),
+            journal.raws(first.session),
+            None if step is None else step.measurement,
+        ),
         Pacing(step_s, scenario.link.repeats_per_period, now),
         new_id,
         now,

@@ -4,6 +4,7 @@ Time, files and networks are the shell's (:mod:`plant_service.service`); the sin
 simulation drives the same class.
 """
 
+from collections.abc import Iterable
 from math import isfinite
 from operator import add
 from typing import NamedTuple
@@ -13,9 +14,10 @@ from protocol.agreement import predict
 from protocol.link.fallback import Fallback
 from protocol.link.receiver import Receiver, ReceiverEffects, ReceiverRecord
 from protocol.link.session import rules_of
-from protocol.messages import Offer
+from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure
 from protocol.scenario import Scenario
+from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 
@@ -72,6 +74,10 @@ class Plant:
         As read back from the journal, or a new session's.
     chunks : str
         Symbols of the frame under way that have left the record.
+    raws : iterable of Raw
+        Rows of key blocks that are not settled.
+    said : Measurement, optional
+        Of a step that is to be counted first.
     """
 
     def __init__(
@@ -82,8 +88,10 @@ class Plant:
         noise: Stream,
         record: ReceiverRecord,
         chunks: str,
+        raws: Iterable[Raw] = (),
+        said: Measurement | None = None,
     ) -> None:
-        self.receiver = Receiver(rules_of(scenario), instance, record, chunks)
+        self.receiver = Receiver(rules_of(scenario), instance, record, chunks, raws, said)
         self._plant = scenario.plant
         self._model = scenario.plant_model
         self._fallback = Fallback.of(scenario)

@@ -12,9 +12,10 @@ from protocol.runtime.bus import Bus
 from protocol.runtime.host import Files, Host
 from protocol.runtime.journal import JournalError, PlantJournal
 from protocol.runtime.process import Pace, UsageError, logger, new_id, spoken
-from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
+from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_KEYS, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
+from protocol.secret.opening import open_keeper
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
 
@@ -23,7 +24,8 @@ from protocol.text import readable
 class PlantConfig:
     """What the plant service is started with.
 
-    ``steps`` ends it when k reaches that number; ``seed`` is for experiments only.
+    ``steps`` ends it when k reaches that number; ``seed`` is for experiments only;
+    ``secret`` is a file that both ends share, by which key blocks are signed.
     """
 
     scenario: Scenario
@@ -32,6 +34,7 @@ class PlantConfig:
     pace: Pace
     steps: int | None = None
     seed: int | None = None
+    secret: Path | None = None
 
 
 class PlantService:
@@ -66,6 +69,9 @@ class PlantService:
         try:
             journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
             news = News(scenario, config.pace.text, seeded=seeded)
+            keeper = open_keeper(
+                config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
+            )
             for payload in journal.inbox(1):
                 news.last_message = readable(payload)
             self.endpoint = plant_endpoint(
@@ -83,7 +89,7 @@ class PlantService:
             raise UsageError(str(error)) from None
         self.trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
         self._host = Host(field, ops, stopping, clock)
-        files = Files(journal, self.trace, config.run_dir / PLANT_STATUS)
+        files = Files(journal, self.trace, config.run_dir / PLANT_STATUS, keeper)
         self._host.add(config.loop, self.endpoint, files, log)
         record = self.endpoint.plant.receiver.record
         if seeded:

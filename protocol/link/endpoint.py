@@ -12,6 +12,8 @@ from protocol.link.events import Event
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Message
+from protocol.secret.nonces import Raw
+from protocol.secret.tasks import Done, Task
 
 
 class Append(NamedTuple):
@@ -32,7 +34,9 @@ class Keep(NamedTuple):
     ``later``: the next :class:`Append` takes it along; until then nothing is lost, for it can be
     counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
     ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
-    ``queued`` is a message for the controller's queue, after its identifier.
+    ``queued`` is a message for the controller's queue, after its identifier. ``raw`` is the row of
+    a transition for its key block, ``settled`` names transitions whose rows may go; rows of another
+    session than the record's go anyway.
     """
 
     record: SenderRecord | ReceiverRecord
@@ -41,6 +45,8 @@ class Keep(NamedTuple):
     drop_chunks: bool = False
     received: bytes | None = None
     queued: tuple[str, bytes] | None = None
+    raw: Raw | None = None
+    settled: tuple[range, ...] = ()
 
 
 Write = Append | Keep
@@ -69,7 +75,8 @@ class Actions(NamedTuple):
     """What a shell must do after an endpoint heard something or woke.
 
     ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
-    them, once more. ``health`` is the status to be left in the run's folder. ``settle`` asks for
+    them, once more. ``keys`` are tasks for the keeper of keys, which may take its time.
+    ``health`` is the status to be left in the run's folder. ``settle`` asks for
     :meth:`Endpoint.settle`, once everything else is done.
     """
 
@@ -79,6 +86,7 @@ class Actions(NamedTuple):
     notices: tuple[Notice, ...] = ()
     health: bytes = b""
     settle: bool = False
+    keys: tuple[Task, ...] = ()
 
 
 NOTHING_TO_DO: Final = Actions()
@@ -110,6 +118,9 @@ class Endpoint(Protocol):
 
     def settle(self) -> Actions:
         """What can wait until the message is on its way, while the partner works on it."""
+
+    def kept(self, done: Done, now: float) -> Actions:
+        """The keeper of keys has done one of its tasks."""
 
     def stop(self, now: float) -> Actions:
         """The last word."""

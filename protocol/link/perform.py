@@ -7,6 +7,7 @@ traced, and then saved with the next step. So a process may die between any two 
 - before the step is saved: nothing was sent, and deciding again does no harm;
 - before it is published: the journal has it, and the same bytes go out when it is asked again;
 - before it is counted or traced: it is counted, and traced, when the journal is read again;
+- before a task is handed to the keeper of keys: its rows are in the journal, and it is asked again;
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
@@ -20,6 +21,7 @@ from typing import Final, Literal, Protocol
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message
+from protocol.secret.tasks import Task
 
 give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", lambda: None)
 """Let other threads have the processor. Called after a put, before work that can wait: otherwise
@@ -38,6 +40,9 @@ class Ports(Protocol):
     def trace(self, event: Event) -> None:
         """Write it down for whoever checks the run."""
 
+    def keep(self, task: Task) -> None:
+        """Hand it to the keeper of keys, without waiting for it."""
+
     def tell(self, notice: Notice) -> None:
         """Log it."""
 
@@ -54,6 +59,8 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
             ports.write(actions.write)
         for kind, payload in actions.publish:
             ports.publish(kind, payload)
+        for task in actions.keys:
+            ports.keep(task)
         for notice in actions.notices:
             if notice.event is not None:
                 ports.trace(notice.event)
@@ -67,7 +74,7 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
         actions = endpoint.settle()
 
 
-CrashPoint = Literal["writing", "publishing", "tracing"]
+CrashPoint = Literal["writing", "publishing", "tracing", "keeping"]
 """Before what a process dies."""
 
 
@@ -116,6 +123,11 @@ class Mortal:
         """Die, or trace."""
         self._passes("tracing")
         self._ports.trace(event)
+
+    def keep(self, task: Task) -> None:
+        """Die, or hand it over."""
+        self._passes("keeping")
+        self._ports.keep(task)
 
     def tell(self, notice: Notice) -> None:
         """Log it: nobody's fate hangs on that."""

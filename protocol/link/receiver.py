@@ -1,13 +1,17 @@
 """The plant's end of the link, sans I/O; its rules are those of :mod:`protocol.link.session`."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.keying import Keying
 from protocol.link.session import Rules, Transition
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
+from protocol.secret.blocks import Judgement
+from protocol.secret.nonces import Copy, NonceSource, Raw, fresh_nonce
 from protocol.vectors import Vector
 
 CHUNK: Final = 64
@@ -27,7 +31,8 @@ class ReceiverRecord(NamedTuple):
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
     the frame under way, :func:`hex_digits` of each. Counters run over all sessions but
     ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
-    asked last to take the session up.
+    asked last to take the session up. ``nonce`` belongs to copy 0 of Measurement(k); the three
+    fields behind it are those of that message.
     """
 
     session: str
@@ -47,6 +52,10 @@ class ReceiverRecord(NamedTuple):
     messages: int = 0
     frames_refused: int = 0
     controller: str = ""
+    nonce: str = ""
+    applied_copy: Copy = 0
+    block: int = -1
+    tag: str = ""
 
     @property
     def s(self) -> int:
@@ -58,12 +67,15 @@ class ReceiverEffects(NamedTuple):
     """What the plant's shell must save and trace after a transition.
 
     ``chunk`` has symbols of the frame under way that leave the record for the journal's own table;
-    ``frame`` is a frame that ended, whose symbols the journal may drop.
+    ``frame`` is a frame that ended, whose symbols the journal may drop. ``raw`` is what the
+    transition contributes to its key block, ``judged`` what the offer's word says of blocks.
     """
 
     transition: Transition
     chunk: str = ""
     frame: Frame | None = None
+    raw: Raw | None = None
+    judged: tuple[Judgement, ...] = ()
 
 
 @dataclass(slots=True)
@@ -86,10 +98,22 @@ class Receiver:
         As read back from the journal, or a new session's.
     chunks : str
         Symbols of the frame under way that have left the record, as read back.
+    raws : iterable of Raw
+        Rows of key blocks that are not settled, as read back.
+    said : Measurement, optional
+        What was said after that record, as read back: its transition is to be counted first.
+    fresh : NonceSource
     """
 
     def __init__(
-        self, rules: Rules, instance: str, record: ReceiverRecord, chunks: str = ""
+        self,
+        rules: Rules,
+        instance: str,
+        record: ReceiverRecord,
+        chunks: str = "",
+        raws: Iterable[Raw] = (),
+        said: Measurement | None = None,
+        fresh: NonceSource = fresh_nonce,
     ) -> None:
         self.rules = rules
         self.instance = instance
@@ -103,6 +127,12 @@ class Receiver:
         self._anyone = not record.transitions
         self._known = record.transitions > 0 or record.sessions > 1
         self._refused = False
+        self.keying = Keying(rules.schedule, fresh)
+        self._report = said
+        self._left = True  # copy 0 of the newest measurement may have left
+        word = said or record
+        self.keying.begin(record.session, word.block, word.tag, raws)
+        self.record = self.record._replace(tag=record.tag or self.keying.no_tag)
 
     @property
     def accepted(self) -> bool:
@@ -185,29 +215,53 @@ class Receiver:
         return "greet"
 
     def measurement(self) -> Measurement:
-        """Measurement(k): the state, the last applied offer and what came right after it."""
+        """Measurement(k): the state, the last applied offer and what came right after it.
+
+        The first one of a step is its copy 0 and must leave; each one after it is another copy.
+        """
         record = self.record
+        again = self._left and self.keying.on
+        self._left = True
         return Measurement(
             session=record.session,
             k=record.k,
             x=record.x,
             applied_k=record.applied_k,
             x_after=record.x_after,
+            copy_number=1 if again else 0,
+            nonce=self.keying.nonce() if again else record.nonce,
+            applied_copy=record.applied_copy,
+            block=record.block,
+            tag=record.tag,
         )
 
-    def moved(self, x_next: Vector) -> Measurement:
-        """Measurement(k + 1), once an offer has been applied and led to ``x_next``.
+    def moved(self, offer: Offer, x_next: Vector) -> Measurement:
+        """Measurement(k + 1), once ``offer`` has been applied and led to ``x_next``: its copy 0.
 
-        It can be made, and sent, before :meth:`applied` has counted the transition.
+        It can be made, and sent, before :meth:`applied` has counted the transition; if it is sent,
+        :meth:`reported` must be told. Made twice for one step it is the same.
         """
         record = self.record
-        return Measurement(
-            session=record.session,
-            k=record.k + 1,
-            x=x_next,
-            applied_k=record.k,
-            x_after=x_next,
-        )
+        made = self._report
+        if made is None or made.k != record.k + 1:
+            block, tag = self.keying.word()
+            made = self._report = Measurement(
+                session=record.session,
+                k=record.k + 1,
+                x=x_next,
+                applied_k=record.k,
+                x_after=x_next,
+                nonce=self.keying.nonce(),
+                applied_copy=offer.copy_number,
+                block=block,
+                tag=tag,
+            )
+            self._left = False
+        return made
+
+    def reported(self) -> None:
+        """What :meth:`moved` gave is on its way: whatever follows is another copy."""
+        self._left = True
 
     def check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -238,6 +292,7 @@ class Receiver:
         The key is what the test returns, as for the controller; ``coin`` is only compared with it.
         """
         record = self.record
+        report = self.moved(offer, x_next)
         self._anyone = False
         scheme = self.rules.scheme
         verdict = self.rules.agreement.verdict(record.x, offer.candidates, x_next)
@@ -257,6 +312,8 @@ class Receiver:
                 if len(partial) >= CHUNK * self._digits:
                     partial, chunk = "", partial
         p = record.p + (1 if carried else 0)
+        steps = record.k - record.applied_k
+        raw = self.keying.count(record.transitions, steps, offer, offer.copy_number, record.nonce)
         transition = Transition(
             session=record.session,
             j=record.transitions,
@@ -273,6 +330,7 @@ class Receiver:
             p=p,
             s=after[0],
             tested=scheme.tests(record.state),
+            counts=0 if raw is None else raw.counts,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -289,13 +347,32 @@ class Receiver:
             messages=record.messages + (1 if frame is not None and frame.intact else 0),
             frames_refused=record.frames_refused
             + (1 if frame is not None and not frame.intact else 0),
+            nonce=report.nonce,
+            applied_copy=report.applied_copy,
+            block=report.block,
+            tag=report.tag,
         )
-        return ReceiverEffects(transition, chunk, frame)
+        return ReceiverEffects(transition, chunk, frame, raw, self.keying.heard(offer))
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer came in time: the fallback input ``u`` was applied (rule 4)."""
         record = self.record
-        self.record = record._replace(k=record.k + 1, x=x_next, u=u, missed=record.missed + 1)
+        block, tag = self.keying.word()
+        self.record = record._replace(
+            k=record.k + 1,
+            x=x_next,
+            u=u,
+            missed=record.missed + 1,
+            nonce=self.keying.nonce(),
+            block=block,
+            tag=tag,
+        )
+        self._left = False
+
+    def end_session(self, session: str) -> None:
+        """The two ends hold different key blocks: begin anew, as ``session``."""
+        self._begin_session(session)
+        self._met.accepted = False
 
     def _begin_session(self, session: str) -> None:
         self.deframer.reset()
@@ -308,4 +385,11 @@ class Receiver:
             transitions=0,
             p=0,
             sessions=self.record.sessions + 1,
+            nonce="",  # that of this step may have left
+            applied_copy=0,
+            block=-1,
+            tag=self.keying.no_tag,
         )
+        self._left = True
+        self._report = None
+        self.keying.begin(session)

@@ -1,13 +1,16 @@
 """The controller's end of the link, sans I/O, by the rules of :mod:`protocol.link.session`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final, Literal, NamedTuple, Protocol
 
 from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.link.keying import Keying
 from protocol.link.session import Rules, Transition
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, encode_frame
+from protocol.secret.blocks import Judgement
+from protocol.secret.nonces import NonceSource, Raw, fresh_nonce
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 
@@ -38,7 +41,8 @@ class SenderRecord(NamedTuple):
     ``message_symbol`` the m[p] inside it (-1 in a cover); ``message`` and ``offset`` say where in
     which queued frame the next message symbol comes from, and ``framed`` whether the pending one
     came from there or is idle.
-    ``offer`` is the one answer that may still be applied.
+    ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
+    answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
     """
 
     session: str | None = None
@@ -56,6 +60,9 @@ class SenderRecord(NamedTuple):
     offset: int = 0
     x: Vector = ()
     offer: Offer | None = None
+    nonce: str = ""
+    block: int = -1
+    tag: str = ""
 
     @property
     def s(self) -> int:
@@ -97,7 +104,8 @@ class SenderEffects(NamedTuple):
     ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
     the record before them, and then for :meth:`Sender.settle`, once the offer is on its way.
     ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
-    session that is not this process's.
+    session that is not this process's. ``raw`` is what the transition contributes to its key block,
+    ``judged`` what the measurement's word says of blocks.
     """
 
     save: bool = False
@@ -108,6 +116,8 @@ class SenderEffects(NamedTuple):
     reply: ControllerHello | None = None
     refusal: str = ""
     greet: bool = False
+    raw: Raw | None = None
+    judged: tuple[Judgement, ...] = ()
 
 
 NOTHING: Final = SenderEffects()
@@ -130,6 +140,9 @@ class Sender:
         As read back from the journal.
     step : tuple of Measurement and Offer, optional
         What was heard and said after that record, as read back: to be settled first.
+    raws : iterable of Raw
+        Rows of key blocks that are not settled, as read back.
+    nonces : NonceSource
     """
 
     def __init__(
@@ -141,6 +154,8 @@ class Sender:
         instance: str,
         record: SenderRecord | None = None,
         step: tuple[Measurement, Offer] | None = None,
+        raws: Iterable[Raw] = (),
+        nonces: NonceSource = fresh_nonce,
     ) -> None:
         self.rules = rules
         record = record or SenderRecord()
@@ -154,6 +169,10 @@ class Sender:
         self._refused = False
         self._stale = 0
         self._frame: tuple[int, bytes] = (-1, b"")
+        self.keying = Keying(rules.schedule, nonces)
+        if self.record.session is not None:
+            word = self.record if step is None else step[1]
+            self.keying.begin(self.record.session, word.block, word.tag, raws)
         self._answer: Answer | None = None
         if step is not None:
             measurement, offer = step
@@ -248,7 +267,7 @@ class Sender:
         offer = record.offer
         if offer is not None and measurement.k == offer.k:
             if measurement.applied_k == record.applied_k and measurement.x == record.x:
-                return SenderEffects(offer=offer)
+                return SenderEffects(offer=self.keying.again(offer))
             return self._diverged(measurement)
         counted = None
         if measurement.applied_k != record.applied_k:
@@ -260,11 +279,16 @@ class Sender:
         except LookupError as error:
             self._answer = Answer(measurement, counted, None)
             return self.settle()._replace(save=True, refusal=str(error))
+        block, tag = self.keying.word()
         offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             cipher=record.cipher if counted is None else counted.following.cipher,
+            nonce=self.keying.nonce(),
+            heard=measurement.copy_number,
+            block=block,
+            tag=tag,
         )
         self._answer = Answer(measurement, counted, offer)
         return SenderEffects(append=True, offer=offer)
@@ -278,16 +302,27 @@ class Sender:
         """Bring the record up to the answer given: the transition it counted, if any."""
         assert self._answer is not None, "there is no answer to settle"
         (measurement, counted, offer), self._answer = self._answer, None
-        before = self.record
+        said = before = self.record
+        if offer is not None:
+            nonce = "" if measurement.copy_number else measurement.nonce
+            said = before._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+        judged = self.keying.heard(measurement)
         if counted is None:
-            self.record = before._replace(k=measurement.k, x=measurement.x, offer=offer)
-            return NOTHING
+            self.record = said._replace(k=measurement.k, x=measurement.x, offer=offer)
+            return SenderEffects(judged=judged)
         following = counted.following
         agreed, pad = counted.carry
         applied = before.offer
         assert applied is not None
         carried = pad != NO_SYMBOL
         p = before.p + (1 if carried else 0)
+        raw = self.keying.count(
+            before.transitions,
+            applied.k - before.applied_k,
+            applied,
+            measurement.applied_copy,
+            before.nonce,
+        )
         transition = Transition(
             session=applied.session,
             j=before.transitions,
@@ -304,8 +339,9 @@ class Sender:
             p=p,
             s=counted.after[0],
             tested=self.rules.scheme.tests(before.state),
+            counts=0 if raw is None else raw.counts,
         )
-        self.record = before._replace(
+        self.record = said._replace(
             state=counted.after,
             k=measurement.k,
             applied_k=applied.k,
@@ -324,6 +360,15 @@ class Sender:
             save=counted.delivered is not None,
             transition=transition,
             delivered=counted.delivered,
+            raw=raw,
+            judged=judged,
+        )
+
+    def unequal(self) -> SenderEffects:
+        """The two ends hold different key blocks: end the session."""
+        self._drop_session()
+        return SenderEffects(
+            save=True, greet=True, refusal="a key block differs from the plant's; session ended"
         )
 
     def _count(self, measurement: Measurement, decided: int | None = None) -> Counted | None:
@@ -391,6 +436,7 @@ class Sender:
         )
         first = self._decide(fresh.state, 0, fresh.message, 0)
         self.record = fresh._replace(cipher=first.cipher)
+        self.keying.begin(hello.session)
         self._plant = hello.instance
         self._stale = 0
 
@@ -410,6 +456,7 @@ class Sender:
             state=self.rules.scheme.initial,
             message=self.record.message,
         )
+        self.keying.end()
         return True
 
     def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:

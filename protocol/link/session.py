@@ -6,7 +6,7 @@ those of docs/protocol.md, numbered there and here:
 
 1. The plant owns the step counter k and repeats Measurement(k) until Offer(k) or its deadline.
 2. The controller counts a transition when a measurement first reports it, and answers the same
-   measurement with the same offer, byte for byte.
+   measurement with the same offer, byte for byte except copy_number and nonce.
 3. The cipher symbol of a transition is decided once, when the one before it is counted; it is sent
    again, unchanged, in every offer until one of them has been applied.
 4. A missed step is no transition: it is never tested and moves no automaton.
@@ -16,6 +16,12 @@ those of docs/protocol.md, numbered there and here:
    is gone or does not fit makes it end: the half-agreed key is dropped and the message starts again
    from its last whole frame.
 7. Messages are framed and queue up in order.
+8. Where keys are made, the first copy of a step's message, copy 0, carries a nonce that was saved
+   before, and leaves at most once. All others are copies 1 with a dummy; so is whatever a process
+   sends for the step it woke up in.
+9. Transition j contributes the offer's nonce if ``applied_copy`` is 0, and the nonce of the
+   measurement that the offer answers if its ``heard`` is 0.
+10. The session's first transition fixes where block 0 begins; block b is the next N_b transitions.
 
 What holds under every schedule: what the plant has recovered is a prefix of what was sent; both
 automata agree on every transition both have counted; no key symbol serves two message symbols.
@@ -28,6 +34,7 @@ from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
 from protocol.scenario import Scenario
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import make_scheme
+from protocol.secret.blocks import Schedule
 from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
@@ -48,6 +55,8 @@ class Rules:
         Compared over ops before the first step.
     inputs_gauge : Gauge
         The gauge of U, the admissible inputs.
+    schedule : Schedule, optional
+        Of key blocks; without one no keys are made.
     """
 
     agreement: AgreementRule
@@ -56,6 +65,7 @@ class Rules:
     inputs: int
     fingerprint: str
     inputs_gauge: Gauge
+    schedule: Schedule | None = None
 
     @property
     def size(self) -> int:
@@ -82,6 +92,7 @@ def rules_of(scenario: Scenario) -> Rules:
         inputs=scenario.m,
         fingerprint=scenario.fingerprint(),
         inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
+        schedule=None if scenario.keys is None else scenario.keys.schedule(),
     )
 
 
@@ -91,7 +102,8 @@ class Transition(NamedTuple):
     ``role`` is ``message`` where it carried a message symbol, else ``test``; ``symbol`` is the key
     symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
     -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
-    afterwards. ``tested`` says whether the verdict counted.
+    afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
+    1 the offer's, 2 that of the measurement it answers, 3 both.
     """
 
     session: str
@@ -109,6 +121,7 @@ class Transition(NamedTuple):
     p: int
     s: int
     tested: bool
+    counts: int = 0
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
@@ -128,4 +141,5 @@ class Transition(NamedTuple):
             "message_symbol": self.message_symbol,
             "p": self.p,
             "s": self.s,
+            "counts": self.counts,
         }

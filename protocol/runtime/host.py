@@ -25,6 +25,10 @@ from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import DONE, Complaints
 from protocol.runtime.run_folder import write_atomically
 from protocol.runtime.trace import TraceWriter
+from protocol.secret.blocks import Stored
+from protocol.secret.keeper import Keeper
+from protocol.secret.tasks import Broken, Done, Judged, Task
+from protocol.secret.worker import KeyWorker
 from protocol.topics import key_of
 
 LOOK_S: Final = 0.1
@@ -32,6 +36,9 @@ LOOK_S: Final = 0.1
 
 FIELD: Final = frozenset({Measurement, Offer})
 """What travels on the field bus; all else is on ops."""
+
+
+Heard = tuple[type[Message], bytes] | Done
 
 
 class Journal(Protocol):
@@ -51,6 +58,7 @@ class Files:
     journal: Journal
     trace: TraceWriter
     health: Path
+    keeper: Keeper | None = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -67,6 +75,7 @@ class LoopPorts:
     files: Files
     publishers: dict[type[Message], Publisher]
     log: logging.Logger
+    worker: KeyWorker | None = None
     limited: dict[str, Complaints] = field(default_factory=dict)
 
     def write(self, write: Write) -> None:
@@ -80,6 +89,11 @@ class LoopPorts:
     def trace(self, event: Event) -> None:
         """Append to the trace."""
         self.files.trace.write(event.as_event())
+
+    def keep(self, task: Task) -> None:
+        """Hand it to the thread that keeps keys."""
+        assert self.worker is not None, "keys are made, and nobody keeps them"
+        self.worker.put(task)
 
     def tell(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""
@@ -130,7 +144,7 @@ class Host:
         self._clock = clock
         self._loops: list[_Loop] = []
         self._wakes: list[tuple[float, int]] = []
-        self._inbox: Inbox[tuple[int, type[Message], bytes]] = Inbox()
+        self._inbox: Inbox[tuple[int, Heard]] = Inbox()
         self._code = DONE
         self._living = 0
 
@@ -139,10 +153,13 @@ class Host:
         number = len(self._loops)
 
         def arrived(kind: type[Message], _key: str, payload: bytes, _t_ns: int) -> None:
-            self._inbox.put((number, kind, payload))
+            self._inbox.put((number, (kind, payload)))
 
         publishers = {kind: self._bus(kind).publisher(key_of(kind, loop)) for kind in endpoint.says}
-        self._loops.append(_Loop(endpoint, LoopPorts(files, publishers, log)))
+        worker = None
+        if files.keeper is not None:
+            worker = KeyWorker(files.keeper, lambda done: self._inbox.put((number, done)))
+        self._loops.append(_Loop(endpoint, LoopPorts(files, publishers, log, worker)))
         for kind in endpoint.hears:
             self._bus(kind).subscribe(key_of(kind, loop), partial(arrived, kind))
         self._living += 1
@@ -185,12 +202,16 @@ class Host:
         """Wait for a message, and hand it over."""
         wait_s = min(max(until - self._clock(), 0.0), LOOK_S)
         try:
-            number, kind, payload = self._inbox.get(timeout=wait_s)
+            number, heard = self._inbox.get(timeout=wait_s)
         except queue.Empty:
             return
         endpoint = self._loops[number].endpoint
-        if endpoint.code is None:
-            self._perform(number, endpoint.receive(kind, payload, self._clock()))
+        if endpoint.code is not None:
+            return
+        if isinstance(heard, Stored | Judged | Broken):
+            self._perform(number, endpoint.kept(heard, self._clock()))
+        else:
+            self._perform(number, endpoint.receive(*heard, self._clock()))
 
     def _perform(self, number: int, actions: Actions) -> None:
         loop = self._loops[number]
@@ -217,4 +238,6 @@ class Host:
             except OSError as error:
                 loop.ports.log.warning("the last status is lost: %s", error)
             finally:
+                if loop.ports.worker is not None:
+                    loop.ports.worker.close()
                 loop.ports.files.close()

@@ -19,17 +19,24 @@ from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.endpoint import Append, Write
+from protocol.link.endpoint import Append, Keep, Write
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import make_folder, open_private
+from protocol.secret.nonces import Raw
 
-JOURNAL_VERSION: Final = 5
+JOURNAL_VERSION: Final = 6
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)
+
+_RAW: Final = (
+    "CREATE TABLE IF NOT EXISTS raw (session TEXT, j INTEGER, steps INTEGER, offer BLOB, "
+    "measurement BLOB, PRIMARY KEY (session, j)) WITHOUT ROWID"
+)
+"""Rows of key blocks under way; they cannot be in the record, which is rewritten at each step."""
 
 _SAVE: Final = "INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?, ?)"
 
@@ -63,6 +70,8 @@ class _Journal:
     def __init__(self, path: Path, scenario: str) -> None:
         self.path = path
         self._body: bytes | None = None
+        self._rows: list[Keep] = []
+        self._rows_of: str | None = None
         try:
             make_folder(path.parent)
             os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite gives the others its mode
@@ -92,13 +101,14 @@ class _Journal:
         db.execute("PRAGMA locking_mode=EXCLUSIVE")
         db.execute("PRAGMA journal_mode=WAL")
         db.execute("PRAGMA synchronous=NORMAL")
+        db.execute("PRAGMA secure_delete=ON")
         db.execute("BEGIN IMMEDIATE")
         db.execute("CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT)")
         db.execute(
             "CREATE TABLE IF NOT EXISTS record "
             "(id INTEGER PRIMARY KEY, body BLOB, heard BLOB, said BLOB, coin INTEGER)"
         )
-        for table in self.tables.split(";"):
+        for table in (_RAW, *self.tables.split(";")):
             db.execute(table)
         expected = {"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario}
         for name, value in expected.items():
@@ -140,13 +150,56 @@ class _Journal:
                 f"{self.path}: record: {error.error_count()} fields are not as expected"
             ) from None
 
+    def raws(self, session: str | None) -> list[Raw]:
+        """Rows of the session's key blocks that are not settled, in order."""
+        self._rows_of = session
+        rows = self._execute(
+            "SELECT j, steps, offer, measurement FROM raw WHERE session = ? ORDER BY j", (session,)
+        )
+        return [Raw(*row) for row in rows]
+
+    def _stage_rows(self, keep: Keep) -> None:
+        """What ``keep`` means for the rows goes with the next write."""
+        session = keep.record.session
+        if keep.raw is not None or keep.settled or session != self._rows_of:
+            self._rows.append(keep)
+            self._rows_of = session
+
+    def _write_rows(self) -> None:
+        """Within a transaction."""
+        for keep in self._rows:
+            session = keep.record.session
+            self._execute("DELETE FROM raw WHERE session IS NOT ?", (session,))
+            if keep.raw is not None:
+                self._execute(
+                    "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?)", (session, *keep.raw)
+                )
+            for over in keep.settled:
+                self._execute(
+                    "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
+                    (session, over.start, over.stop),
+                )
+        self._rows.clear()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._execute("BEGIN IMMEDIATE")
+        yield
+        self._write_rows()
+        self._execute("COMMIT")
+
     def _stage(self, record: Any) -> bytes:
         self._body = body = self.adapter.dump_json(record)
         return body
 
     def _append(self, heard: bytes, said: bytes, coin: int) -> None:
         assert self._body is not None, "the step before has not been counted"
-        self._execute(_SAVE, (self._body, heard, said, coin))
+        row = (self._body, heard, said, coin)
+        if self._rows:
+            with self._transaction():
+                self._execute(_SAVE, row)
+        else:
+            self._execute(_SAVE, row)
         self._body = None
 
     def close(self) -> None:
@@ -201,14 +254,15 @@ class ControllerJournal(_Journal):
         """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
         if isinstance(write, Append):
             self._append(write.heard, write.said, write.coin)
-        elif write.later:
+            return
+        self._stage_rows(write)
+        if write.later:
             self._stage(write.record)
-        else:
-            self._execute("BEGIN IMMEDIATE")
+            return
+        with self._transaction():
             self._execute(_SAVE, (self._stage(write.record), None, None, None))
             if write.queued is not None:
                 self.enqueue(*write.queued)
-            self._execute("COMMIT")
 
     def save(self, record: SenderRecord) -> None:
         """Keep ``record``; on return it survives the death of this process."""
@@ -301,16 +355,18 @@ class PlantJournal(_Journal):
         """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
         if isinstance(write, Append):
             self._append(write.heard, write.said, write.coin)
-        elif write.later:
+            return
+        self._stage_rows(write)
+        if write.later:
             self._stage(write.record)
-        else:
-            assert isinstance(write.record, ReceiverRecord)
-            self.save(
-                write.record,
-                chunk=write.chunk,
-                drop_chunks=write.drop_chunks,
-                received=write.received,
-            )
+            return
+        assert isinstance(write.record, ReceiverRecord)
+        self.save(
+            write.record,
+            chunk=write.chunk,
+            drop_chunks=write.drop_chunks,
+            received=write.received,
+        )
 
     def save(
         self,
@@ -333,18 +389,17 @@ class PlantJournal(_Journal):
             The payload of a whole frame.
         """
         row = (self._stage(record), None, None, None)
-        if not chunk and not drop_chunks and received is None:
+        if not (chunk or drop_chunks or self._rows) and received is None:
             self._execute(_SAVE, row)
             return
-        self._execute("BEGIN IMMEDIATE")
-        self._execute(_SAVE, row)
-        if drop_chunks:
-            self._execute("DELETE FROM chunk")
-        if chunk:
-            self._execute("INSERT INTO chunk (symbols) VALUES (?)", (chunk,))
-        if received is not None:
-            self._execute("INSERT INTO inbox (payload) VALUES (?)", (received,))
-        self._execute("COMMIT")
+        with self._transaction():
+            self._execute(_SAVE, row)
+            if drop_chunks:
+                self._execute("DELETE FROM chunk")
+            if chunk:
+                self._execute("INSERT INTO chunk (symbols) VALUES (?)", (chunk,))
+            if received is not None:
+                self._execute("INSERT INTO inbox (payload) VALUES (?)", (received,))
 
     def stage(self, record: ReceiverRecord) -> None:
         """``record`` is what :meth:`append` will build on; nothing is written yet."""

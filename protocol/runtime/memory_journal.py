@@ -6,11 +6,12 @@ that was only staged: who dies comes back with the record before the step, and t
 
 from typing import Generic, TypeVar
 
-from protocol.link.endpoint import Append, Write
+from protocol.link.endpoint import Append, Keep, Write
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.journal import ReceiverStep, SenderStep
+from protocol.secret.nonces import Raw
 
 R = TypeVar("R", SenderRecord, ReceiverRecord)
 
@@ -22,25 +23,47 @@ class _MemoryJournal(Generic[R]):
         self._record: R | None = None
         self._staged: R | None = None
         self._append: Append | None = None
+        self._raws: dict[tuple[str, int], Raw] = {}
+        self._rows: list[Keep] = []
 
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for."""
         if isinstance(write, Append):
             assert self._staged is not None, "the step before has not been counted"
             self._record, self._append, self._staged = self._staged, write, None
+            self._write_rows()
             return
         self._staged = write.record  # type: ignore[assignment]
+        self._rows.append(write)
         if not write.later:
             self._record, self._append = self._staged, None
+            self._write_rows()
+
+    def _write_rows(self) -> None:
+        for keep in self._rows:
+            session = keep.record.session
+            if keep.raw is not None and session is not None:
+                self._raws[session, keep.raw.j] = keep.raw
+            over = {j for gone in keep.settled for j in gone}
+            for at in [at for at in self._raws if at[0] != session or at[1] in over]:
+                del self._raws[at]
+        self._rows.clear()
+
+    def raws(self, session: str | None) -> list[Raw]:
+        """Rows of the session's key blocks that are not settled, in order."""
+        return [raw for (whose, _), raw in sorted(self._raws.items()) if whose == session]
 
     def load(self) -> R | None:
         """The record as last written, as after a restart; None in a new journal."""
         self._staged = self._record
+        self._rows.clear()
         return self._record
 
     def forget(self) -> None:
         """Lose the record."""
         self._record = self._staged = self._append = None
+        self._rows.clear()
+        self._raws.clear()
 
     def close(self) -> None:
         """Nothing is open."""

@@ -134,21 +134,18 @@ class Closed(NamedTuple):
 
 def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) -> Closed:
     """The block ``number`` from the rows of all its transitions, in order."""
-    directions = schedule.assumption.directions
-    use_offers, use_measurements = directions != "measurements", directions != "offers"
+    a = schedule.assumption
     nonces: list[bytes] = []
     pattern = []
     for raw in raws:
-        kind = 0
-        if use_offers and raw.offer is not None:
+        counts = a.counting(raw.counts)
+        if counts & 1 and raw.offer is not None:
             nonces.append(raw.offer)
-            kind += 1
-        if use_measurements and raw.measurement is not None:
+        if counts & 2 and raw.measurement is not None:
             nonces.append(raw.measurement)
-            kind += 2
-        pattern.append(str(kind))
+        pattern.append(str(counts))
     steps = sum(raw.steps for raw in raws)
-    rows = schedule.assumption.rows(len(raws), steps, len(nonces))
+    rows = a.rows(len(raws), steps, len(nonces))
     return Closed(
         session,
         number,
@@ -165,8 +162,9 @@ def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) ->
 class Stored(NamedTuple):
     """A block is on disk: its own tag, and those of the partner that would confirm it.
 
-    No tag: the block made no key, and nobody announces it. ``confirmed`` says that it was confirmed
-    before this process began.
+    No tag: the block made no key, and nobody announces it; ``exhausted`` says that no pad was left
+    to sign it with. ``confirmed`` says that it was confirmed before this process began. ``keys``
+    were made of it.
     """
 
     session: str
@@ -174,6 +172,8 @@ class Stored(NamedTuple):
     tag: str
     accepted: frozenset[str] = frozenset()
     confirmed: bool = False
+    keys: int = 0
+    exhausted: bool = False
 
 
 class Judgement(NamedTuple):
@@ -208,7 +208,7 @@ class Blocks:
         self.schedule = schedule
         self.session = session
         self.block = block
-        self.tag = tag
+        self.tag = tag or NO_TAG
         self._open: list[Raw] = []
         self._stored: dict[int, Stored] = {}
         self._settled: set[int] = set()
@@ -224,8 +224,6 @@ class Blocks:
 
     def count(self, raw: Raw) -> None:
         """Take the row of the next transition."""
-        if raw.j == 0:
-            return
         self._open.append(raw)
         number = self.schedule.block_of(raw.j)
         if raw.j + 1 == self.schedule.begins(number + 1):

@@ -176,6 +176,10 @@ class Assumption:
         """Copies of a step that count: 2, or 1 where one direction is left out."""
         return 2 if self.directions == "both" else 1
 
+    def counting(self, counts: int) -> int:
+        """Of copies that were taken (1 the offer's, 2 the measurement's) those that may count."""
+        return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
+
     def misses(self, n: int) -> int:
         """How many of ``n`` copies she misses at least, but for eps_sec."""
         if self.eps_E == 0:

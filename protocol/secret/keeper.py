@@ -39,7 +39,8 @@ class Keeper:
         session, number = closed.session, closed.number
         known = self.store.block_tag(session, number)
         if known is not None and known.state != "stored":
-            return Stored(session, number, known.tag, confirmed=known.state == "confirmed")
+            confirmed = known.state == "confirmed"
+            return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
         rows: list[bytes] = []
         tag, accepted = "", frozenset[str]()
         if closed.makes_keys:
@@ -63,7 +64,10 @@ class Keeper:
                 t_ns=time.time_ns(),
             )
             self.store.add(row, rows[1:], tag=tag, pads=pads)
-        return Stored(session, number, tag, accepted)
+        keys = max(0, len(rows) - 1)
+        return Stored(
+            session, number, tag, accepted, keys=keys, exhausted=closed.makes_keys and not keys
+        )
 
     def _tags(self, closed: Closed, row: bytes) -> tuple[str, frozenset[str]]:
         if self.authentication is None:

@@ -34,11 +34,6 @@ def fresh_nonce() -> str:
     return b2a_base64(os.urandom(NONCE_BYTES), newline=False).decode()
 
 
-def no_nonce() -> str:
-    """In place of a nonce where the scenario makes no keys."""
-    return ""
-
-
 def as_bytes(nonce: str) -> bytes:
     """The nonce itself."""
     return a2b_base64(nonce)
@@ -56,6 +51,11 @@ class Raw(NamedTuple):
     steps: int
     offer: bytes | None
     measurement: bytes | None
+
+    @property
+    def counts(self) -> int:
+        """Which copies count: 0 none, 1 the offer's, 2 the measurement's, 3 both."""
+        return (self.offer is not None) + 2 * (self.measurement is not None)
 
 
 def contribution(
@@ -78,6 +78,6 @@ def contribution(
     return Raw(
         j,
         steps,
-        as_bytes(offer) if applied_copy == FIRST else None,
-        as_bytes(measurement) if heard == FIRST else None,
+        as_bytes(offer) if offer and applied_copy == FIRST else None,
+        as_bytes(measurement) if measurement and heard == FIRST else None,
     )

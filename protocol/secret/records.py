@@ -60,10 +60,11 @@ class BlockRow(NamedTuple):
 
 
 class BlockTag(NamedTuple):
-    """Where a block stands, and this side's tag of it."""
+    """Where a block stands, this side's tag of it, and how many keys were made."""
 
     state: str
     tag: str
+    keys: int
 
 
 class Counts(NamedTuple):

@@ -17,7 +17,6 @@ server that delivers.
 import sqlite3
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from protocol.secret.records import (
@@ -33,10 +32,6 @@ from protocol.secret.records import (
     key_id,
 )
 from protocol.secret.store_file import StoreFile
-
-CONTROLLER_KEYS: Final = Path("controller/keys.sqlite3")
-PLANT_KEYS: Final = Path("plant/keys.sqlite3")
-"""Where the two stores lie below a run's directory."""
 
 MOST_KEYS: Final = 100_000
 """Undelivered keys that a side keeps of its own half, the oldest dropped first. Of the partner's
@@ -125,7 +120,8 @@ class KeyStore(StoreFile):
         """What was kept of a block, or None."""
         with self._lock:
             row = self._db.execute(
-                "SELECT state, tag FROM block WHERE session = ? AND number = ?", (session, number)
+                "SELECT state, tag, keys FROM block WHERE session = ? AND number = ?",
+                (session, number),
             ).fetchone()
         return None if row is None else BlockTag(*row)
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, Self
 
+from protocol.runtime.run_folder import make_folder, open_private
 from protocol.secret.records import Side, StoreError
 
 STORE_VERSION: Final = 1
@@ -36,8 +37,9 @@ class StoreFile:
 
     Parameters
     ----------
-    path : Path
-        Made with mode 0600, and its folder, where ``create`` says so.
+    path : Path, optional
+        None: in memory, for simulations. Else made, with mode 0600 and its folder, where
+        ``create`` says so.
     side : {"controller", "plant"}
         Whose it is.
     create : bool
@@ -49,20 +51,21 @@ class StoreFile:
         When the file is not there, cannot be opened, or is another side's or version's.
     """
 
-    def __init__(self, path: Path, side: Side, *, create: bool = False) -> None:
+    def __init__(self, path: Path | None, side: Side, *, create: bool = False) -> None:
         self.path = path
         self.side: Side = side
         self._lock = threading.RLock()
         try:
-            if create:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+            if path is None:
+                pass
+            elif create:
+                make_folder(path.parent)
+                os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # its journal gets this mode
             elif not path.is_file():
                 raise StoreError(f"{path}: no key store is there: no key was ever made here")
-            path.chmod(0o600)
             # autocommit: transactions are begun by hand
             self._db = sqlite3.connect(
-                path, isolation_level=None, timeout=10.0, check_same_thread=False
+                path or ":memory:", isolation_level=None, timeout=10.0, check_same_thread=False
             )
         except (OSError, sqlite3.Error) as error:
             raise StoreError(f"{path}: cannot be opened: {error}") from None

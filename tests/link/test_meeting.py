@@ -336,9 +336,9 @@ def test_a_candidate_outside_u_is_garbage(u: float) -> None:
 @pytest.mark.parametrize("number", [1.1e150, -1.7e308])
 def test_a_measurement_too_large_to_reckon_with_is_garbage(number: float) -> None:
     sender, receiver = met()
-    answer(sender, receiver.measurement())
+    offer = answer(sender, receiver.measurement())
     before = sender.record
-    true = receiver.moved((0.5,))
+    true = receiver.moved(offer, (0.5,))
     for change in ({"x": (number,)}, {"x_after": (number,)}):
         with pytest.raises(ValueError, match="beyond 1e"):
             sender.measured(true.model_copy(update=change))

@@ -12,11 +12,14 @@ from protocol.link.sender import SenderRecord
 from protocol.link.session import Transition
 from protocol.messages import Measurement, Message
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.blocks import Judgement
+from protocol.secret.tasks import Done, Task, Verdict
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
 
 STEP = Append(b"heard", b"said")
 RECORD = Keep(SenderRecord(), later=True)
+VERDICT = Verdict("1" * 16, Judgement(0, "confirmed", ""))
 EVENT = Missed("1" * 16, 0, (0.0,), (0.0,), (0.0,))
 
 
@@ -45,7 +48,12 @@ class Script:
     def settle(self) -> Actions:
         self._done.append("settle")
         notice = Notice("told", event=Recovered(b"whole"))
-        return Actions(events=(EVENT,), write=RECORD, notices=(notice,), health=b"well")
+        return Actions(
+            events=(EVENT,), write=RECORD, notices=(notice,), health=b"well", keys=(VERDICT,)
+        )
+
+    def kept(self, done: Done, now: float) -> Actions:
+        raise NotImplementedError
 
     def stop(self, now: float) -> Actions:
         raise NotImplementedError
@@ -63,6 +71,9 @@ class Listing:
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._done.append(Outgoing(kind, payload))
 
+    def keep(self, task: Task) -> None:
+        self._done.append(task)
+
     def trace(self, event: Event) -> None:
         self._done.append(event)
 
@@ -78,13 +89,15 @@ def test_save_publish_settle_trace_keep_tell() -> None:
     said = Outgoing(Measurement, b"said")
     actions = Actions(write=STEP, publish=(said,), settle=True)
     perform(actions, Script(done), Listing(done))
-    assert done == [STEP, said, "settle", EVENT, RECORD, Recovered(b"whole"), "told", b"well"]
+    told = [Recovered(b"whole"), "told", b"well"]
+    assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, *told]
 
 
 @pytest.mark.parametrize(("before", "done"), [
     ("writing", []),
     ("publishing", [STEP]),
     ("tracing", [STEP, Outgoing(Measurement, b"said"), "settle"]),
+    ("keeping", [STEP, Outgoing(Measurement, b"said"), "settle", EVENT, RECORD]),
 ])  # fmt: skip
 def test_who_dies_before_something_has_done_all_that_comes_before_it(
     before: str, done: list[object]

@@ -150,7 +150,7 @@ class End:
         self.j += 1
         if raw.j:
             self.rows[raw.j] = raw
-        self.blocks.count(raw)
+            self.blocks.count(raw)
 
     def work(self) -> None:
         if (block := self.blocks.to_keep()) is not None:

@@ -95,7 +95,7 @@ def test_a_block_is_added_once_whatever_became_of_it(tmp_path: Path) -> None:
         before = keys.ids()
         assert not keys.add(row(0, 2), bodies(0, 2), tag="cd")
         assert keys.ids() == before
-        assert keys.block_tag(SESSION, 0) == ("confirmed", "ab")
+        assert keys.block_tag(SESSION, 0) == ("confirmed", "ab", 2)
         assert keys.block_tag(SESSION, 1) is None
 
 

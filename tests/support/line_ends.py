@@ -13,6 +13,7 @@ from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 
@@ -32,9 +33,10 @@ class LinePlant:
         return Move(offer, self.coin, (x + u + self.d,))
 
     def count(self, move: Move) -> Step:
-        record, reported = self.receiver.record, self.receiver.moved(move.x_next)
+        record, reported = self.receiver.record, self.receiver.moved(move.offer, move.x_next)
         effects = self.receiver.applied(move.offer, move.coin, move.x_next)
-        assert self.receiver.measurement() == reported
+        assert self.receiver.record.nonce == reported.nonce
+        assert self.receiver.keying.on or self.receiver.measurement() == reported
         u = move.offer.candidates[move.coin]
         return Step(record.k, record.x, u, move.x_next, move.coin, effects)
 
@@ -66,6 +68,9 @@ class ToldPorts:
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._publish(Outgoing(kind, payload))
 
+    def keep(self, task: Task) -> None:
+        raise AssertionError("keys are made, and nobody keeps them")
+
     def trace(self, event: Event) -> None:
         self._trace(event)
 
@@ -85,7 +90,8 @@ def line_controller(
 ) -> ControllerEndpoint:
     """A controller's endpoint as its journal has it."""
     record, step = journal.load(), journal.step()
-    sender = Sender(rules, propose, journal, fresh, instance, record, step)
+    raws = journal.raws(None if record is None else record.session)
+    sender = Sender(rules, propose, journal, fresh, instance, record, step, raws)
     return ControllerEndpoint(sender, journal, PERIOD_S)
 
 
@@ -100,7 +106,9 @@ def line_plant(
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     record, step = journal.load(), journal.step()
     first = record or ReceiverRecord(session=new_id(), k=0, x=(0.0,), u=(0.0,))
-    plant = LinePlant(Receiver(rules, instance, first, journal.chunks()))
+    said = None if step is None else step.measurement
+    raws = journal.raws(first.session)
+    plant = LinePlant(Receiver(rules, instance, first, journal.chunks(), raws, said))
     endpoint = PlantEndpoint(
         plant,
         Pacing(step_s, 4, now),

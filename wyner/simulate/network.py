@@ -7,7 +7,7 @@ choice of theirs comes from one seed, so that a failure replays.
 
 import heapq
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
@@ -26,6 +26,10 @@ from protocol.link.session import Transition, rules_of
 from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
+from protocol.secret.keeper import Keeper
+from protocol.secret.store import KeyStore
+from protocol.secret.tasks import Done, Task
+from protocol.secret.worker import work
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 from protocol.vectors import Vector
 
@@ -112,9 +116,10 @@ class PlantDisk(Disk, from_journal.PlantDisk, Protocol):
 class _Ports:
     """What one end does to the world: its disk, the network, the history."""
 
-    def __init__(self, world: "Simulation", partner: Side, journal: Disk) -> None:
+    def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
         self._world = world
-        self._partner = partner
+        self._side: Side = side
+        self._partner: Side = partner
         self._journal = journal
 
     def write(self, write: Write) -> None:
@@ -124,6 +129,9 @@ class _Ports:
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._world.send(self._partner, kind, payload)
+
+    def keep(self, task: Task) -> None:
+        self._world.keep(self._side, task)
 
     def trace(self, event: Event) -> None:
         self._world.traced(event)
@@ -141,8 +149,9 @@ class _End:
     def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
         self.side: Side = side
         self.journal = journal
-        self.ports = Mortal(_Ports(world, partner, journal))
+        self.ports = Mortal(_Ports(world, side, partner, journal))
         self.endpoint: Endpoint | None = None
+        self.keeper = world.keeper(side)
         self.wakes_at = inf
         self.lives = 0
 
@@ -165,6 +174,8 @@ class Simulation:
         A deadline each step, in virtual seconds; None for lock-step.
     plant_journal : PlantDisk, optional
         None: one in memory.
+    stores : mapping of KeyStore, optional
+        Of each side's keys; None: in memory.
     """
 
     def __init__(
@@ -178,6 +189,7 @@ class Simulation:
         step_s: float | None = None,
         run: int = 0,
         plant_journal: PlantDisk | None = None,
+        stores: Mapping[Side, KeyStore] | None = None,
     ) -> None:
         self.history = History()
         self.now_s = 0.0
@@ -195,6 +207,7 @@ class Simulation:
         self._plant: PlantEndpoint
         self._offered: list[Offer] = []
         self._delivered = 0
+        self.stores: dict[Side, KeyStore] = dict(stores or {})
         self._ends: dict[Side, _End] = {
             "controller": _End(self, "controller", "plant", self._queue),
             "plant": _End(self, "plant", "controller", self._plant_journal),
@@ -260,6 +273,30 @@ class Simulation:
             late = self._random.random() * faults.delay_s if self._sick else 0.0
             self._at(late, lambda: self._deliver(to, kind, payload))
 
+    def keeper(self, side: Side) -> Keeper | None:
+        """A new process's keeper of keys, over the store that outlives it."""
+        if self._scenario.keys is None:
+            return None
+        if side not in self.stores:
+            self.stores[side] = KeyStore(None, side)
+        return Keeper(self.stores[side])
+
+    def keep(self, side: Side, task: Task) -> None:
+        """Have a task done some time later, if the process still lives, and told later still."""
+        end = self._ends[side]
+        life, late_s = end.lives, self._faults.delay_s
+
+        def do() -> None:
+            if end.lives == life and end.endpoint is not None and end.keeper is not None:
+                done = work(end.keeper, task)
+                self._at(self._random.random() * late_s, lambda: tell(done))
+
+        def tell(done: Done) -> None:
+            if end.lives == life and end.endpoint is not None:
+                self._perform(end, end.endpoint.kept(done, self.now_s))
+
+        self._at(self._random.random() * late_s, do)
+
     def kept(self, write: Keep) -> None:
         """Note what a record says of messages that came through."""
         record = write.record
@@ -285,18 +322,21 @@ class Simulation:
     def _start(self, side: Side) -> None:
         end = self._ends[side]
         end.lives += 1
+        end.keeper = self.keeper(side)
         end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
         self._perform(end, end.endpoint.start(self.now_s))
 
     def _new_controller(self) -> ControllerEndpoint:
+        record = self._queue.load()
         self._sender = Sender(
             rules_of(self._scenario),
             self._law.candidates,
             self._queue,
             SeededSymbols(self._seed, CIPHER, run=self._run),
             self._identifier(),
-            self._queue.load(),
+            record,
             self._queue.step(),
+            self._queue.raws(None if record is None else record.session),
         )
         return ControllerEndpoint(self._sender, self._queue, self._scenario.plant.period_s)
 

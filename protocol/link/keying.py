@@ -1,0 +1,119 @@
+"""What both ends do alike for keys: nonces, the word on blocks, rows, and tasks for the keeper.
+
+Where a scenario makes no keys there is a :class:`Keying` all the same; it gives the constants that
+the wire then carries, and no work.
+"""
+
+from collections.abc import Iterable
+
+from protocol.messages import Measurement, Offer
+from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
+from protocol.secret.nonces import NonceSource, Raw, contribution, fresh_nonce
+from protocol.secret.tasks import Broken, Done, Judged, Task, Verdict
+
+
+class Keying:
+    """One end's part in making keys, sans I/O.
+
+    Parameters
+    ----------
+    schedule : Schedule, optional
+        None: no keys.
+    fresh : NonceSource
+    """
+
+    def __init__(self, schedule: Schedule | None, fresh: NonceSource = fresh_nonce) -> None:
+        self.schedule = schedule
+        self.blocks: Blocks | None = None
+        self.broken = ""
+        self._fresh = fresh
+
+    @property
+    def on(self) -> bool:
+        """Whether keys are made."""
+        return self.schedule is not None
+
+    @property
+    def no_tag(self) -> str:
+        """The tag while no block is announced."""
+        return NO_TAG if self.on else ""
+
+    def begin(self, session: str, block: int = -1, tag: str = "", raws: Iterable[Raw] = ()) -> None:
+        """Begin a session, or go on with it from what was read back."""
+        if self.schedule is not None:
+            self.blocks = Blocks(self.schedule, session, block, tag, raws)
+
+    def end(self) -> None:
+        """The session is over: what was not stored is gone."""
+        self.blocks = None
+
+    def nonce(self) -> str:
+        """A fresh nonce."""
+        return self._fresh() if self.on else ""
+
+    def word(self) -> tuple[int, str]:
+        """The block to announce in a new message, with its tag."""
+        return (-1, self.no_tag) if self.blocks is None else self.blocks.word()
+
+    def again(self, offer: Offer) -> Offer:
+        """Another copy of an offer that may have left, with a dummy for its nonce (rule 8)."""
+        if not self.on:
+            return offer
+        return offer.model_copy(update={"copy_number": 1, "nonce": self.nonce()})
+
+    def count(
+        self, j: int, steps: int, offer: Offer, applied_copy: int, measurement: str
+    ) -> Raw | None:
+        """What transition ``j`` contributes (rule 9).
+
+        Parameters
+        ----------
+        j, steps : int
+        offer : Offer
+            That was applied, in its copy ``applied_copy``.
+        measurement : str
+            Nonce of copy 0 of the measurement that it answers.
+        """
+        if self.blocks is None or j == 0:
+            return None  # a session's first transition only fixes where block 0 begins
+        raw = contribution(
+            j=j,
+            steps=steps,
+            offer=offer.nonce,
+            applied_copy=applied_copy,
+            measurement=measurement,
+            heard=offer.heard,
+        )
+        self.blocks.count(raw)
+        return raw
+
+    def heard(self, message: Measurement | Offer) -> tuple[Judgement, ...]:
+        """What the partner's word says of the blocks here."""
+        return () if self.blocks is None else self.blocks.heard(message.block, message.tag)
+
+    # --- the keeper's side ------------------------------------------------------------------------
+
+    def tasks(self, judged: Iterable[Judgement] = ()) -> tuple[Task, ...]:
+        """What the keeper must do now: write verdicts down, store blocks."""
+        blocks = self.blocks
+        if blocks is None or self.broken:
+            return ()
+        tasks: list[Task] = [Verdict(blocks.session, judgement) for judgement in judged]
+        while (closed := blocks.to_keep()) is not None:
+            tasks.append(closed)
+        return tuple(tasks)
+
+    def done(self, done: Done) -> tuple[Task, ...]:
+        """The keeper has done a task; what it must do next."""
+        judged: tuple[Judgement, ...] = ()
+        if isinstance(done, Broken):
+            self.broken = done.reason
+        elif self.blocks is not None and isinstance(done, Stored):
+            judged = self.blocks.stored(done)
+        elif self.blocks is not None and isinstance(done, Judged):
+            self.blocks.judged(done.session, done.number)
+        return self.tasks(judged)
+
+    def settled(self) -> tuple[range, ...]:
+        """Transitions whose rows the journal may drop; named once."""
+        return () if self.blocks is None else self.blocks.settled()

@@ -1,0 +1,59 @@
+"""A service's key store as its scenario, its seed and its secret have it."""
+
+from pathlib import Path
+
+from protocol.runtime.process import UsageError
+from protocol.scenario import Scenario
+from protocol.secret.authentication import SecretError
+from protocol.secret.keeper import Keeper
+from protocol.secret.ledger import Authentication, take_secret
+from protocol.secret.records import Side, StoreError
+from protocol.secret.store import KeyStore
+
+
+def refusal(scenario: Scenario, seed: int | None) -> str | None:
+    """Why nobody gets a key of a run, in one line; None where they do."""
+    if scenario.keys is None:
+        return f"scenario {scenario.name} has no table keys, so no key is made"
+    reason = scenario.keys.refusal()
+    if reason is None and seed is not None:
+        reason = f"seed {seed}: this run's keys are predictable, and nobody gets them"
+    return reason
+
+
+def open_keeper(
+    path: Path, side: Side, scenario: Scenario, seed: int | None, secret: Path | None
+) -> Keeper | None:
+    """The keeper of a side's keys; None where the scenario has no table ``keys``.
+
+    A store is there also where no key will be: it says why.
+
+    Raises
+    ------
+    UsageError
+        When the store or the secret cannot be used, or a secret has nothing to sign.
+    """
+    if scenario.keys is None:
+        if secret is not None:
+            raise UsageError(
+                f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
+            )
+        return None
+    try:
+        store = KeyStore(path, side, create=True)
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+    try:
+        reason = refusal(scenario, seed)
+        if reason is not None:
+            store.refuse(reason)
+        store.set_note("assumption", scenario.keys.assumption().sentence())
+        authentication: Authentication | None = None
+        if secret is not None:
+            authentication = take_secret(store, secret)
+        elif store.note("secret") is not None:
+            authentication = Authentication(store)
+    except (StoreError, SecretError) as error:
+        store.close()
+        raise UsageError(str(error)) from None
+    return Keeper(store, authentication)

@@ -1,0 +1,30 @@
+"""What is asked of a keeper of keys, and what it answers."""
+
+from typing import NamedTuple
+
+from protocol.secret.blocks import Closed, Judgement, Stored
+
+
+class Verdict(NamedTuple):
+    """What became of a block, to be written down."""
+
+    session: str
+    judgement: Judgement
+
+
+class Judged(NamedTuple):
+    """A verdict is on disk."""
+
+    session: str
+    number: int
+    what: str
+
+
+class Broken(NamedTuple):
+    """The store cannot be used any more: no key is made from here on, and the loop goes on."""
+
+    reason: str
+
+
+Task = Closed | Verdict
+Done = Stored | Judged | Broken

@@ -1,0 +1,60 @@
+"""A thread that makes and keeps keys, so that the loop never waits for a disk or a matrix."""
+
+import os
+import queue
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from protocol.secret.blocks import Closed
+from protocol.secret.keeper import Keeper
+from protocol.secret.records import StoreError
+from protocol.secret.tasks import Broken, Done, Judged, Task
+
+NICE: Final = 10
+"""By how much the thread stands back; the loop's own thread has the processor when it wants it."""
+
+
+def work(keeper: Keeper, task: Task) -> Done:
+    """Do one task; whoever has no thread to spare calls this."""
+    try:
+        if isinstance(task, Closed):
+            return keeper.keep(task)
+        keeper.judge(task.session, task.judgement)
+        return Judged(task.session, task.judgement.number, task.judgement.what)
+    except StoreError as error:
+        return Broken(str(error))
+
+
+class KeyWorker:
+    """Works off tasks in order in a thread of its own.
+
+    Parameters
+    ----------
+    keeper : Keeper
+    done : callable
+        Told of each task's end, from that thread.
+    """
+
+    def __init__(self, keeper: Keeper, done: Callable[[Done], None]) -> None:
+        self._keeper = keeper
+        self._done = done
+        self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
+        self._thread.start()
+
+    def put(self, task: Task) -> None:
+        """Hand over a task; returns at once."""
+        self._tasks.put(task)
+
+    def close(self) -> None:
+        """Finish what was handed over, and close the store."""
+        self._tasks.put(None)
+        self._thread.join()
+        self._keeper.store.close()
+
+    def _run(self) -> None:
+        if hasattr(os, "setpriority"):  # on Linux a thread has a priority of its own
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        while (task := self._tasks.get()) is not None:
+            self._done(work(self._keeper, task))

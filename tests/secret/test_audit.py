@@ -1,0 +1,203 @@
+"""What she holds: nothing at the proper length, and what linear algebra predicts beyond it.
+
+Each control breaks one rule on purpose, beside the proper one that holds.
+"""
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from protocol.secret.audit import bits_held, held, miss_rate
+from protocol.secret.bound import Assumption, GilbertElliott, quantile
+from protocol.secret.extractor import extract, words
+from protocol.secret.galois import product
+
+N, COPIES = 128, 256
+EPS = 1e-12
+
+
+def heard(generator: random.Random, nonces: list[bytes], missed: int) -> list[bytes | None]:
+    gone = set(generator.sample(range(len(nonces)), missed))
+    return [None if j in gone else nonce for j, nonce in enumerate(nonces)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "bits"), [(1, 0), (16, 0), (23, 0), (24, 0), (25, 256), (26, 512), (32, 2048)]
+)
+def test_one_row_too_many_is_one_row_she_holds(rows: int, bits: int) -> None:
+    generator = random.Random(rows)
+    nonces = [generator.randbytes(32) for _ in range(COPIES)]
+    her = held(heard(generator, nonces, 24), rows)
+    assert her.bits == bits == bits_held(rows, 24)
+    # what she computes is right, of all keys
+    keys = words(extract(nonces, rows))
+    assert (product(her.combinations, keys) == her.values).all()
+
+
+def test_who_hears_all_holds_all() -> None:
+    generator = random.Random(0)
+    nonces = [generator.randbytes(32) for _ in range(60)]
+    her = held(list(nonces), 10)
+    assert her.bits == 2560
+    assert (her.values == words(extract(nonces, 10))).all()
+
+
+class Block:
+    """A block of N transitions over a link and a tap, and what three rules make of it."""
+
+    def __init__(self) -> None:
+        self.sent: list[bool] = []  # she missed it
+        self.counted: list[bool] = []
+
+    def copy(self, *, missed: bool, arrives: bool) -> None:
+        self.sent.append(missed)
+        if arrives:
+            self.counted.append(missed)
+
+    def rows(self, eps_E: float) -> dict[str, int]:
+        naive = quantile(len(self.counted), eps_E, EPS)
+        proper = quantile(COPIES, eps_E, EPS) - (len(self.sent) - len(self.counted))
+        return {"naive": naive, "proper": max(0, proper)}
+
+    def breached(self, rows: int) -> bool:
+        return bits_held(rows, sum(self.counted)) > 0
+
+
+Tap = Callable[[random.Random, Block], None]
+
+
+def independent(loss: float, link: float) -> Tap:
+    def one(generator: random.Random, block: Block) -> None:
+        block.copy(missed=generator.random() < loss, arrives=generator.random() >= link)
+
+    return one
+
+
+def collisions(generator: random.Random, block: Block) -> None:
+    """Whatever she misses, the partner misses as well."""
+    missed = generator.random() < 0.3
+    block.copy(missed=missed, arrives=not missed)
+
+
+def jammer(generator: random.Random, block: Block) -> None:
+    """She jams, at the partner's, what she did not hear herself."""
+    collisions(generator, block)
+
+
+def fifth(generator: random.Random, block: Block) -> None:
+    missed = generator.random() < 0.3
+    block.copy(missed=missed, arrives=not (missed and generator.random() < 0.2))
+
+
+def run(tap: Tap, seed: int) -> Block:
+    """A block is over after N transitions' worth of counted copies."""
+    generator = random.Random(seed)
+    block = Block()
+    while len(block.counted) < COPIES:
+        tap(generator, block)
+    return block
+
+
+@pytest.mark.parametrize(
+    ("tap", "naive"),
+    [
+        (independent(0.3, 0.0), 0),
+        (independent(0.3, 0.05), 0),
+        (independent(0.3, 0.5), 0),
+        (collisions, 40),
+        (jammer, 40),
+        (fifth, 0),
+    ],
+)
+def test_the_quantile_without_l_breaks_where_her_misses_are_the_links(tap: Tap, naive: int) -> None:
+    blocks = [run(tap, seed) for seed in range(40)]
+    broken = {
+        rule: sum(block.breached(block.rows(0.3)[rule]) for block in blocks)
+        for rule in ("naive", "proper")
+    }
+    assert broken == {"naive": naive, "proper": 0}
+
+
+def test_a_repeat_with_the_same_nonce_is_a_second_chance() -> None:
+    """The link loses half of both ways: a message goes out until an answer comes back."""
+    claim = Assumption(0.3)
+    broken = {"the same nonce": 0, "copy 0 only": 0}
+    for seed in range(40):
+        generator = random.Random(seed)
+        missed = missed_first = counted_first = 0
+        for _ in range(512):
+            misses = [generator.random() < 0.3]
+            first = generator.random() < 0.5
+            while generator.random() >= 0.25:
+                misses.append(generator.random() < 0.3)
+            missed += all(misses)
+            counted_first += first
+            missed_first += first and misses[0]
+        broken["the same nonce"] += bits_held(claim.rows(256, 256, 512), missed) > 0
+        rows = claim.rows(256, 256, counted_first)
+        broken["copy 0 only"] += bits_held(rows, missed_first) > 0
+    assert broken == {"the same nonce": 40, "copy 0 only": 0}
+
+
+@pytest.mark.parametrize(
+    ("true", "claimed", "breached"), [(0.3, 0.3, 0), (0.3, 0.5, 20), (0.0, 0.3, 20), (0.45, 0.5, 0)]
+)
+def test_a_claim_above_the_truth_breaks(true: float, claimed: float, breached: int) -> None:
+    rows = Assumption(claimed).rows(256, 256, 512)
+    generator = random.Random(1)
+    found = 0
+    everything: list[bool] = []
+    for _ in range(20):
+        misses = [generator.random() < true for _ in range(512)]
+        everything += misses
+        found += bits_held(rows, sum(misses)) > 0
+    assert found == breached or found >= breached - 1 >= 18
+    # the audit says so even where the bound's slack hides it
+    assert miss_rate(everything, claimed).refuted == (true < claimed)
+
+
+def test_bursts_claimed_as_independent_break_and_show() -> None:
+    channel = GilbertElliott(0.0, 1.0, 0.02 * 3 / 7, 0.02)  # mean 0.3, bursts of 50
+    rows = {
+        "claimed": Assumption(0.3).rows(256, 256, 512),
+        "eps_inf": Assumption(channel.eps_inf).rows(256, 256, 512),
+    }
+    generator = random.Random(2)
+    broken = dict.fromkeys(rows, 0)
+    everything: list[bool] = []
+    bad = False
+    for _ in range(40):
+        misses = []
+        for _ in range(512):
+            bad = (
+                generator.random() >= channel.to_good
+                if bad
+                else (generator.random() < channel.to_bad)
+            )
+            misses.append(bad)
+        everything += misses
+        for rule, count in rows.items():
+            broken[rule] += bits_held(count, sum(misses)) > 0
+    assert rows["eps_inf"] == 0
+    assert broken["eps_inf"] == 0
+    assert broken["claimed"] >= 4
+    audit = miss_rate(everything, 0.3)
+    assert audit.bursts
+    assert audit.lag == 1
+
+
+def test_independent_misses_show_no_bursts_and_refute_nothing() -> None:
+    generator = random.Random(3)
+    flagged = 0
+    for _ in range(200):
+        audit = miss_rate([generator.random() < 0.3 for _ in range(512)], 0.3)
+        assert audit.low < 0.3 < audit.high
+        flagged += audit.bursts or audit.refuted
+    assert flagged == 0
+
+
+def test_nothing_heard_is_nothing_known() -> None:
+    assert miss_rate([], 0.3).high == 1.0
+    assert not miss_rate([True] * 50, 0.3).refuted
+    assert miss_rate([False] * 2000, 0.3).refuted

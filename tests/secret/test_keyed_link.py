@@ -1,0 +1,239 @@
+"""The two real ends and their key stores as a state machine, and seven wrong ones it must catch.
+
+hypothesis plays the network, the reaper, the keepers' threads and the key servers.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    rule,
+    run_state_machine_as_test,
+)
+
+from protocol.link import keying as keying_module
+from protocol.link.endpoint import Actions, Append, Endpoint
+from protocol.link.keying import Keying
+from protocol.link.perform import Ports, perform
+from protocol.link.receiver import Receiver
+from protocol.link.sender import Sender
+from protocol.messages import Measurement
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Raw, contribution
+from protocol.secret.records import Key, TooFewKeys
+from protocol.secret.store import KeyStore
+from tests.support.keyed_link import SIDES, World
+from tests.support.line_plant import line_rules
+
+RULES = replace(
+    line_rules(alpha=4.0, largest_input=1e9),
+    schedule=Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6),
+)
+SIDE = st.sampled_from(SIDES)
+POINT = st.sampled_from(["writing", "publishing", "tracing", "keeping"])
+PLACE = st.integers(0, 11)
+
+
+class KeyedLink(RuleBasedStateMachine):
+    performer = staticmethod(perform)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.world = World(RULES, self.performer)
+
+    def teardown(self) -> None:
+        self.world.close()
+
+    @rule(side=SIDE, places=st.lists(PLACE, min_size=1, max_size=6))
+    def messages_arrive(self, side: str, places: list[int]) -> None:
+        for place in places:
+            self.world.deliver(side, place)  # type: ignore[arg-type]
+
+    @rule(side=SIDE)
+    def time_passes(self, side: str) -> None:
+        self.world.wake(side)  # type: ignore[arg-type]
+
+    @rule(side=SIDE)
+    def a_keeper_works(self, side: str) -> None:
+        self.world.keeps(side)  # type: ignore[arg-type]
+
+    @rule(side=SIDE)
+    def a_keeper_is_heard(self, side: str) -> None:
+        self.world.told(side)  # type: ignore[arg-type]
+
+    @rule(side=SIDE)
+    def a_key_is_served(self, side: str) -> None:
+        self.world.serve(side)  # type: ignore[arg-type]
+
+    @rule(side=SIDE, before=POINT)
+    def a_process_will_die(self, side: str, before: str) -> None:
+        self.world.doom(side, before)  # type: ignore[arg-type]
+
+    @rule(side=SIDE)
+    def a_process_dies(self, side: str) -> None:
+        self.world.die(side)  # type: ignore[arg-type]
+
+    @rule(rounds=st.integers(5, 60))
+    def all_is_well_for_a_while(self, rounds: int) -> None:
+        self.world.well(rounds)
+
+    @rule(rounds=st.integers(1, 20), victim=SIDE, before=POINT)
+    def all_is_well_but_for_one(self, rounds: int, victim: str, before: str) -> None:
+        self.world.well(rounds, victim, before)  # type: ignore[arg-type]
+
+    @invariant()
+    def both_order_alike(self) -> None:
+        self.world.agree()
+
+
+TestKeyedLink = KeyedLink.TestCase
+TestKeyedLink.settings = settings(
+    max_examples=30,
+    stateful_step_count=40,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+
+
+def test_keys_are_made_and_served_once_all_is_well() -> None:
+    world = World(RULES)
+    world.well(900)
+    for side in SIDES:
+        for _ in range(10):
+            world.serve(side)
+    world.agree()
+    assert len(world.given) == 20
+    assert len(world.journals["plant"].raws(world.journals["plant"].load().session)) < 12  # type: ignore[union-attr]
+    world.close()
+
+
+# --- the wrong ones -------------------------------------------------------------------------------
+
+
+def send_before_save(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+    if isinstance(actions.write, Append):
+        for kind, payload in actions.publish:
+            ports.publish(kind, payload)
+        actions = actions._replace(publish=())
+    perform(actions, endpoint, ports)
+
+
+def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Keying, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
+
+
+def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
+    init = Receiver.__init__
+
+    def wrong(self: Receiver, *args: object, **more: object) -> None:
+        init(self, *args, **more)  # type: ignore[arg-type]
+        self._left = False
+
+    patch.setattr(Receiver, "__init__", wrong)
+
+
+def wrong_heard(patch: pytest.MonkeyPatch) -> None:
+    measured = Sender.measured
+
+    def wrong(self: Sender, measurement: Measurement) -> object:
+        known = self.record.k
+        effects = measured(self, measurement)
+        if effects.append and measurement.k > known and self._answer is not None:
+            offer = self._answer.offer
+            assert offer is not None
+            offer = offer.model_copy(update={"heard": 0})
+            self._answer = self._answer._replace(offer=offer)
+            return effects._replace(offer=offer)
+        return effects
+
+    patch.setattr(Sender, "measured", wrong)
+
+
+def nonces_swapped(patch: pytest.MonkeyPatch) -> None:
+    count = 0
+
+    def wrong(**of: object) -> Raw:
+        nonlocal count
+        count += 1
+        raw = contribution(**of)  # type: ignore[arg-type]
+        if count % 2:  # one end of the two, mostly
+            return raw._replace(offer=raw.measurement, measurement=raw.offer)
+        return raw
+
+    patch.setattr(keying_module, "contribution", wrong)
+
+
+def both_own_all(patch: pytest.MonkeyPatch) -> None:
+    add = KeyStore.add
+
+    def wrong(self: KeyStore, *args: object, **more: object) -> bool:
+        added = add(self, *args, **more)  # type: ignore[arg-type]
+        with self.transaction() as db:
+            db.execute("UPDATE key SET own = 1")
+        return added
+
+    patch.setattr(KeyStore, "add", wrong)
+
+
+def given_before_confirmed(patch: pytest.MonkeyPatch) -> None:
+    deliver = KeyStore.deliver
+
+    def wrong(self: KeyStore, number: int = 1, who: str = "") -> tuple[Key, ...]:
+        try:
+            return deliver(self, number, who)
+        except TooFewKeys:
+            with self.transaction() as db:
+                db.execute("UPDATE key SET state = 'confirmed' WHERE state = 'stored'")
+            return deliver(self, number, who)
+
+    patch.setattr(KeyStore, "deliver", wrong)
+
+
+WRONG: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
+    "repeats repeat the nonce": same_nonce_in_repeats,
+    "copy 0 again after a death": copy_0_again_after_a_death,
+    "the wrong copy heard": wrong_heard,
+    "nonces swapped": nonces_swapped,
+    "both ends own every key": both_own_all,
+    "keys given before they are confirmed": given_before_confirmed,
+}
+
+
+@contextmanager
+def nothing_shrinks() -> Iterator[settings]:
+    yield settings(
+        max_examples=200,
+        stateful_step_count=40,
+        deadline=None,
+        database=None,
+        derandomize=True,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    WRONG[wrong](monkeypatch)
+    with nothing_shrinks() as rushed, pytest.raises(AssertionError):
+        run_state_machine_as_test(KeyedLink, settings=rushed)
+
+
+def test_sending_before_saving_is_caught() -> None:
+    class Hasty(KeyedLink):
+        performer = staticmethod(send_before_save)
+
+    with nothing_shrinks() as rushed, pytest.raises(AssertionError):
+        run_state_machine_as_test(Hasty, settings=rushed)
+
+
+def test_the_right_ends_pass_the_same_examples() -> None:
+    with nothing_shrinks() as rushed:
+        run_state_machine_as_test(KeyedLink, settings=settings(rushed, max_examples=40))

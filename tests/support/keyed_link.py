@@ -1,0 +1,239 @@
+"""Both real ends with real key stores, an unreliable network, a reaper, and two key servers.
+
+Nothing happens by itself: whoever holds the world says which message arrives, which process dies
+and over what, and what must hold is checked as it goes.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Literal
+
+from controller_service.endpoint import ControllerEndpoint
+from plant_service.endpoint import PlantEndpoint
+from protocol.link.endpoint import Actions, Endpoint, Notice, Write
+from protocol.link.events import Applied, Event
+from protocol.link.key_events import BlockJudged
+from protocol.link.perform import CrashPoint, Killed, Mortal, perform
+from protocol.link.perform import Ports as AnyPorts
+from protocol.link.session import Rules, Transition
+from protocol.messages import Measurement, Message, Offer
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.keeper import Keeper
+from protocol.secret.records import Key, TooFewKeys, UnknownKeys
+from protocol.secret.store import KeyStore
+from protocol.secret.tasks import Done, Task
+from protocol.secret.worker import work
+from tests.support.line_ends import line_controller, line_plant
+
+Side = Literal["controller", "plant"]
+SIDES: tuple[Side, Side] = ("controller", "plant")
+OTHER: dict[Side, Side] = {"controller": "plant", "plant": "controller"}
+Performer = Callable[[Actions, Endpoint, AnyPorts], None]
+
+MEMORY = 12
+"""Messages that the network keeps for each side."""
+
+
+class Zeros:
+    def symbol(self, transition: int, size: int) -> int:
+        return transition % size
+
+
+class Ports:
+    def __init__(self, world: "World", side: Side) -> None:
+        self.world, self.side = world, side
+
+    def write(self, write: Write) -> None:
+        self.world.journals[self.side].write(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        self.world.published(self.side, kind, payload)
+
+    def keep(self, task: Task) -> None:
+        self.world.tasks[self.side].append(task)
+
+    def trace(self, event: Event) -> None:
+        self.world.traced(self.side, event)
+
+    def tell(self, notice: Notice) -> None:
+        pass
+
+    def health(self, status: bytes) -> None:
+        pass
+
+
+class World:
+    """Two ends of one loop.
+
+    Parameters
+    ----------
+    rules : Rules
+        With a schedule.
+    performer : callable
+        :func:`protocol.link.perform.perform`, or a wrong one.
+    """
+
+    def __init__(self, rules: Rules, performer: Performer = perform) -> None:
+        self.rules = rules
+        self.performer = performer
+        self.now = 0.0
+        self.names = 0
+        self.deaths = 0
+        self.stores = {side: KeyStore(None, side) for side in SIDES}
+        self.journals: dict[Side, MemoryControllerJournal | MemoryPlantJournal] = {
+            "controller": MemoryControllerJournal(),
+            "plant": MemoryPlantJournal(),
+        }
+        self.ports = {side: Mortal(Ports(self, side)) for side in SIDES}
+        self.bag: dict[Side, list[tuple[type[Message], bytes]]] = {s: [] for s in SIDES}
+        self.tasks: dict[Side, list[Task]] = {side: [] for side in SIDES}
+        self.done: dict[Side, list[Done]] = {side: [] for side in SIDES}
+        self.ends: dict[Side, Endpoint] = {}
+        self.keepers: dict[Side, Keeper] = {}
+        self.copies: Counter[tuple[str, int, str]] = Counter()
+        self.nonces: dict[str, tuple[str, int, str]] = {}
+        self.counted: dict[Side, dict[tuple[str, int], Transition]] = {s: {} for s in SIDES}
+        self.given: list[Key] = []
+        for side in SIDES:
+            self.start(side)
+
+    def close(self) -> None:
+        for store in self.stores.values():
+            store.close()
+
+    def name(self) -> str:
+        self.names += 1
+        return f"{self.names:016x}"
+
+    # --- lives and deaths -------------------------------------------------------------------------
+
+    def start(self, side: Side) -> None:
+        self.tasks[side].clear()
+        self.done[side].clear()
+        self.keepers[side] = Keeper(self.stores[side])
+        self.ends[side] = self.controller() if side == "controller" else self.plant()
+        self.carry_out(side, self.ends[side].start(self.now))
+
+    def controller(self) -> ControllerEndpoint:
+        journal = self.journals["controller"]
+        assert isinstance(journal, MemoryControllerJournal)
+        return line_controller(
+            self.rules, lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)), journal, Zeros(), self.name()
+        )
+
+    def plant(self) -> PlantEndpoint:
+        journal = self.journals["plant"]
+        assert isinstance(journal, MemoryPlantJournal)
+        endpoint, _ = line_plant(self.rules, journal, self.name, self.name(), self.now, 0.5)
+        return endpoint
+
+    def carry_out(self, side: Side, actions: Actions) -> None:
+        try:
+            self.performer(actions, self.ends[side], self.ports[side])
+        except Killed:
+            self.die(side)
+
+    def doom(self, side: Side, before: CrashPoint | None, after: int = -1) -> None:
+        self.ports[side].doom(before, after)
+
+    def die(self, side: Side) -> None:
+        self.deaths += 1
+        self.ports[side].doom()
+        self.start(side)
+
+    # --- what may happen --------------------------------------------------------------------------
+
+    def deliver(self, side: Side, place: int) -> None:
+        """A message in the network's memory arrives, for the first time or once more."""
+        bag = self.bag[side]
+        if bag:
+            kind, payload = bag[place % len(bag)]
+            if kind in self.ends[side].hears:
+                self.carry_out(side, self.ends[side].receive(kind, payload, self.now))
+
+    def wake(self, side: Side) -> None:
+        self.now += 0.05
+        if self.ends[side].wake_at() <= self.now:
+            self.carry_out(side, self.ends[side].wake(self.now))
+
+    def keeps(self, side: Side) -> None:
+        """The keeper does its next task; its process learns of it later, or never."""
+        if self.tasks[side]:
+            self.done[side].append(work(self.keepers[side], self.tasks[side].pop(0)))
+
+    def told(self, side: Side) -> None:
+        if self.done[side]:
+            self.carry_out(side, self.ends[side].kept(self.done[side].pop(0), self.now))
+
+    def serve(self, side: Side) -> None:
+        """A key server gives a key, and its partner finds the same one by its id."""
+        try:
+            (key,) = self.stores[side].deliver(1, side)
+        except TooFewKeys:
+            return
+        assert key not in self.given, "a key was given twice"
+        self.given.append(key)
+        try:
+            (same,) = self.stores[OTHER[side]].deliver_named([key.key_id])
+        except UnknownKeys:
+            raise AssertionError("a key was given that the partner does not have") from None
+        assert same == key, "the two ends gave different keys under one id"
+
+    def well(
+        self, rounds: int, victim: Side | None = None, before: CrashPoint | None = None
+    ) -> None:
+        """Everybody hears everything at once; or ``victim`` dies, and what was under way is lost.
+
+        What was under way at the beginning is lost, too.
+        """
+        for side in SIDES:
+            self.ports[side].doom(before if side == victim else None)
+            self.bag[side].clear()
+        deaths = self.deaths
+        for _ in range(rounds):
+            if deaths != self.deaths:
+                deaths = self.deaths
+                for side in SIDES:
+                    self.bag[side].clear()
+            for side in SIDES:
+                self.wake(side)
+                while self.bag[side] and deaths == self.deaths:
+                    kind, payload = self.bag[side].pop(0)
+                    if kind in self.ends[side].hears:
+                        self.carry_out(side, self.ends[side].receive(kind, payload, self.now))
+                self.keeps(side)
+                self.told(side)
+
+    # --- what must hold ---------------------------------------------------------------------------
+
+    def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
+        bag = self.bag[OTHER[side]]
+        bag.append((kind, payload))
+        del bag[:-MEMORY]
+        if kind in (Measurement, Offer):
+            message = kind.model_validate_json(payload)
+            assert isinstance(message, Measurement | Offer)
+            at = (message.session, message.k, kind.topic)
+            if message.copy_number == 0:
+                self.copies[at] += 1
+                assert self.copies[at] == 1, "copy 0 left twice"
+            assert message.nonce not in self.nonces, "a nonce left twice"
+            self.nonces[message.nonce] = at
+            assert len(message.nonce) == 44
+            assert len(message.tag) == 32
+
+    def traced(self, side: Side, event: Event) -> None:
+        if isinstance(event, BlockJudged):
+            assert event.what == "confirmed", "the ends hold different blocks"
+        transition = event.transition if isinstance(event, Applied) else event
+        if isinstance(transition, Transition):
+            at = transition.session, transition.j
+            self.counted[side][at] = transition
+            other = self.counted[OTHER[side]].get(at)
+            assert other is None or other == transition, "the ends counted differently"
+
+    def agree(self) -> None:
+        """Ids come in one order at both ends."""
+        mine, theirs = ([name for name, _ in self.stores[side].ids()] for side in SIDES)
+        shared = set(mine) & set(theirs)
+        assert [n for n in mine if n in shared] == [n for n in theirs if n in shared]
