@@ -287,3 +287,9 @@ class KeyStore(StoreFile):
         with self._lock:
             rows = self._db.execute("SELECT id, state FROM key ORDER BY place").fetchall()
         return [(name, state) for name, state in rows]
+
+    def own_ids(self) -> list[str]:
+        """The ids of this side's half."""
+        with self._lock:
+            rows = self._db.execute("SELECT id FROM key WHERE own = 1 ORDER BY place").fetchall()
+        return [name for (name,) in rows]

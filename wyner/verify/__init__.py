@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from wyner.verify import bus, files, keys, loop, message
+from wyner.verify import bus, files, key_blocks, keys, loop, message
 from wyner.verify.clause import Clause, Finding, Tally
 from wyner.verify.evidence import Evidence, Part
 
@@ -121,7 +121,7 @@ CLAUSES: Final[tuple[Clause, ...]] = (
     Clause(
         "same-answer",
         "rule 2",
-        "a repeated message is the same, byte for byte",
+        "a repeated message is the same, but for its copy and nonce",
         "messages",
         bus.same_answer,
     ),
@@ -145,6 +145,43 @@ CLAUSES: Final[tuple[Clause, ...]] = (
         "messages look the same in both automaton states",
         "messages",
         bus.same_shape,
+    ),
+    Clause("nonce-once", "rule 8", "no nonce travels twice", "messages", key_blocks.nonce_once),
+    Clause(
+        "copy-0-once",
+        "rule 8",
+        "a step's copy 0 leaves at most once",
+        "copies 0",
+        key_blocks.copy_0_once,
+    ),
+    Clause(
+        "counted",
+        "rule 9",
+        "both ends count the same copies",
+        "transitions",
+        key_blocks.counted,
+    ),
+    Clause(
+        "blocks",
+        "rule 10",
+        "a block makes as many keys as its transitions allow",
+        "blocks",
+        key_blocks.blocks,
+    ),
+    Clause("tags", "rule 10", "a block has one tag", "messages", key_blocks.tags),
+    Clause(
+        "key-ids",
+        "rule 10",
+        "both stores hold the same ids in one order, in disjoint halves",
+        "keys",
+        key_blocks.key_ids,
+    ),
+    Clause(
+        "refused-at-zero",
+        "rule 10",
+        "where nothing is claimed there is no key",
+        "messages",
+        key_blocks.refused_at_zero,
     ),
 )
 

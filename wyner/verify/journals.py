@@ -64,8 +64,9 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
                 for number in range(journal.queued)
             )
             record, step = journal.load(), journal.step()
+            raws = journal.raws(None if record is None else record.session)
             sender = Sender(
-                rules, _propose_nothing, journal, SystemSymbols(), INSTANCE, record, step
+                rules, _propose_nothing, journal, SystemSymbols(), INSTANCE, record, step, raws
             )
             pending = sender.settle().transition if sender.unsettled else None
             record = sender.record
@@ -91,7 +92,9 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             record, step = journal.load(), journal.step()
             if record is None:
                 return None
-            receiver = Receiver(rules, INSTANCE, record, journal.chunks())
+            said = None if step is None else step.measurement
+            raws = journal.raws(record.session)
+            receiver = Receiver(rules, INSTANCE, record, journal.chunks(), raws, said)
             messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
         if step is not None:

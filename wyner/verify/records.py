@@ -37,6 +37,7 @@ class Counted:
     message_symbol: int
     p: int
     s: int
+    counts: int
     coin: int | None = None
     u: Vector | None = None
 
@@ -88,7 +89,27 @@ class Refused:
     p: int
 
 
-EventLine = SessionBegan | Queued | Recovered | Refused
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class BlockStored:
+    """A key block is on disk; ``keys`` were made of it."""
+
+    event: Literal["block"]
+    session: str
+    number: int
+    keys: int
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class BlockJudged:
+    """The partner's word on a key block is on disk."""
+
+    event: Literal["judged"]
+    session: str
+    number: int
+    what: Literal["confirmed", "unequal"]
+
+
+EventLine = SessionBegan | Queued | Recovered | Refused | BlockStored | BlockJudged
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "plant": {
@@ -97,12 +118,16 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "session": TypeAdapter(SessionBegan),
         "recovered": TypeAdapter(Recovered),
         "refused": TypeAdapter(Refused),
+        "block": TypeAdapter(BlockStored),
+        "judged": TypeAdapter(BlockJudged),
     },
     "controller": {
         "transition": TypeAdapter(Counted),
         "session": TypeAdapter(SessionBegan),
         "sent": TypeAdapter(Queued),
         "delivered": TypeAdapter(Queued),
+        "block": TypeAdapter(BlockStored),
+        "judged": TypeAdapter(BlockJudged),
     },
 }
 """What each side may trace: the event, and the type of its line."""
@@ -167,6 +192,8 @@ class Shape(NamedTuple):
             return f"gauges: got {len(t.gauges)}, expected {size}"
         if not 0 <= t.cipher < size:
             return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
+        if not 0 <= t.counts <= 3:
+            return f"counts: got {t.counts}, expected 0 to 3"
         if not plant and (t.coin is not None or t.u is not None):
             return "coin, u: expected in the plant's trace only"
         if plant and (t.u is None or len(t.u) != m):
@@ -197,7 +224,7 @@ def payload_of(line: EventLine) -> bytes:
     ValueError
         When it is no base64.
     """
-    if isinstance(line, SessionBegan | Refused):
+    if not isinstance(line, Queued | Recovered):
         return b""
     try:
         return base64.b64decode(line.payload, validate=True)
