@@ -20,7 +20,8 @@ TRACE_VERSION: Final = 1
 #                symbol (key symbol agreed on this transition, or -1), key (the key in use on a
 #                message transition, or -1), message_symbol (m[p] on a message transition, or -1),
 #                p (message symbols so far, this one included), s (automaton state afterwards),
-#                gauges (of x_next about each centre); the plant's adds coin (b_r) and u
+#                gauges (of x_next about each centre), counts (copies that count for keys: 1 the
+#                offer's, 2 that of the measurement it answers); the plant's adds coin (b_r) and u
 #                a side that was killed may have written one (session, j) twice: the last counts
 #   missed       a step without an offer (plant): session, k, x, u, x_next
 #   session      a session began: session, reason
@@ -28,6 +29,9 @@ TRACE_VERSION: Final = 1
 #   delivered    every symbol of a frame was counted (controller): id, payload (base64)
 #   recovered    a whole frame passed its check (plant): payload (base64)
 #   refused      a frame failed its check (plant): session, p
+#   block        a key block was stored (either): session, number, keys
+#   judged       the partner's word on it is on disk (either): session, number, what
+#                ("confirmed" | "unequal")
 
 
 class TraceError(Exception):

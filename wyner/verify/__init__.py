@@ -186,9 +186,16 @@ CLAUSES: Final[tuple[Clause, ...]] = (
 )
 
 
+OF_KEYS: Final = frozenset({"nonce-once", "copy-0-once", "counted", "blocks", "tags", "key-ids"})
+"""Clauses of which a scenario that makes no keys knows nothing."""
+
+
 def check(evidence: Evidence, watch: Callable[[Part], None] | None = None) -> list[Finding]:
     """Judge every clause, in one passage over the run; ``watch`` is shown each part as well."""
-    findings = [Finding(clause, Tally()) for clause in CLAUSES]
+    keys = evidence.rules.schedule is not None
+    findings = [
+        Finding(clause, Tally()) for clause in CLAUSES if keys or clause.name not in OF_KEYS
+    ]
     judging = []
     for finding in findings:
         judge = finding.clause.judge(evidence, finding.tally)

@@ -13,24 +13,15 @@ from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence, Part
 from wyner.verify.records import BlockStored, Counted, Told, Walked
 
-NO_KEYS: Final = "the scenario makes no keys"
-
 FILES: Final[tuple[tuple[Side, str], ...]] = (
     ("controller", str(CONTROLLER_KEYS)),
     ("plant", str(PLANT_KEYS)),
 )
 
 
-def _made(e: Evidence, tally: Tally, **parts: object) -> bool:
-    if e.rules.schedule is None:
-        tally.skipped = NO_KEYS
-        return False
-    return need(tally, **parts)
-
-
 def nonce_once(e: Evidence, tally: Tally) -> Judging:
     """No nonce travels twice, as copy 0 or as a dummy."""
-    if not _made(e, tally, capture=e.wire):
+    if not need(tally, capture=e.wire):
         return
     known: set[int] = set()
     while (part := (yield)) is not None:
@@ -43,7 +34,7 @@ def nonce_once(e: Evidence, tally: Tally) -> Judging:
 
 def copy_0_once(e: Evidence, tally: Tally) -> Judging:
     """A step's copy 0 leaves at most once."""
-    if not _made(e, tally, capture=e.wire):
+    if not need(tally, capture=e.wire):
         return
     known: set[tuple[str, str, int]] = set()
     while (part := (yield)) is not None:
@@ -57,7 +48,7 @@ def copy_0_once(e: Evidence, tally: Tally) -> Judging:
 
 def counted(e: Evidence, tally: Tally) -> Judging:
     """Both ends count the same copies of a transition, and those that they named."""
-    if not _made(e, tally, plant_trace=e.plant):
+    if not need(tally, plant_trace=e.plant):
         return
     counts: dict[tuple[str, int], tuple[int, int]] = {}
     while (part := (yield)) is not None:
@@ -117,7 +108,7 @@ class _Blocks:
 
 def blocks(e: Evidence, tally: Tally) -> Judging:
     """Every block makes as many keys as its transitions allow, at both ends."""
-    if not _made(e, tally, plant_trace=e.plant, controller_trace=e.controller):
+    if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
     assert e.rules.schedule is not None
     ends = {side: _Blocks(e.rules.schedule) for side, _ in e.readers()}
@@ -153,12 +144,12 @@ def _lines(part: Part) -> Iterator[tuple[str, Counted | BlockStored]]:
 
 def tags(e: Evidence, tally: Tally) -> Judging:
     """Each end shows one tag for a block, and the same as its partner where tags are public."""
-    if not _made(e, tally, capture=e.wire):
+    if not need(tally, capture=e.wire):
         return
     known: dict[tuple[str, str, int], str] = {}
     while (part := (yield)) is not None:
         for seen in part.seen:
-            block, tag = seen.message.get("block", -1), seen.message.get("tag")
+            block, tag = seen.message.get("block", -1), str(seen.message.get("tag"))
             if block >= 0:
                 first = known.setdefault((seen.topic, seen.session, block), tag)
                 text = f"{seen.where}: block {block} has another tag than before"
@@ -174,9 +165,6 @@ def tags(e: Evidence, tally: Tally) -> Judging:
 def key_ids(e: Evidence, tally: Tally) -> Judging:
     """Both stores hold the same ids in the same order, in disjoint halves."""
     yield from _to_the_end()
-    if e.rules.schedule is None:
-        tally.skipped = NO_KEYS
-        return
     with ExitStack() as stack:
         stores = [_open(e, side, name, tally, stack) for side, name in FILES]
         if not all(stores):
