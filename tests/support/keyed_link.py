@@ -13,6 +13,7 @@ from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
+from protocol.link.pacing import Pacing
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.perform import Ports as AnyPorts
 from protocol.link.session import Rules, Transition
@@ -124,7 +125,9 @@ class World:
     def plant(self) -> PlantEndpoint:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
-        endpoint, _ = line_plant(self.rules, journal, self.name, self.name(), self.now, 0.5)
+        endpoint, _ = line_plant(
+            self.rules, journal, self.name, self.name(), self.now, Pacing(0.5, 4, self.now)
+        )
         return endpoint
 
     def carry_out(self, side: Side, actions: Actions) -> None:
