@@ -13,7 +13,6 @@ from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
-from protocol.link.pacing import Pacing
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.perform import Ports as AnyPorts
 from protocol.link.session import Rules, Transition
