@@ -124,9 +124,7 @@ class World:
     def plant(self) -> PlantEndpoint:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
-        endpoint, _ = line_plant(
-            self.rules, journal, self.name, self.name(), self.now, Pacing(0.5, 4, self.now)
-        )
+        endpoint, _ = line_plant(self.rules, journal, self.name, self.name(), self.now, 0.5)
         return endpoint
 
     def carry_out(self, side: Side, actions: Actions) -> None:
