@@ -6,12 +6,16 @@ STAMPS := $(VENV)/.stamps
 PACKAGES := protocol controller_service plant_service tap_service wyner benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-.PHONY: demo dev test test-fast test-compose lint docs figures bench lock clean help
+ROOM_TARGETS := test-protocol test-controller test-plant test-tap test-wyner test-house
+.PHONY: $(ROOM_TARGETS)
+.PHONY: demo dev test test-fast test-compose test-pythons lint docs figures bench lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          all tests, with ruff and mypy"
 	@echo "make test-fast     the tests without the slow ones"
+	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, wyner, house"
+	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make dev           $(VENV) with all that the tests need"
 	@echo "make lint          ruff and mypy"
@@ -56,6 +60,19 @@ test-compose: $(STAMPS)/dev
 
 test-fast: $(STAMPS)/dev
 	$(BIN)/pytest -m "not slow" -n auto --dist loadfile --no-loadscope-reorder
+
+ROOM_protocol := protocol link schemes runtime secret
+ROOM_controller := controller
+ROOM_plant := adapters plant
+ROOM_tap := tap
+ROOM_wyner := api cli dashboard deployment run_report scoring simulate studies system verify
+ROOM_house := house benchmarks examples
+
+$(ROOM_TARGETS): test-%: $(STAMPS)/dev
+	$(BIN)/pytest -n auto --dist loadfile $(wildcard $(ROOM_$*:%=tests/%))
+
+test-pythons: $(STAMPS)/dev
+	deploy/other-pythons
 
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev
