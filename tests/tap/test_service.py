@@ -242,7 +242,7 @@ def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> None:
     field, intel = free_endpoints(2)
-    command = [sys.executable, "-m", "tap_service", "--scenario", "sustained"]
+    command = [sys.executable, "-m", "wyner", "tap", "--scenario", "sustained"]
     command += ["--run-dir", str(tmp_path), "--eavesdropper", "nearest-centre,oracle"]
     command += ["--connect", f"field={field}", "--listen", f"intel={intel}", "--free-bytes", "0"]
     statuses: list[TapStatus] = []
