@@ -1,0 +1,78 @@
+"""The pages "How to add ..." are true: their programs run as they stand."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from plant_service.adapters.python_object import stepped
+from protocol.registry import load_file
+from protocol.schemes.base import Scheme
+from protocol.schemes.registry import SCHEMES
+from tap_service.capture.transcript import Transcript
+from tap_service.eavesdroppers import named
+from tests.support.small_run import SmallRun
+from wyner.cli.main import main
+from wyner.studies.secrecy.runs import simulate
+
+PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
+
+
+def program(page: str, folder: Path, name: str) -> Path:
+    """The page's first program, written to a file."""
+    found = re.search(
+        r"^```python\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE
+    )
+    assert found is not None
+    path = folder / name
+    path.write_text(found[1])
+    return path
+
+
+def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
+    name = f"{program('scheme.md', tmp_path, 'pairs.py')}:Pairs"
+    scheme = SCHEMES[name](2)
+    assert isinstance(scheme, Scheme)
+    state, pads = scheme.initial, []
+    for verdict in (1, -1, 0, 1, 1, 0):
+        assert scheme.advance(state, verdict)[1].pad == scheme.pad(state)
+        state, carry = scheme.advance(state, verdict)
+        pads.append(carry.pad)
+    assert pads == [-1, -1, -1, 1, 0, -1]
+    run = SmallRun(
+        tmp_path / "run",
+        (b"two by two",),
+        changes=(("[secrecy]\n", f'[secrecy]\nscheme = "{name}"\n'),),
+    )
+    run.until_received(1)
+    run.close()
+    assert main(["check", str(tmp_path / "run")]) == 0
+
+
+def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
+    name = f"{program('eavesdropper.md', tmp_path, 'near.py')}:Near"
+    run = simulate(1200, 5)
+    tap, transcript = named(name)(run.scenario.knowledge()), Transcript()
+    right = 0
+    for transition in (t for m in run.messages for t in transcript.hear(m)):
+        guess = tap.observe(transition)
+        right += run.truth.keys.get((transition.session, transition.k)) == guess.best
+    assert right == len(run.truth.keys) > 100
+    assert len(tap.belief().symbols) > 50
+
+
+def test_the_plant_of_the_page_moves(tmp_path: Path) -> None:
+    program("plant.md", tmp_path, "room.py")
+    room = stepped(load_file(tmp_path / "room.py").Room(), "room.py:Room")
+    assert room.reset(None) == (20.0,)
+    assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
+
+
+@pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda page: page.stem)
+def test_a_page_names_what_is_there(page: Path) -> None:
+    root = PAGES.parents[1]
+    for target in re.findall(
+        r"`((?:protocol|controller_service|plant_service|tap_service|wyner|tests)/[\w/]*\.?\w+/?)`",
+        page.read_text(),
+    ):
+        assert (root / target).exists(), target
