@@ -24,6 +24,10 @@ RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-ch
     && /opt/wyner/bin/wyner --version
 
 FROM ${BASE_IMAGE}
+ARG VERSION=0.1.0
+LABEL org.opencontainers.image.title=wyner \
+      org.opencontainers.image.version=${VERSION} \
+      org.opencontainers.image.licenses=Apache-2.0
 # A fixed number, so that what a volume holds keeps its owner from one image to the next. The
 # folders are made here because a new volume takes its owner from the folder it covers.
 RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
@@ -32,7 +36,7 @@ RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
         /var/lib/wyner/knowledge /var/lib/wyner/certs /var/lib/wyner/certs/router \
         /var/lib/wyner/certs/controller /var/lib/wyner/certs/plant /var/lib/wyner/certs/tap
 COPY --from=build /opt/wyner /opt/wyner
-COPY deploy/claim-loop /usr/local/bin/claim-loop
+COPY deploy/claim-loop deploy/healthy /usr/local/bin/
 ENV PATH=/opt/wyner/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     XDG_CACHE_HOME=/var/lib/wyner/run/cache

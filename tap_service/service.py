@@ -36,7 +36,14 @@ from protocol.runtime.process import (
     logger,
     stop_on_signals,
 )
-from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS, write_atomically
+from protocol.runtime.run_folder import (
+    BELIEFS,
+    CAPTURE,
+    GUESSES,
+    HEALTH,
+    TAP_STATUS,
+    write_atomically,
+)
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.analysis import Assignment, Ears, analyse, listeners_of
 from tap_service.capture.channel import Ear, View, told
@@ -54,6 +61,9 @@ STATUS_PERIOD_S: Final = 0.2
 
 BELIEFS_PERIOD_S: Final = 2.0
 """Between two writings of ``beliefs.json``."""
+
+TOO_FAR_BEHIND: Final = 5000
+"""Steps of backlog from which the tap does not keep up."""
 
 GATHER_S: Final = 0.05
 """Rest after the queue was empty, in which messages gather: waking up for each one would take
@@ -381,6 +391,13 @@ class TapService:
             for status in statuses:
                 self._put(status.wire())
 
+    def _health(self) -> str:
+        """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
+        behind = max(len(self._queue), *(s.behind for s in self._analysis_status.values()), 0)
+        if behind > TOO_FAR_BEHIND:
+            return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
+        return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"
+
     def _write_beliefs(self) -> None:
         captured = {
             "t_ns": time.time_ns(),
@@ -391,6 +408,7 @@ class TapService:
         try:
             write_atomically(self._config.run_dir / BELIEFS, beliefs_json(self._records))
             write_atomically(self._config.run_dir / TAP_STATUS, to_json(captured))
+            write_atomically(self._config.run_dir / "tap" / HEALTH, self._health().encode())
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

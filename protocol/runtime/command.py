@@ -35,7 +35,7 @@ def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
         return code
     except UsageError as error:
         for line in error.lines:
-            print(f"wyner: {line}", file=sys.stderr)
+            print(f"wyner: {_by_variable(line)}", file=sys.stderr)
         return USAGE
     except Failure as error:
         print(f"wyner: {error}", file=sys.stderr)
@@ -83,6 +83,20 @@ def serve(name: str) -> int:
         return parser.parse_args()
 
     return entered(lambda: carry_out(parse))
+
+
+SAID_BY: Final = "WYNER_SAID_BY"
+"""Environment variable: which variable each option's value came from, where somebody else wrote the
+command line (compose.yaml): ``--pace=WYNER_PACE;/scenarios/=WYNER_SCENARIO``."""
+
+
+def _by_variable(line: str) -> str:
+    """The line, before it the variable that the user has set wrong, if it came from one."""
+    for pair in os.environ.get(SAID_BY, "").split(";"):
+        start, _, variable = pair.rpartition("=")
+        if start and line.startswith(start):
+            return f"{variable}: {line}"
+    return line
 
 
 def _flush_or_drop_output() -> None:

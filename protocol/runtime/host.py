@@ -16,6 +16,8 @@ from math import inf
 from pathlib import Path
 from typing import Final, Protocol
 
+from pydantic_core import from_json
+
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
 from protocol.link.perform import perform
@@ -23,7 +25,8 @@ from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.bus import Bus, Publisher
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import DONE, Complaints
-from protocol.runtime.run_folder import write_atomically
+from protocol.runtime.pulse import Pulse, Space
+from protocol.runtime.run_folder import HEALTH, write_atomically
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.blocks import Stored
 from protocol.secret.keeper import Keeper
@@ -77,6 +80,8 @@ class LoopPorts:
     log: logging.Logger
     worker: KeyWorker | None = None
     limited: dict[str, Complaints] = field(default_factory=dict)
+    pulse: Pulse = field(default_factory=Pulse)
+    space: Space | None = None
 
     def write(self, write: Write) -> None:
         """Write to the journal."""
@@ -105,8 +110,17 @@ class LoopPorts:
         self.limited[notice.subject].add(notice.text)
 
     def health(self, status: bytes) -> None:
-        """Replace the status file."""
+        """Replace the status file and the line beside it that says whether this end keeps up."""
         write_atomically(self.files.health, status)
+        told = from_json(status)
+        beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
+        folder = self.files.health.parent
+        write_atomically(folder / HEALTH, f"{beat.line}\n".encode())
+        if self.space is None:
+            self.space = Space(folder)
+        for line in (beat.notice, self.space.look()):
+            if line:
+                self.log.warning("%s", line)
 
 
 _LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

@@ -33,6 +33,9 @@ BELIEFS: Final = Path("tap/beliefs.json")
 TAP_STATUS: Final = Path("tap/status.json")
 """Where things lie below a run's folder."""
 
+HEALTH: Final = "health"
+"""In a service's folder: one line, ``ok`` or ``bad`` and why."""
+
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
 PUBLIC_FILE: Final = 0o644

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.services import SERVICES, Look
 
 MAX_AGE_S = 5.0
@@ -104,5 +105,16 @@ def run(args: argparse.Namespace) -> int:
     look = SERVICES[args.service].health
     assert look is not None
     seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
+    told = told_by(args.run_dir / args.service)
+    if told.startswith("bad"):
+        raise Failure(told.removeprefix("bad: "))
     print(f"{args.service} advances: {seen.text}")
     return DONE
+
+
+def told_by(folder: Path) -> str:
+    """The service's own line, ``ok`` or ``bad`` and why; empty where it has none."""
+    try:
+        return (folder / HEALTH).read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

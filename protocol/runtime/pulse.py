@@ -1,0 +1,110 @@
+"""Whether one end of a loop keeps up, told once a second in a file of one line.
+
+The line begins with ``ok`` or ``bad`` and says why, so that a health check costs a shell's start
+and no interpreter's (``deploy/healthy``). A change is told in the log too, once: a partner that is
+frozen, gone or off the network, a machine too slow for its pace, a disk nearly full.
+"""
+
+import shutil
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple
+
+WINDOW_S: Final = 10.0
+"""Seconds over which missed steps are counted."""
+
+SILENT_S: Final = 5.0
+"""Seconds without a transition after which the loop stands still."""
+
+MISSED_AT_MOST: Final = 0.2
+"""Share of missed steps from which an end does not keep up."""
+
+FULL_BYTES: Final = 256 << 20
+"""Free space below which a disk is nearly full; it is told again after twice as much was free."""
+
+
+class Beat(NamedTuple):
+    """The line for the health file, and a line for the log where something changed."""
+
+    line: str
+    notice: str
+
+
+class _Seen(NamedTuple):
+    at_s: float
+    transitions: int
+    missed: int
+
+
+@dataclass(slots=True)
+class Pulse:
+    """Judges what an end counts; time is an argument."""
+
+    _seen: deque[_Seen] = field(default_factory=deque)
+    _moved_s: float | None = None
+    _well: bool = True
+
+    def beat(self, now_s: float, transitions: int, missed: int) -> Beat:
+        """Judge the counts at a monotonic time.
+
+        Parameters
+        ----------
+        now_s : float
+        transitions, missed : int
+            Counted since the record began; a new session may count from 0 again.
+        """
+        last = self._seen[-1] if self._seen else None
+        if last is not None and (transitions < last.transitions or missed < last.missed):
+            self._seen.clear()
+            last = None
+        if transitions > (last.transitions if last is not None else 0):
+            self._moved_s = now_s
+        self._seen.append(_Seen(now_s, transitions, missed))
+        while len(self._seen) > 2 and self._seen[1].at_s <= now_s - WINDOW_S:
+            self._seen.popleft()
+        first = self._seen[0]
+        made, lost = transitions - first.transitions, missed - first.missed
+        if self._moved_s is None:
+            return Beat("bad: waiting for the other end, no transition yet", "")
+        silent_s = now_s - self._moved_s
+        if silent_s >= SILENT_S:
+            why = (
+                f"no transition for {silent_s:.0f} s: the other end is frozen, gone or off the "
+                "network"
+            )
+        elif lost > MISSED_AT_MOST * (made + lost):
+            why = (
+                f"{100 * lost // (made + lost)} % of the last {made + lost} steps missed: this "
+                "machine or its network is too slow for the pace"
+            )
+        else:
+            notice = "" if self._well else f"keeps up again, {transitions} transitions"
+            self._well = True
+            share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
+            return Beat(f"ok: {transitions} transitions, {share} missed lately", notice)
+        notice = why if self._well else ""
+        self._well = False
+        return Beat(f"bad: {why}", notice)
+
+
+@dataclass(slots=True)
+class Space:
+    """Tells once that the disk below a folder is nearly full, and once that it is not any more."""
+
+    folder: Path
+    _full: bool = False
+
+    def look(self) -> str:
+        """A line for the log where something changed."""
+        try:
+            free = shutil.disk_usage(self.folder).free
+        except OSError:
+            return ""
+        if not self._full and free < FULL_BYTES:
+            self._full = True
+            return f"disk nearly full: {free >> 20} MiB left below {self.folder}"
+        if self._full and free > 2 * FULL_BYTES:
+            self._full = False
+            return f"room again: {free >> 20} MiB left below {self.folder}"
+        return ""

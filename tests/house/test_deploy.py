@@ -1,0 +1,65 @@
+"""What deployment rests on: units, variables that are named, the list of what is in the image."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.sbom import PINS, sbom
+
+ROOT = Path(__file__).resolve().parents[2]
+UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
+
+
+def test_every_pinned_package_is_in_the_bill_with_its_hashes() -> None:
+    text = PINS.read_text(encoding="utf-8")
+    found = sbom(text, "1.0")["components"]
+    pinned = re.findall(r"^([A-Za-z0-9._-]+)==", text, re.MULTILINE)
+    assert [c["name"] for c in found] == [name.lower() for name in pinned]
+    assert sum(len(c["hashes"]) for c in found) == text.count("--hash=sha256:")
+    assert all(c["hashes"] and c["purl"].startswith("pkg:pypi/") for c in found)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.stem)
+def test_a_unit_starts_its_service_with_options_that_are_there(unit: Path) -> None:
+    text = unit.read_text(encoding="utf-8")
+    (start,) = re.findall(r"^ExecStart=\S+ (\S+) (.*)$", text, re.MULTILINE)
+    name, options = start
+    assert unit.name == f"wyner-{name}.service"
+    done = subprocess.run(
+        [sys.executable, "-m", "wyner", name, "--help"], capture_output=True, text=True, check=True
+    )
+    for option in re.findall(r"--[a-z-]+", options):
+        assert option in done.stdout
+    assert "RestartPreventExitStatus=2" in text
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+def test_systemd_finds_nothing_wrong_with_the_units() -> None:
+    done = subprocess.run(
+        ["systemd-analyze", "verify", *map(str, UNITS)], capture_output=True, text=True, check=False
+    )
+    wrong = [line for line in done.stderr.splitlines() if "not executable" not in line]
+    assert not [line for line in wrong if "wyner" in line], done.stderr
+
+
+def test_a_wrong_variable_of_compose_is_named() -> None:
+    compose = (ROOT / "compose.yaml").read_text(encoding="utf-8")
+    (said_by,) = re.findall(r'WYNER_SAID_BY: "(.*)"', compose)
+    for arguments, named in (
+        (["plant", "--pace", "x0"], "WYNER_PACE: --pace: got 'x0'"),
+        (["plant", "--scenario", "/scenarios/nosuch.toml"], "WYNER_SCENARIO: /scenarios/nosuch"),
+        (["controller", "--message", ""], "WYNER_MESSAGE: message: got 0 bytes"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "wyner", *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={"WYNER_SAID_BY": said_by, "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)},
+        )
+        assert done.returncode == 2
+        assert named in done.stderr

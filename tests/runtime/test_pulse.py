@@ -1,0 +1,91 @@
+"""Whether an end keeps up: judged from its counts, told once, read without an interpreter."""
+
+import os
+import shutil
+import subprocess
+import time
+from collections import namedtuple
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.pulse import Pulse, Space
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def lines(beats: Sequence[tuple[float, int, int]]) -> list[tuple[str, str]]:
+    judge = Pulse()
+    return [tuple(judge.beat(*beat)) for beat in beats]  # type: ignore[misc]
+
+
+def test_before_the_first_transition_it_waits() -> None:
+    for line, notice in lines([(0, 0, 0), (60, 0, 0)]):
+        assert line.startswith("bad: waiting for the other end")
+        assert notice == ""
+
+
+def test_a_loop_that_goes_on_is_well() -> None:
+    told = lines([(t, 10 * t, 0) for t in range(60)][1:])
+    assert told[-1] == ("ok: 590 transitions, 0 % missed lately", "")
+    assert all(line.startswith("ok") for line, _ in told)
+
+
+def test_a_silent_partner_is_told_once_and_its_return_once() -> None:
+    told = lines(
+        [(t, 100, 0) for t in range(1, 33)] + [(33, 110, 30), (34, 120, 30), (60, 380, 30)]
+    )
+    assert [line.split(":")[0] for line, _ in told[:7]] == ["ok"] * 5 + ["bad"] * 2
+    notices = [notice for _, notice in told if notice]
+    assert notices[0].startswith("no transition for 5 s: the other end is frozen, gone or off")
+    assert notices[-1].startswith("keeps up again, ")
+    assert len(notices) == 2
+
+
+def test_many_missed_steps_are_no_health() -> None:
+    told = lines([(t, 12 * t, 88 * t) for t in range(1, 20)])
+    assert told[-1][0].startswith("bad: 88 % of the last ")
+    assert "too slow for the pace" in told[-1][0]
+    few = lines([(t, 90 * t, 10 * t) for t in range(1, 20)])
+    assert few[-1][0].endswith("10 % missed lately")
+
+
+def test_a_new_session_counts_from_nought() -> None:
+    told = lines([(1, 500, 9), (2, 510, 9), (3, 5, 0), (4, 15, 0)])
+    assert all(line.startswith("ok") for line, _ in told)
+
+
+def test_a_disk_that_fills_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "free")
+    free = iter([10**12, 100 << 20, 90 << 20, 300 << 20, 600 << 20, 600 << 20])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(next(free)))
+    space = Space(tmp_path)
+    told = [space.look() for _ in range(6)]
+    assert [line.split(":")[0] for line in told] == [
+        "",
+        "disk nearly full",
+        "",
+        "",
+        "room again",
+        "",
+    ]
+
+
+def test_the_check_of_the_containers_reads_it_without_python(tmp_path: Path) -> None:
+    def check() -> tuple[int, str]:
+        command = [str(ROOT / "deploy" / "healthy"), "plant", str(tmp_path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout.strip()
+
+    assert check() == (1, "plant has not reported yet")
+    health = tmp_path / "health"
+    health.write_text("ok: 12 transitions\n")
+    assert check() == (0, "ok: 12 transitions")
+    health.write_text("bad: 88 % missed\n")
+    assert check() == (1, "bad: 88 % missed")
+    health.write_text("ok: 12 transitions\n")
+    os.utime(health, (time.time() - 60,) * 2)
+    code, told = check()
+    assert code == 1
+    assert told.endswith("s ago: frozen or gone")
