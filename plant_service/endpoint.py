@@ -177,7 +177,7 @@ class PlantEndpoint:
         if pacing.waiting:
             self._answered_at = now
         publish: list[Outgoing] = []
-        silent = now - self._answered_at >= SILENCE_S
+        silent = now >= self._answered_at + SILENCE_S  # as in wake_at, to the last bit
         if silent:
             receiver.look_around()
         if (silent or not receiver.accepted) and now >= self._hello_at:
