@@ -72,8 +72,8 @@ processor time from the loop that is listened to."""
 NICENESS: Final = 10
 """Guessing gives way to the loop where they share a processor."""
 
-QUEUE_LENGTH: Final = 200_000
-"""Messages that may wait for the mirror; beyond it they are dropped and counted."""
+QUEUE_BYTES: Final = 64 * 2**20
+"""Bytes that may wait for the mirror; what comes beyond them is dropped and counted."""
 
 BUSY_LENGTH: Final = 20_000
 """Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
@@ -196,13 +196,12 @@ class TapService:
         self._ears = Ears(listeners, self._guesses)
         self._ear = Ear(config.view)
         self._transcript = Transcript()
-        self._queue: Inbox[tuple[str, bytes, int]] = Inbox()
+        self._queue: Inbox[tuple[str, bytes, int]] = Inbox(QUEUE_BYTES)
         self._complaints = Complaints(self.log)
         self._types: dict[str, type[Measurement] | type[Offer]] = {
             key_of(kind, config.loop): kind for kind in (Measurement, Offer)
         }
         self._put: Callable[[bytes], None] | None = None
-        self._overflow = 0
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
@@ -238,10 +237,7 @@ class TapService:
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         """Take one message from the transport; runs on its thread, so it only enqueues."""
-        if len(self._queue) < QUEUE_LENGTH:
-            self._queue.put((key, payload, t_ns))
-        else:
-            self._overflow += 1
+        self._queue.put((key, payload, t_ns), len(payload))
 
     # --- the loop ---------------------------------------------------------------------------------
 
@@ -357,7 +353,7 @@ class TapService:
             "t_ns": time.time_ns(),
             "mirrored": self._capture.written,
             "capture_bytes": self._capture.size,
-            "dropped": self._overflow + self._capture.dropped + self._unheard,
+            "dropped": self._queue.dropped + self._capture.dropped + self._unheard,
             "garbage": self._complaints.total,
         }
 
@@ -403,7 +399,7 @@ class TapService:
             "t_ns": time.time_ns(),
             "first_part": self._capture.first_part,
             "captured": self._capture.written,
-            "dropped": self._overflow + self._capture.dropped,
+            "dropped": self._queue.dropped + self._capture.dropped,
         }
         try:
             write_atomically(self._config.run_dir / BELIEFS, beliefs_json(self._records))

@@ -3,6 +3,7 @@
 import sys
 
 from protocol.runtime.command import entered
+from protocol.runtime.private_arguments import hide_message
 
 
 def _load_and_run() -> int:
@@ -13,6 +14,7 @@ def _load_and_run() -> int:
 
 def main() -> int:
     """Load the command and run it; returns the exit code."""
+    hide_message()
     return entered(_load_and_run)
 
 

@@ -1,6 +1,7 @@
 """What is around every command: its signals, its output, and its errors in a line each."""
 
 import argparse
+import errno
 import importlib
 import io
 import os
@@ -11,6 +12,7 @@ from typing import Final
 
 from protocol.runtime.process import FAILED, INTERRUPTED, USAGE, Failure, UsageError
 from protocol.runtime.services import SERVICES
+from protocol.text import printable
 
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 
@@ -35,10 +37,10 @@ def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
         return code
     except UsageError as error:
         for line in error.lines:
-            print(f"wyner: {_by_variable(line)}", file=sys.stderr)
+            print(f"wyner: {printable(_by_variable(line))}", file=sys.stderr)
         return USAGE
     except Failure as error:
-        print(f"wyner: {error}", file=sys.stderr)
+        print(f"wyner: {printable(str(error))}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -49,8 +51,9 @@ def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
         if os.environ.get("WYNER_TRACEBACK"):
             raise
         _flush_or_drop_output()
-        print(f"wyner: {_in_a_line(error)}", file=sys.stderr)
-        return FAILED
+        print(f"wyner: {printable(_in_a_line(error))}", file=sys.stderr)
+        named = isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP)
+        return USAGE if named else FAILED
 
 
 def entered(command: Callable[[], int]) -> int:

@@ -24,7 +24,7 @@ from protocol.link.perform import perform
 from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.bus import Bus, Publisher
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.process import DONE, Complaints
+from protocol.runtime.process import DONE, Burst, Complaints
 from protocol.runtime.pulse import Pulse, Space
 from protocol.runtime.run_folder import HEALTH, write_atomically
 from protocol.runtime.trace import TraceWriter
@@ -82,6 +82,7 @@ class LoopPorts:
     limited: dict[str, Complaints] = field(default_factory=dict)
     pulse: Pulse = field(default_factory=Pulse)
     space: Space | None = None
+    burst: Burst = field(default_factory=Burst)
 
     def write(self, write: Write) -> None:
         """Write to the journal."""
@@ -103,11 +104,17 @@ class LoopPorts:
     def tell(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""
         if not notice.subject:
-            self.log.log(_LEVELS[notice.level], "%s", notice.text)
+            if self.burst.allows(time.monotonic()):
+                self.log.log(_LEVELS[notice.level], "%s", notice.text)
+            else:
+                self._limited("lines").add(notice.text)
             return
-        if notice.subject not in self.limited:
-            self.limited[notice.subject] = Complaints(self.log)
-        self.limited[notice.subject].add(notice.text)
+        self._limited(notice.subject).add(notice.text)
+
+    def _limited(self, subject: str) -> Complaints:
+        if subject not in self.limited:
+            self.limited[subject] = Complaints(self.log)
+        return self.limited[subject]
 
     def health(self, status: bytes) -> None:
         """Replace the status file and the line beside it that says whether this end keeps up."""
@@ -159,6 +166,7 @@ class Host:
         self._loops: list[_Loop] = []
         self._wakes: list[tuple[float, int]] = []
         self._inbox: Inbox[tuple[int, Heard]] = Inbox()
+        self._dropped = 0
         self._code = DONE
         self._living = 0
 
@@ -167,12 +175,12 @@ class Host:
         number = len(self._loops)
 
         def arrived(kind: type[Message], _key: str, payload: bytes, _t_ns: int) -> None:
-            self._inbox.put((number, (kind, payload)))
+            self._inbox.put((number, (kind, payload)), len(payload))
 
         publishers = {kind: self._bus(kind).publisher(key_of(kind, loop)) for kind in endpoint.says}
         worker = None
         if files.keeper is not None:
-            worker = KeyWorker(files.keeper, lambda done: self._inbox.put((number, done)))
+            worker = KeyWorker(files.keeper, lambda done: self._inbox.put((number, done), None))
         self._loops.append(_Loop(endpoint, LoopPorts(files, publishers, log, worker)))
         for kind in endpoint.hears:
             self._bus(kind).subscribe(key_of(kind, loop), partial(arrived, kind))
@@ -219,6 +227,10 @@ class Host:
             number, heard = self._inbox.get(timeout=wait_s)
         except queue.Empty:
             return
+        if self._inbox.dropped > self._dropped:
+            text = f"messages come faster than they are taken: {self._inbox.dropped} dropped so far"
+            self._loops[number].ports.tell(Notice(text, "warning", "flood"))
+            self._dropped = self._inbox.dropped
         endpoint = self._loops[number].endpoint
         if endpoint.code is not None:
             return

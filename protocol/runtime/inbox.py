@@ -10,25 +10,58 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 T = TypeVar("T")
 
+OVERHEAD: Final = 200
+"""Bytes that an item costs beside its payload, about."""
+
+ROOM: Final = 8 * 2**20
+"""Bytes that wait at most, unless said otherwise."""
+
 
 class Inbox(Generic[T]):
-    """A queue for one thread that takes and any number that put."""
+    """A queue for one thread that takes and any number that put, bounded in bytes.
 
-    def __init__(self) -> None:
-        self._items: deque[T] = deque()
+    What comes when there is no room is dropped and counted: a flood costs messages, which the
+    protocol survives, and not memory.
+
+    Parameters
+    ----------
+    room : int
+        Bytes of payload that may wait, with `OVERHEAD` for each item.
+
+    Attributes
+    ----------
+    dropped : int
+        Items for which there was no room.
+    """
+
+    def __init__(self, room: int = ROOM) -> None:
+        self.room = room
+        self.dropped = 0
+        self._items: deque[tuple[T, int]] = deque()
+        self._came = self._taken = 0
+        self._putting = threading.Lock()
         self._news = threading.Lock()  # released when something new may be there
         self._news.acquire()
 
     def __len__(self) -> int:
         return len(self._items)
 
-    def put(self, item: T) -> None:
-        """Add an item; never waits."""
-        self._items.append(item)
+    def put(self, item: T, size: int | None) -> None:
+        """Add an item whose payload has ``size`` bytes, or drop it; never waits.
+
+        Without a size it is never dropped: for what a program tells itself.
+        """
+        cost = 0 if size is None else size + OVERHEAD
+        with self._putting:
+            if size is not None and self._came - self._taken + cost > self.room:
+                self.dropped += 1
+                return
+            self._came += cost
+        self._items.append((item, cost))
         with suppress(RuntimeError):  # released before, and nobody has looked since
             self._news.release()
 
@@ -41,9 +74,14 @@ class Inbox(Generic[T]):
             When none has come.
         """
         if self._items:
-            return self._items.popleft()
+            return self._take()
         until = time.monotonic() + timeout
         while self._news.acquire(timeout=max(until - time.monotonic(), 0.0)):
             if self._items:  # not so when what was new then has been taken since
-                return self._items.popleft()
+                return self._take()
         raise queue.Empty
+
+    def _take(self) -> T:
+        item, cost = self._items.popleft()
+        self._taken += cost  # by the one thread that takes
+        return item

@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
+from protocol.text import printable
+
 DONE: Final = 0
 FAILED: Final = 1
 USAGE: Final = 2
@@ -67,12 +69,20 @@ def _stop_at_end_of_stdin(stopping: threading.Event) -> None:
     stopping.set()
 
 
+class _Printable(logging.Formatter):
+    """A line stays a line, and no terminal obeys it: what a message holds may be a stranger's."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record with everything unprintable as a dot; a traceback keeps its lines."""
+        return "\n".join(map(printable, super().format(record).splitlines()))
+
+
 def logger(service: str) -> logging.Logger:
     """The log of a program: lines on standard error with the time and the program's name."""
     log = logging.getLogger(service)
     if not log.handlers:
         handler = logging.StreamHandler(sys.stderr)
-        formatter = logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s")
+        formatter = _Printable("%(asctime)s %(name)s %(levelname)s %(message)s")
         formatter.default_msec_format = "%s.%03d"
         handler.setFormatter(formatter)
         log.addHandler(handler)
@@ -93,6 +103,32 @@ class Throttle:
         if now_s < self._next:
             return False
         self._next = now_s + self.period_s
+        return True
+
+
+class Burst:
+    """Lets a few through at once, and after them one a period on average (a token bucket).
+
+    Parameters
+    ----------
+    most : int
+        At once.
+    period_s : float
+    """
+
+    def __init__(self, most: int = 30, period_s: float = 1.0) -> None:
+        self._most = most
+        self._period_s = period_s
+        self._left = float(most)
+        self._at = 0.0
+
+    def allows(self, now_s: float) -> bool:
+        """Whether one more may pass at monotonic time ``now_s``; if so it counts."""
+        refilled = self._left + (now_s - self._at) / self._period_s
+        self._left, self._at = min(refilled, float(self._most)), now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
         return True
 
 

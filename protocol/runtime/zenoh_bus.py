@@ -19,6 +19,12 @@ from protocol.runtime.bus import Bus, Deliver, TransportError
 if TYPE_CHECKING:
     import zenoh
 
+LARGEST_MESSAGE: Final = 2**18
+"""Bytes of a message at most: three times the longest message to deliver, in base64."""
+
+SHOWN: Final = 64
+"""Bytes of a longer one that are delivered."""
+
 LEASE_MS: Final = 2000
 """A partner silent for so long counts as gone: the loop freezes no longer than this."""
 
@@ -200,6 +206,9 @@ class ZenohBus(Bus):
     def subscribe(self, key_expr: str, deliver: Deliver) -> None:
         """Call ``deliver`` on Zenoh's thread with every message of others that fits.
 
+        Of a message beyond `LARGEST_MESSAGE` its size and its first bytes are delivered: garbage,
+        which whoever gets it counts.
+
         A message whose encoding names another key than the one it came under is dropped. Peers
         agree on numbers for keys, and where one of them was frozen and the other has connected
         anew, Zenoh 1.10 now and then reads a number as it was before.
@@ -217,9 +226,13 @@ class ZenohBus(Bus):
             if encoding == _JSON and named not in ("", key):
                 return
             stamp = sample.timestamp
+            size = len(sample.payload)
+            payload = sample.payload.to_bytes()
+            if size > LARGEST_MESSAGE:
+                payload = b"%d bytes: " % size + payload[:SHOWN]
             deliver(
                 key,
-                sample.payload.to_bytes(),
+                payload,
                 time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
             )
 
@@ -307,6 +320,8 @@ def _settings(
         "scouting/gossip/enabled": False,
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
+        # What a peer or a router puts together of fragments; larger messages are lost there.
+        "transport/link/rx/max_message_size": 2**24,
         # Express messages fill a batch each, and with the usual 2 batches a burst is dropped.
         "transport/link/tx/queue/size/data": 16,
         "transport/unicast/open_timeout": OPEN_MS,

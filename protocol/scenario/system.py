@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator
+from math import isfinite
 from typing import Annotated, Self
 
 from pydantic import Field, SerializeAsAny, model_validator
@@ -110,6 +111,10 @@ class Scenario(Part):
             *self.defender.problems(self.n, self.m),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
+        bounds = self.defender.disturbance.rows()[1]
+        if not all(isfinite(self.secrecy.alpha * bound) for bound in bounds):
+            text = f"secrecy.alpha: alpha D_c is too large to reckon with: {self.secrecy.alpha:g}"
+            problems.append(f"{text} times {max(bounds):g}")
         d = self.plant.disturbance
         may_leave = d.may_leave_defender_set or d.kind == "gaussian"
         if not problems:

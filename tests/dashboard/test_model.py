@@ -12,6 +12,7 @@ from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.topics import key_of
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from wyner.dashboard import source as source_module
 from wyner.dashboard.model import (
     PICTURE_NS,
     STATES_KEPT,
@@ -379,7 +380,8 @@ def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
     assert source.drain() == []
 
 
-def test_what_is_not_read_in_time_is_dropped_and_counted() -> None:
+def test_what_is_not_read_in_time_is_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source_module, "WAITING_AT_MOST", 4096 * (1 + source_module.OVERHEAD))
     hub = MemoryHub()
     source = BusSource(MemoryBus(hub), MemoryBus(MemoryHub()), "loop")
     put = MemoryBus(hub).publisher(key_of(PlantStatus, "loop")).put

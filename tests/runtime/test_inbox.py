@@ -9,13 +9,13 @@ import time
 
 import pytest
 
-from protocol.runtime.inbox import Inbox
+from protocol.runtime.inbox import OVERHEAD, Inbox
 
 
 def test_items_come_in_order_and_are_counted() -> None:
     inbox: Inbox[int] = Inbox()
     for item in range(5):
-        inbox.put(item)
+        inbox.put(item, 0)
     assert len(inbox) == 5
     assert [inbox.get(0.0) for _ in range(5)] == list(range(5))
     assert not inbox
@@ -25,7 +25,7 @@ def test_items_come_in_order_and_are_counted() -> None:
 
 def test_it_waits_as_long_as_it_was_told() -> None:
     inbox: Inbox[int] = Inbox()
-    inbox.put(1)
+    inbox.put(1, 0)
     assert inbox.get(1.0) == 1  # what was new then is old now, and must not end the next wait
     began = time.monotonic()
     with pytest.raises(queue.Empty):
@@ -35,16 +35,16 @@ def test_it_waits_as_long_as_it_was_told() -> None:
 
 def test_a_wait_ends_with_the_item() -> None:
     inbox: Inbox[str] = Inbox()
-    threading.Timer(0.1, inbox.put, ("late",)).start()
+    threading.Timer(0.1, inbox.put, ("late", 0)).start()
     assert inbox.get(30.0) == "late"
 
 
 def test_nothing_is_lost_between_several_that_put_and_one_that_takes() -> None:
-    inbox: Inbox[tuple[int, int]] = Inbox()
+    inbox: Inbox[tuple[int, int]] = Inbox(10**9)
 
     def put(n: int) -> None:
         for i in range(5000):
-            inbox.put((n, i))
+            inbox.put((n, i), 0)
 
     puts = [threading.Thread(target=put, args=(n,)) for n in range(4)]
     for thread in puts:
@@ -55,6 +55,17 @@ def test_nothing_is_lost_between_several_that_put_and_one_that_takes() -> None:
     assert not inbox
 
 
+def test_what_there_is_no_room_for_is_dropped_and_counted() -> None:
+    inbox: Inbox[bytes] = Inbox(10_000)
+    for _ in range(5):
+        inbox.put(b"x", 4000)
+    assert (len(inbox), inbox.dropped) == (2, 3)
+    assert [inbox.get(0.0), inbox.get(0.0)] == [b"x", b"x"]
+    inbox.put(b"y", 10_000 - OVERHEAD)
+    inbox.put(b"z", 0)
+    assert (len(inbox), inbox.dropped) == (1, 4)
+
+
 TINY_WAITS = """
 import os, queue, sys, threading, time
 from protocol.runtime.inbox import Inbox
@@ -62,7 +73,7 @@ os.nice(15)
 inbox, rounds = Inbox(), [0]
 def take():
     while True:
-        inbox.put(1)
+        inbox.put(1, 0)
         try:
             inbox.get(1e-6)
             inbox.get(2e-6)

@@ -18,6 +18,7 @@ import pytest
 from protocol.runtime.bus import Bus, TransportError
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.zenoh_bus import (
+    LARGEST_MESSAGE,
     OPEN_MS,
     Endpoints,
     TlsFiles,
@@ -295,6 +296,20 @@ def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None
             publisher.put(payload, encoding=encoding)
         assert [at_plant.take()[:2] for _ in accepted] == [(KEY, p) for p in accepted.values()]
         assert at_plant.queue.empty()
+
+
+@pytest.mark.integration
+def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
+    endpoints = free_endpoints(1)
+    with ZenohBus(listen=endpoints) as plant, ZenohBus(connect=endpoints) as stranger:
+        at_plant = Inbox(plant)
+        publisher = stranger.publisher(KEY)
+        until(publisher.matched, "the subscription")
+        largest = b"x" * LARGEST_MESSAGE
+        publisher.put(largest)
+        publisher.put(b"{}" + b" " * 10**6)
+        assert at_plant.take()[1] == largest
+        assert at_plant.take()[1] == b"1000002 bytes: {}" + b" " * 62
 
 
 @pytest.mark.integration

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from protocol.runtime.process import DONE, FAILED, UsageError
+from protocol.text import printable
 
 if TYPE_CHECKING:
     from wyner.verify.clause import Finding
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(summary, ensure_ascii=False))
     else:
         for finding in findings:
-            print("\n".join(lines_of(finding)))
+            print("\n".join(printable(line) for line in lines_of(finding)))
         results = [f.result for f in findings]
         print(", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP")))
     return FAILED if failed else DONE

@@ -53,7 +53,9 @@ def run(args: argparse.Namespace) -> int:
     answers: Inbox[bytes] = Inbox()
     try:
         with open_bus(ends) as ops:
-            ops.subscribe(key_of(SendReply, loop), lambda _key, reply, _t_ns: answers.put(reply))
+            ops.subscribe(
+                key_of(SendReply, loop), lambda _key, reply, _t_ns: answers.put(reply, len(reply))
+            )
             publisher = ops.publisher(key_of(SendCommand, loop))
             until = time.monotonic() + args.timeout
             while time.monotonic() < until:

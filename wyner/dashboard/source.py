@@ -1,5 +1,6 @@
 """Where the dashboard's messages come from: two buses, or a script for tests and pictures."""
 
+import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -14,8 +15,11 @@ from wyner.dashboard.model import Arrival
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
 
-WAITING_AT_MOST: Final = 4096
-"""Payloads held between two looks; the newest win, and what is pushed out is counted."""
+WAITING_AT_MOST: Final = 32 * 2**20
+"""Bytes held between two looks; the newest win, and what is pushed out is counted."""
+
+OVERHEAD: Final = 200
+"""Bytes that a payload costs beside itself, about."""
 
 OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantStatus, ControllerStatus)
 INTEL_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
@@ -54,8 +58,10 @@ class BusSource:
 
     def __init__(self, ops_bus: "Bus", intel_bus: "Bus", loop: str) -> None:
         self._types: dict[str, type[Message]] = {}
-        self._waiting: deque[tuple[str, bytes, int]] = deque(maxlen=WAITING_AT_MOST)
-        self._came = self._taken = self._dropped = self._garbage = 0
+        self._waiting: deque[tuple[str, bytes, int]] = deque()
+        self._delivering = threading.Lock()
+        self._bytes = 0
+        self._dropped = self._garbage = 0
         for bus, types in ((ops_bus, OPS_WATCHED), (intel_bus, INTEL_WATCHED)):
             for message_type in types:
                 key = key_of(message_type, loop)
@@ -63,9 +69,13 @@ class BusSource:
                 bus.subscribe(key, self._deliver)
 
     def _deliver(self, key: str, payload: bytes, _sent_ns: int) -> None:
-        # On a foreign thread: append is atomic, and a full deque lets its oldest go.
-        self._waiting.append((key, payload, time.monotonic_ns()))
-        self._came += 1
+        # On a foreign thread; the oldest goes where there is no room.
+        with self._delivering:
+            self._waiting.append((key, payload, time.monotonic_ns()))
+            self._bytes += len(payload) + OVERHEAD
+            while self._bytes > WAITING_AT_MOST and len(self._waiting) > 1:
+                self._bytes -= len(self._waiting.popleft()[1]) + OVERHEAD
+                self._dropped += 1
 
     @property
     def garbage(self) -> int:
@@ -75,16 +85,15 @@ class BusSource:
     def drain(self) -> Sequence[Arrival]:
         """Parse all that is waiting; garbage is counted and left out."""
         arrivals = []
-        for _ in range(len(self._waiting)):
-            key, payload, t_ns = self._waiting.popleft()
-            self._taken += 1
+        with self._delivering:
+            waiting, self._waiting, self._bytes = self._waiting, deque(), 0
+        for key, payload, t_ns in waiting:
             try:
                 message = self._types[key].model_validate_json(payload)
             except (ValidationError, KeyError):
                 self._garbage += 1
                 continue
             arrivals.append(Arrival(t_ns, message))
-        self._dropped = self._came - self._taken - len(self._waiting)
         return arrivals
 
     def now_ns(self) -> int:

@@ -20,8 +20,11 @@ RESTART_S: Final = 0.2
 RESTARTS: Final = 20
 """A service that was killed more often than this in one run stays down."""
 
+START_S: Final = 60.0
+"""Seconds that the first service has to come up, as long as it lives: a machine may be busy."""
+
 PATIENCE_S: Final = 5.0
-"""Seconds that a service has to come up."""
+"""Seconds that a service has to stop by itself."""
 
 
 @dataclass
@@ -132,7 +135,7 @@ class Supervisor:
         first = self.child(self.first)
         first.start()
         host, _, port = self.first_endpoint.removeprefix("tcp/").rpartition(":")
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + START_S
         while True:
             try:
                 socket.create_connection((host, int(port)), timeout=0.1).close()
@@ -141,7 +144,7 @@ class Supervisor:
                 self.poll()
                 if time.monotonic() > until:
                     raise Failure(
-                        f"{first.name}: not up after {PATIENCE_S:g} s (log: {first.log})"
+                        f"{first.name}: not up after {START_S:g} s (log: {first.log})"
                     ) from None
                 time.sleep(0.02)
         for child in self.children:
