@@ -21,6 +21,7 @@ help:
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documents and the API reference as a site, in build/docs"
 	@echo "make figures       every figure of docs/ from its data"
+	@echo "make paper         paper/paper.pdf from its text and the project's data"
 	@echo "make bench         every benchmark, beside its reference"
 	@echo "make lock          pin the dependencies anew, with hashes"
 
@@ -80,6 +81,9 @@ docs: $(STAMPS)/dev
 
 figures: $(STAMPS)/dev
 	$(BIN)/wyner figures
+
+paper: $(STAMPS)/dev
+	$(BIN)/python -m tools.paper
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all
