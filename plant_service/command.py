@@ -1,10 +1,12 @@
 """``wyner plant``, and ``python -m plant_service``."""
 
 import argparse
+from pathlib import Path
 
 from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.options import at_least, pace_of, run_dir_of
 from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
+from protocol.runtime.run_folder import PLANT_SAFE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,6 +18,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--steps", type=int, metavar="N", help="stop at step N")
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
+    parser.add_argument(
+        "--plant-folder",
+        metavar="D",
+        help="where the files are that [plant] names (default: the scenario's own folder)",
+    )
+    parser.add_argument(
+        "--clear-safe",
+        action="store_true",
+        help="let a plant run again that was sent to its safe state",
+    )
     add_endpoint_arguments(parser, "plant")
 
 
@@ -25,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from protocol.runtime.bus import TransportError
     from protocol.runtime.zenoh_bus import open_bus
     from protocol.scenario.files import keep_scenario, scenario_of
+    from protocol.shipped import scenario_file_of
 
     at_least("--steps", args.steps, 1)
     at_least("--seed", args.seed, 0)
@@ -35,7 +48,12 @@ def run(args: argparse.Namespace) -> int:
         steps=args.steps,
         seed=args.seed,
         run_dir=run_dir_of(args.run_dir),
+        folder=scenario_file_of(args.scenario).parent
+        if args.plant_folder is None
+        else Path(args.plant_folder),
     )
+    if args.clear_safe:
+        (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
     try:
         with (
             stop_on_signals() as stopping,

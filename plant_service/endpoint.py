@@ -6,6 +6,7 @@ from typing import Final, Literal, Protocol
 
 from pydantic import ValidationError
 
+from plant_service.adapters.base import PlantError
 from plant_service.plant import Move, Step
 from plant_service.status import News
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
@@ -53,6 +54,12 @@ class Stepper(Protocol):
     def miss(self) -> Step:
         """Apply the fallback input."""
 
+    def safe(self, why: str) -> None:
+        """Go to the safe state."""
+
+    def close(self) -> None:
+        """Let go of what is stepped."""
+
 
 class PlantEndpoint:
     """The plant's end of one loop.
@@ -75,6 +82,8 @@ class PlantEndpoint:
         What is told beside the record; without it no status is published.
     status_s : float
         Seconds between statuses.
+    watchdog_s : float, optional
+        Seconds without an applied offer after which the plant goes to its safe state.
     """
 
     hears: tuple[type[Message], ...] = (Offer, ControllerHello)
@@ -92,6 +101,7 @@ class PlantEndpoint:
         steps: int | None = None,
         news: News | None = None,
         status_s: float = STATUS_S,
+        watchdog_s: float | None = None,
     ) -> None:
         self.plant = plant
         self.garbage = 0
@@ -111,6 +121,8 @@ class PlantEndpoint:
         self._taken_up = ("", "")
         self._moved = plant.receiver.record.k > 0 or pending is not None
         self._gives_up_at: float | None = None
+        self._watchdog_s = inf if watchdog_s is None else watchdog_s
+        self._bites_at = inf
 
     @property
     def _running(self) -> bool:
@@ -157,6 +169,7 @@ class PlantEndpoint:
             return self._last_at
         due = min(
             self._status_at,
+            self._bites_at,
             pacing.due_at(running=self._running, measuring=receiver.accepted),
         )
         if not receiver.accepted:
@@ -174,6 +187,10 @@ class PlantEndpoint:
             return NOTHING_TO_DO
         if self._finished:
             return self._last_word(now)
+        if now >= self._bites_at:
+            why = f"the watchdog: no offer was applied for {self._watchdog_s:g} s"
+            self.plant.safe(why)
+            raise PlantError(why)
         if pacing.waiting:
             self._answered_at = now
         publish: list[Outgoing] = []
@@ -184,16 +201,21 @@ class PlantEndpoint:
             self._hello_at = now + HELLO_S
             publish.append(self._hello())
         actions = NOTHING_TO_DO
-        if pacing.tick(now, running=self._running) == "missed":
+        over = pacing.tick(now, running=self._running)
+        if over != "nothing" and self._news is not None:
+            self._news.punctuality.ticked(pacing.late_s, pacing.overruns)
+        if over == "missed":
             actions = self._missed()
+        elif over == "ended":
+            actions = self._ended()
         health = b""
         if now >= self._status_at:
             self._status_at = now + self._status_s
             status, health = self._status(force=False)
             publish += status
-        if receiver.accepted and pacing.measurement_due(now):
+        if receiver.accepted and not actions.settle and pacing.measurement_due(now):
             publish.append(Outgoing(Measurement, receiver.measurement().wire()))
-        return actions._replace(publish=tuple(publish), health=health)
+        return actions._replace(publish=(*actions.publish, *publish), health=health)
 
     def settle(self) -> Actions:
         """Count the step that was saved and reported."""
@@ -202,8 +224,10 @@ class PlantEndpoint:
         step = self.plant.count(move)
         assert step.effects is not None
         assert step.coin is not None
+        contradicted = None
         if self._news is not None:
             self._news.tail.append(step)
+            contradicted = self._news.watch.counted(step.effects.transition, step.coin)
         effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
         applied = Applied(effects.transition, step.coin, step.u)
         if frame is None:
@@ -211,6 +235,9 @@ class PlantEndpoint:
             actions = Actions((applied,), write)
         else:
             actions = self._frame_ended(applied, effects.chunk, frame)
+        if contradicted is not None:
+            notice = Notice(contradicted, "warning")
+            actions = actions._replace(notices=(*actions.notices, notice))
         if not self.plant.receiver.keying.on:
             return actions
         return self._keyed(actions, effects)
@@ -249,8 +276,12 @@ class PlantEndpoint:
         self._now = now
         if self._news is not None and self._news.phase != "refused":
             self._news.phase = "stopped"
+        self.plant.safe("the process ended")
+        self.plant.close()
         publish, health = self._status(force=True)
-        return Actions(publish=publish, health=health)
+        k = self.plant.receiver.record.k
+        timing = None if self._news is None else self._news.punctuality.as_event(k)
+        return Actions(() if timing is None else (timing,), publish=publish, health=health)
 
     def status(self, now: float) -> PlantStatus:
         """What the dashboard is told; an endpoint without news has none."""
@@ -282,10 +313,25 @@ class PlantEndpoint:
                 self._news.late += 1
         if what != "current" or pacing.waiting:
             return NOTHING_TO_DO
+        return self._apply(offer, payload, now)
+
+    def _acted(self, now: float) -> None:
+        """An offer was applied."""
+        if self._news is not None and self._pacing.timed:
+            self._news.punctuality.acted(self._pacing.since_tick_s(now))
+        self._pacing.applied()
+        self._moved = True
+        self._bites_at = now + self._watchdog_s
+
+    def _ended(self) -> Actions:
+        """The step whose offer was applied is over; it was computed when it began."""
+        return NOTHING_TO_DO
+
+    def _apply(self, offer: Offer, payload: bytes, now: float) -> Actions:
+        receiver, pacing = self.plant.receiver, self._pacing
         self._uncounted = move = self.plant.move(offer)
         report = receiver.moved(offer, move.x_next).wire()
-        pacing.applied()
-        self._moved = True
+        self._acted(now)
         due = receiver.accepted and pacing.measurement_due(now)
         if due:
             receiver.reported()

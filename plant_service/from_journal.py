@@ -1,14 +1,19 @@
 """The plant's endpoint as its journal has it: a new one, or one that goes on."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
+from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
+from plant_service.adapters.registry import is_model, open_plant
+from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.endpoint import PlantEndpoint
-from plant_service.plant import Move, Plant, first_record
+from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import News
 from protocol.link.pacing import Pacing
 from protocol.link.receiver import ReceiverRecord
-from protocol.runtime.journal import ReceiverStep
+from protocol.runtime.journal import BegunStep, ReceiverStep
+from protocol.runtime.process import UsageError
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
@@ -22,6 +27,9 @@ class PlantDisk(Protocol):
 
     def step(self) -> ReceiverStep | None:
         """The step that followed it and was not counted, if any."""
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun after it and not read, if any."""
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record."""
@@ -41,29 +49,73 @@ def plant_endpoint(
     *,
     steps: int | None = None,
     news: News | None = None,
+    folder: Path = Path(),
+    seed: int | None = None,
+    own: Stepped | PlantAdapter | None = None,
 ) -> PlantEndpoint:
     """The endpoint of a scenario's plant, as its journal has it; the parameters are the classes'.
 
-    ``step_s`` is :class:`protocol.link.pacing.Pacing`'s.
+    Parameters
+    ----------
+    scenario, journal, coin, noise, new_id, now, steps, news
+    step_s : float or None
+        As of :class:`protocol.link.pacing.Pacing`.
+    folder : Path
+        Where the files that the scenario's plant names are looked for.
+    seed : int, optional
+        For a plant with chance of its own.
+    own : Stepped or PlantAdapter, optional
+        In place of the scenario's plant.
+
+    Raises
+    ------
+    PlantError
+        When the plant cannot be opened or started; one line.
+    UsageError
+        When a device is to run at another pace than its own.
     """
     record, step = journal.load(), journal.step()
-    first = record or first_record(scenario, new_id())
+    pacing = Pacing(step_s, scenario.link.repeats_per_period, now)
+    operated, x = None, None
+    if own is not None or not is_model(scenario):
+        operated = open_plant(scenario, folder, own)
+        try:
+            if operated.device and step_s != scenario.plant.period_s:
+                raise UsageError("--pace: expected realtime, as the plant is a device")
+            x = operated.start(seed)
+        except (PlantError, UsageError):
+            operated.close()
+            raise
+    first = record or first_record(scenario, new_id(), x)
+    said = None if step is None else step.measurement
+    chunks, raws = journal.chunks(), journal.raws(first.session)
+    pending = None if step is None else Move(step.offer, step.coin, step.measurement.x)
+    watchdog_s = scenario.link.watchdog_s
+    if operated is not None and (operated.device or not operated.resumable):
+        return DrivenEndpoint(
+            DrivenPlant(scenario, new_id(), coin, noise, first, chunks, raws, said, operated),
+            pacing,
+            new_id,
+            now,
+            pending=pending,
+            begun=journal.begun(),
+            back=None if record is None else x,
+            fresh=record is None,
+            steps=steps,
+            news=news,
+            watchdog_s=watchdog_s,
+        )
+    advance = None
+    if operated is not None:
+        advance = resuming_advance(operated, scenario.plant.disturbance.enters or "state")
     return PlantEndpoint(
-        Plant(
-            scenario,
-            new_id(),
-            coin,
-            noise,
-            first,
-            journal.chunks(),
-            journal.raws(first.session),
-            None if step is None else step.measurement,
-        ),
-        Pacing(step_s, scenario.link.repeats_per_period, now),
+        Plant(scenario, new_id(), coin, noise, first, chunks, raws, said, advance),
+        pacing,
         new_id,
         now,
-        pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),
+        pending=pending,
         fresh=record is None,
         steps=steps,
         news=news,
+        watchdog_s=watchdog_s,
     )

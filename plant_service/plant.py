@@ -4,11 +4,12 @@ Time, files and networks are the shell's (:mod:`plant_service.service`); the sin
 simulation drives the same class.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from math import isfinite
 from operator import add
 from typing import NamedTuple
 
+from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
 from protocol.link.fallback import Fallback
@@ -53,13 +54,42 @@ class Move(NamedTuple):
     x_next: Vector
 
 
-def first_record(scenario: Scenario, session: str) -> ReceiverRecord:
-    """The record of a plant that has not moved yet."""
-    return ReceiverRecord(session=session, k=0, x=scenario.initial_state, u=(0.0,) * scenario.m)
+def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
+    """The record of a plant that has not moved yet; ``x`` is its first reading, if it has one."""
+    start = scenario.initial_state if x is None else x
+    return ReceiverRecord(session=session, k=0, x=start, u=(0.0,) * scenario.m)
+
+
+Advance = Callable[[int, Vector, Vector, Vector], Vector]
+"""(k, x, u, d) -> x(k+1): a step that can be computed as often as one likes."""
+
+
+def linear_advance(scenario: Scenario) -> Advance:
+    """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component."""
+    A, B = scenario.plant_model
+
+    def advance(k: int, x: Vector, u: Vector, d: Vector) -> Vector:
+        x_next = tuple(map(add, predict(A, B, x, u), d))
+        if not all(map(isfinite, x_next)):
+            raise Failure(f"the state is no longer finite at step {k + 1}")
+        return x_next
+
+    return advance
+
+
+def resuming_advance(operated: Operated, enters: str) -> Advance:
+    """Of a simulated plant whose reading is all its state: it is put there, and stepped."""
+
+    def advance(k: int, x: Vector, u: Vector, d: Vector) -> Vector:
+        operated.resume(x, k)
+        operated.apply(u, d if enters == "input" else None)
+        return operated.sample(d if enters == "state" else None)
+
+    return advance
 
 
 class Plant:
-    """The simulated plant with its receiver.
+    """A plant whose steps can be computed as often as one likes, with its receiver.
 
     Parameters
     ----------
@@ -78,6 +108,8 @@ class Plant:
         Rows of key blocks that are not settled.
     said : Measurement, optional
         Of a step that is to be counted first.
+    advance : Advance, optional
+        One step; the linear plant's by default.
     """
 
     def __init__(
@@ -90,10 +122,11 @@ class Plant:
         chunks: str,
         raws: Iterable[Raw] = (),
         said: Measurement | None = None,
+        advance: Advance | None = None,
     ) -> None:
         self.receiver = Receiver(rules_of(scenario), instance, record, chunks, raws, said)
         self._plant = scenario.plant
-        self._model = scenario.plant_model
+        self._advance = advance or linear_advance(scenario)
         self._fallback = Fallback.of(scenario)
         self._size = scenario.secrecy.candidates
         self._coin = coin
@@ -106,7 +139,7 @@ class Plant:
         luck = self._luck
         if luck is None or (luck.j, luck.k) != (record.transitions, record.k):
             luck = self._draw()
-        x_next = self._advance(record, offer.candidates[luck.coin], luck.d)
+        x_next = self._advance(record.k, record.x, offer.candidates[luck.coin], luck.d)
         return Move(offer, luck.coin, x_next)
 
     def count(self, move: Move) -> Step:
@@ -121,7 +154,7 @@ class Plant:
         """No offer came in time: apply the fallback (rule 4)."""
         record = self.receiver.record
         u = self._fallback.input(record.x, record.u)
-        x_next = self._advance(record, u, self._disturbance(record.k))
+        x_next = self._advance(record.k, record.x, u, self._disturbance(record.k))
         self.receiver.missed(u, x_next)
         return Step(record.k, record.x, u, x_next, None, None)
 
@@ -132,17 +165,11 @@ class Plant:
         return Luck(j, k, self._coin.symbol(j, self._size), self._disturbance(k))
 
     def _disturbance(self, k: int) -> Vector:
-        return disturbance(self._plant.disturbance, k, self._noise.at(k))
+        spec = self._plant.disturbance
+        return disturbance(spec, k, self._noise.at(k)) if spec.half_widths else ()
 
-    def _advance(self, record: ReceiverRecord, u: Vector, d: Vector) -> Vector:
-        """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component.
+    def safe(self, why: str) -> None:
+        """Nothing moves that would have to be stopped."""
 
-        Raises
-        ------
-        Failure
-            When the state has grown beyond all numbers.
-        """
-        x_next = tuple(map(add, predict(*self._model, record.x, u), d))
-        if not all(map(isfinite, x_next)):
-            raise Failure(f"the state is no longer finite at step {record.k + 1}")
-        return x_next
+    def close(self) -> None:
+        """Nothing is open."""

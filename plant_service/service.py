@@ -6,13 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from plant_service.adapters.base import PlantError
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import News
 from protocol.runtime.bus import Bus
 from protocol.runtime.host import Files, Host
 from protocol.runtime.journal import JournalError, PlantJournal
 from protocol.runtime.process import Pace, UsageError, logger, new_id, spoken
-from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_KEYS, PLANT_STATUS, PLANT_TRACE
+from protocol.runtime.run_folder import (
+    PLANT_JOURNAL,
+    PLANT_KEYS,
+    PLANT_SAFE,
+    PLANT_STATUS,
+    PLANT_TRACE,
+    write_atomically,
+)
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
 from protocol.secret.opening import open_keeper
@@ -25,7 +33,8 @@ class PlantConfig:
     """What the plant service is started with.
 
     ``steps`` ends it when k reaches that number; ``seed`` is for experiments only;
-    ``secret`` is a file that both ends share, by which key blocks are signed.
+    ``secret`` is a file that both ends share, by which key blocks are signed; ``folder`` is where
+    the files that the scenario's plant names are looked for.
     """
 
     scenario: Scenario
@@ -35,6 +44,7 @@ class PlantConfig:
     steps: int | None = None
     seed: int | None = None
     secret: Path | None = None
+    folder: Path = Path()
 
 
 class PlantService:
@@ -53,7 +63,7 @@ class PlantService:
     Raises
     ------
     UsageError
-        When the journal cannot be used.
+        When the journal or the plant cannot be used, or the plant is in its safe state.
     """
 
     def __init__(
@@ -65,6 +75,12 @@ class PlantService:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         scenario, seeded = config.scenario, config.seed is not None
+        self._safe_state = config.run_dir / PLANT_SAFE
+        if self._safe_state.exists():
+            why = self._safe_state.read_text(encoding="utf-8").strip()
+            raise UsageError(
+                f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
+            )
         log = logger("plant")
         try:
             journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
@@ -78,14 +94,18 @@ class PlantService:
                 scenario,
                 journal,
                 symbols(config.seed, COIN),
-                noise(config.seed, scenario.n),
+                noise(config.seed, len(scenario.plant.disturbance.half_widths)),
                 new_id,
                 clock(),
                 config.pace.step_s(scenario.plant.period_s),
                 steps=config.steps,
                 news=news,
+                folder=config.folder,
+                seed=config.seed,
             )
         except JournalError as error:
+            raise UsageError(str(error)) from None
+        except PlantError as error:
             raise UsageError(str(error)) from None
         self.trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
         self._host = Host(field, ops, stopping, clock)
@@ -103,8 +123,19 @@ class PlantService:
         )
 
     def run(self) -> int:
-        """Step until stopped; returns the exit code."""
-        return self._host.run()
+        """Step until stopped; returns the exit code.
+
+        Raises
+        ------
+        PlantError
+            When the plant failed or the watchdog bit; it is in its safe state then, and a mark in
+            the run's folder keeps it there.
+        """
+        try:
+            return self._host.run()
+        except PlantError as error:
+            write_atomically(self._safe_state, f"{error}\n".encode())
+            raise
 
 
 def run_plant(config: PlantConfig, field: Bus, ops: Bus, stopping: threading.Event) -> int:

@@ -6,6 +6,7 @@ from math import isfinite
 from typing import Final, Literal
 
 from plant_service.plant import Step
+from plant_service.punctuality import Punctuality, Watch
 from protocol.link.receiver import Receiver
 from protocol.link.session import Transition
 from protocol.messages import PlantStatus
@@ -35,6 +36,8 @@ class News:
         self.last_message = ""
         self.message_k = -1
         self.tail: deque[Step] = deque(maxlen=TAIL)
+        self.punctuality = Punctuality()
+        self.watch = Watch(scenario.defender.calibration)
         self._scenario = scenario
         self._pace = pace
         self._seeded = seeded
@@ -58,7 +61,7 @@ class News:
             seq=self._seq,
             t_ns=time.time_ns(),
             phase=self.phase,
-            detail=self.detail,
+            detail=self.detail or self.watch.doubt,
             scenario=scenario.name,
             law=scenario.control.law,
             pace=self._pace,
@@ -89,6 +92,11 @@ class News:
             frame_symbols=len(receiver.deframer.symbols),
             frame_length=receiver.deframer.expected_length,
             frames_refused=record.frames_refused,
+            outside=self.watch.outside,
+            unexplained=self.watch.unexplained,
+            sampled_late_s=self.punctuality.sampled_late_s,
+            actuated_after_s=self.punctuality.actuated_after_s,
+            overruns=self.punctuality.overruns,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=pictured.x if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),

@@ -146,6 +146,9 @@ class PlantStatus(Message):
     ``message`` where the transition carried a message symbol, else ``test``; ``tail_symbol`` is the
     key symbol of an agreement and -1 where none was agreed, ``tail_coin`` the candidate b_r that
     was applied, ``tail_automaton`` the state s of the scheme afterwards.
+    ``outside`` counts transitions whose disturbance left D_c and ``unexplained`` those that no
+    candidate explains; ``sampled_late_s`` and ``actuated_after_s`` are median, 99th percentile and
+    largest of the last steps, empty in lock-step.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
     """
@@ -185,6 +188,11 @@ class PlantStatus(Message):
     frame_symbols: Count
     frame_length: Count
     frames_refused: Count
+    outside: Count = 0
+    unexplained: Count = 0
+    sampled_late_s: FiniteVector = ()
+    actuated_after_s: FiniteVector = ()
+    overruns: Count = 0
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()

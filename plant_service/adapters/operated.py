@@ -78,7 +78,8 @@ class Operated:
     name : str
         For messages.
     settle_steps : int
-        Steps at the operating input before the start; where they lead is the operating state.
+        Steps of a simulation at the operating input before the start; where they lead is the
+        operating state.
     limits : tuple of (low, high), optional
         Range of each reading in physical units; one outside is a failure.
     """
@@ -108,6 +109,11 @@ class Operated:
         return self._fault
 
     @property
+    def device(self) -> bool:
+        """Whether it moves by itself, so that a step takes the time it takes."""
+        return not isinstance(self.adapter, Simulated)
+
+    @property
     def resumable(self) -> bool:
         """Whether the plant can go on from a reading."""
         return isinstance(_core(self.adapter), Resumable)
@@ -126,11 +132,11 @@ class Operated:
         """
         sample = self._guarded("start", lambda: self.adapter.start(seed))
         x = self._checked(sample)
-        for _ in range(self._settle_steps):
+        for _ in range(0 if self.device else self._settle_steps):
             self._guarded("apply", lambda: self.adapter.apply(self.point.input))
             sample = self._guarded("sample", self.adapter.sample)
             x = self._checked(sample)
-        if self._settle_steps:
+        if self._settle_steps and not self.device:
             here = self.point
             self.point = OperatingPoint(sample.y, here.input, here.state_scale, here.input_scale)
             x = (0.0,) * len(sample.y)

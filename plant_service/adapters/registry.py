@@ -152,6 +152,17 @@ for kind in KINDS:
     PLANTS.register(name, kind)
 
 
+def is_model(scenario: Scenario) -> bool:
+    """Whether the plant is two matrices and nothing else, which nobody has to open."""
+    plant = scenario.plant
+    return (
+        plant.kind == "linear"
+        and plant.operating_point is None
+        and plant.limits is None
+        and plant.disturbance.enters in (None, "state")
+    )
+
+
 def open_plant(
     scenario: Scenario, folder: Path = Path(), own: Stepped | PlantAdapter | None = None
 ) -> Operated:

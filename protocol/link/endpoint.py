@@ -20,7 +20,8 @@ class Append(NamedTuple):
     """A step as it passed, for the journal: what was heard and what is about to be said.
 
     It is kept beside the record before it, and is all it takes to count the step again; the record
-    after it comes with the next write. ``coin`` is b_r at the plant.
+    after it comes with the next write. ``coin`` is b_r at the plant. A plant that cannot compute a
+    step twice writes it before it acts, with nothing said yet, and again once it has been read.
     """
 
     heard: bytes

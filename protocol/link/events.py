@@ -54,6 +54,44 @@ class Missed(NamedTuple):
         return {"event": "missed", **self._asdict()}
 
 
+class Interrupted(NamedTuple):
+    """A step under way when the plant's process died; x_next is what it read when it was back.
+
+    ``candidates`` and ``coin`` are those of an offer that it had begun to apply (else empty and
+    -1): whether ``u``, the one chosen, was applied is not known.
+    """
+
+    session: str
+    k: int
+    x: Vector
+    u: Vector
+    x_next: Vector
+    candidates: tuple[Vector, ...] = ()
+    coin: int = -1
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "interrupted", **self._asdict()}
+
+
+class Timing(NamedTuple):
+    """How punctual a plant was, of its last steps: (median, 99th percentile, largest), seconds.
+
+    ``sampled_late_s`` after the tick, ``actuated_after_s`` after the step began; ``overruns``
+    counts ticks that went by unnoticed.
+    """
+
+    k: int
+    steps: int
+    sampled_late_s: Vector
+    actuated_after_s: Vector
+    overruns: int
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "timing", **self._asdict()}
+
+
 class Queued(NamedTuple):
     """A message was handed to the controller."""
 

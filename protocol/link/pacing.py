@@ -22,6 +22,13 @@ class Pacing:
         How often a measurement goes out within a step while no offer comes.
     now_s : float
         The time.
+
+    Attributes
+    ----------
+    late_s : float
+        By how much the last tick was noticed late.
+    overruns : int
+        Ticks that went by unnoticed.
     """
 
     def __init__(self, step_s: float | None, repeats: int, now_s: float) -> None:
@@ -30,6 +37,17 @@ class Pacing:
         self._deadline = now_s + (step_s or 0.0)
         self._repeat_at = now_s
         self._waiting = False
+        self.late_s = 0.0
+        self.overruns = 0
+
+    @property
+    def timed(self) -> bool:
+        """Whether a step takes its time, and not as long as its offer."""
+        return self._step_s is not None
+
+    def since_tick_s(self, now_s: float) -> float:
+        """Seconds since the step under way began; 0 in lock-step."""
+        return 0.0 if self._step_s is None else now_s - (self._deadline - self._step_s)
 
     @property
     def waiting(self) -> bool:
@@ -50,6 +68,8 @@ class Pacing:
             return "nothing"
         if now_s < self._deadline:
             return "nothing"
+        self.late_s = now_s - self._deadline
+        self.overruns += int(self.late_s / self._step_s)
         following = self._deadline + self._step_s
         self._deadline = following if following > now_s else now_s + self._step_s
         self._repeat_at = now_s

@@ -60,6 +60,13 @@ class ReceiverStep(NamedTuple):
     coin: int
 
 
+class BegunStep(NamedTuple):
+    """A step that the plant had begun when it died: the offer, and the candidate it had chosen."""
+
+    offer: Offer
+    coin: int
+
+
 class _Journal:
     """A SQLite file with one record and the step that followed it, held exclusively."""
 
@@ -136,7 +143,7 @@ class _Journal:
 
     def _step(self, heard: type[_M], said: type[_N]) -> tuple[_M, _N, int] | None:
         row = self._execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
-        if row is None or row[0] is None:
+        if row is None or row[0] is None or row[1] is None:
             return None
         with self._readable():
             return heard.model_validate_json(row[0]), said.model_validate_json(row[1]), row[2]
@@ -194,13 +201,14 @@ class _Journal:
 
     def _append(self, heard: bytes, said: bytes, coin: int) -> None:
         assert self._body is not None, "the step before has not been counted"
-        row = (self._body, heard, said, coin)
+        row = (self._body, heard, said or None, coin)
         if self._rows:
             with self._transaction():
                 self._execute(_SAVE, row)
         else:
             self._execute(_SAVE, row)
-        self._body = None
+        if said:
+            self._body = None
 
     def close(self) -> None:
         """Close the file; it can be opened again."""
@@ -338,6 +346,20 @@ class PlantJournal(_Journal):
         """
         found = self._step(Offer, Measurement)
         return None if found is None else ReceiverStep(*found)
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun after the record and not read, if any.
+
+        Raises
+        ------
+        JournalError
+            When it is not one.
+        """
+        row = self._execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
+        if row is None or row[0] is None or row[1] is not None:
+            return None
+        with self._readable():
+            return BegunStep(Offer.model_validate_json(row[0]), row[2])
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

@@ -10,7 +10,7 @@ from protocol.link.endpoint import Append, Keep, Write
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
-from protocol.runtime.journal import ReceiverStep, SenderStep
+from protocol.runtime.journal import BegunStep, ReceiverStep, SenderStep
 from protocol.secret.nonces import Raw
 
 R = TypeVar("R", SenderRecord, ReceiverRecord)
@@ -30,7 +30,9 @@ class _MemoryJournal(Generic[R]):
         """Keep what the endpoint asks for."""
         if isinstance(write, Append):
             assert self._staged is not None, "the step before has not been counted"
-            self._record, self._append, self._staged = self._staged, write, None
+            self._record, self._append = self._staged, write
+            if write.said:
+                self._staged = None
             self._write_rows()
             return
         self._staged = write.record  # type: ignore[assignment]
@@ -128,12 +130,18 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord]):
 
     def step(self) -> ReceiverStep | None:
         """The step that followed the record, to be counted again; None where none did."""
-        if self._append is None:
+        if self._append is None or not self._append.said:
             return None
         heard, said, coin = self._append
         return ReceiverStep(
             Offer.model_validate_json(heard), Measurement.model_validate_json(said), coin
         )
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun after the record and not read, if any."""
+        if self._append is None or self._append.said:
+            return None
+        return BegunStep(Offer.model_validate_json(self._append.heard), self._append.coin)
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

@@ -24,6 +24,10 @@ TRACE_VERSION: Final = 1
 #                offer's, 2 that of the measurement it answers); the plant's adds coin (b_r) and u
 #                a side that was killed may have written one (session, j) twice: the last counts
 #   missed       a step without an offer (plant): session, k, x, u, x_next
+#   interrupted  a step under way when the plant's process died (plant): session, k, x, u, x_next,
+#                candidates and coin of an offer that it had begun to apply (else empty and -1)
+#   timing       at the end (plant): k, steps, and (median, p99, largest) seconds of
+#                sampled_late_s and actuated_after_s; overruns
 #   session      a session began: session, reason
 #   sent         a message was queued (controller): id, payload (base64)
 #   delivered    every symbol of a frame was counted (controller): id, payload (base64)

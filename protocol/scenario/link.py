@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from protocol.scenario.parts import Part
+from protocol.scenario.parts import Part, Positive
 
 
 class Link(Part):
@@ -16,5 +16,7 @@ class Link(Part):
 
     fallback: Literal["hold", "zero", "regulator"] = "hold"
     """What the plant applies in a step without an offer."""
+    watchdog_s: Positive | None = None
+    """Seconds without an applied offer after which the plant goes to its safe state, for good."""
     repeats_per_period: Annotated[int, Field(ge=1, le=100)] = 4
     """How often a measurement is repeated while no offer has come."""

@@ -187,11 +187,13 @@ class Scenario(Part):
     def loop_fingerprint(self) -> str:
         """SHA-256 (hex) over all that controller and plant work with: everything but the words.
 
-        Of the law's table only what is stated: its defaults are known to the controller alone.
+        Of the law's table and of the plant's only what is stated: the defaults of a law are known
+        to the controller alone, those of a kind of plant to the plant.
         """
-        rest = self.model_dump(mode="json", exclude={"description", "source", "tap", "control"})
-        control = self.control.model_dump(mode="json", exclude_unset=True)
-        return _digest({**rest, "control": _as_floats(control)})
+        apart = {"plant", "control"}
+        rest = self.model_dump(mode="json", exclude={"description", "source", "tap", *apart})
+        stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
+        return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
 
     def identity(self) -> dict[str, str]:
         """What a recording says of the scenario it was made under, for a check to compare."""

@@ -136,3 +136,10 @@ class Device:
     def _tick(self) -> int:
         self._t_ns += 1
         return self._t_ns
+
+
+class Failing(PythonLine):
+    """A simulation that fails with its first step."""
+
+    def step(self, u: Any, period_s: float) -> list[float]:
+        raise RuntimeError("the belt is torn")

@@ -46,6 +46,12 @@ class LinePlant:
         self.receiver.missed(record.u, x_next)
         return Step(record.k, record.x, record.u, x_next, None, None)
 
+    def safe(self, why: str) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
 
 class ToldPorts:
     """Ports that keep what is written and hand everything else to whoever asked for it."""

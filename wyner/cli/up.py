@@ -238,6 +238,7 @@ def _children(
                 *seed,
                 *steps,
                 *("--scenario", str(scenario_file), "--pace", args.pace),
+                *("--plant-folder", str(scenario_file_of(args.scenario).parent.resolve())),
                 *("--listen", f"field={plant_field}", "--connect", f"field={tap_field}"),
                 *("--listen", f"ops={plant_ops}"),
             ],

@@ -196,6 +196,7 @@ class Simulation:
         self._scenario = scenario
         self._law = law
         self._seed, self._run = seed, run
+        self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
         self._step_s = step_s
         self._random = random.Random(seed)
@@ -347,7 +348,7 @@ class Simulation:
             self._scenario,
             self._plant_journal,
             SeededSymbols(self._seed, COIN, run=draws),
-            Stream(self._seed, DISTURBANCE, width=self._scenario.n, run=draws),
+            Stream(self._seed, DISTURBANCE, width=self._width, run=draws),
             self._identifier,
             self.now_s,
             self._step_s,

@@ -7,6 +7,7 @@ import numpy as np
 from protocol.agreement import predict
 from protocol.arrays import Array
 from protocol.convex import Polytope
+from protocol.link.fallback import Fallback
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
 from wyner.verify.records import Counted, Missed, Walked
@@ -19,10 +20,13 @@ def switching(e: Evidence, tally: Tally) -> Judging:
     """Equation (15): u = candidate b_r; every step begins where the last ended."""
     if not need(tally, plant_trace=e.plant):
         return
-    hold = e.scenario.link.fallback == "hold"
+    fallback = Fallback.of(e.scenario)
+    # A device is told of the fallback once a step is over: the input in force stood until then.
+    may_stand = e.scenario.plant.kind == "python"
     zero = (0.0,) * e.rules.inputs
-    missed, place = 0, 0
-    x, u = e.scenario.plant.initial_state, zero
+    missed, interrupted, place = 0, 0, 0
+    start = e.scenario.plant.initial_state  # empty where the plant starts as it stands
+    x, u = start, zero
     born_in = ""
     while (part := (yield)) is not None:
         for item in part.plant:
@@ -34,7 +38,8 @@ def switching(e: Evidence, tally: Tally) -> Judging:
                 continue
             if step.k == 0 and step.session != born_in:  # the plant began again, without a journal
                 born_in, place = step.session, 0
-                x, u = e.scenario.plant.initial_state, zero
+                x, u = start, zero
+            x = x or step.x
             j = step.j if isinstance(step, Counted) else -1
             where = (step.session, j, step.k)
             tally.count(step.k == place, *where, f"expected step k = {place}")
@@ -47,13 +52,20 @@ def switching(e: Evidence, tally: Tally) -> Judging:
                 if step.candidates[step.coin] != step.u:
                     text = f"applied {step.u}, which is not candidate b_r = {step.coin}"
                     tally.fail(*where, text)
+            elif step.interrupted:
+                interrupted += 1
+                expected = step.candidates[step.coin] if step.candidates else u
+                if step.u != expected:
+                    tally.fail(*where, f"an interrupted step had {step.u}, expected {expected}")
             else:
                 missed += 1
-                expected = u if hold else zero
-                if step.u != expected:
+                expected = fallback.input(step.x, u)
+                if step.u != expected and not (may_stand and step.u == u):
                     tally.fail(*where, f"a missed step applied {step.u}, expected {expected}")
             x, u, place = step.x_next, step.u, step.k + 1
     tally.note = f"{missed} missed, {e.scenario.link.fallback} as the fallback"
+    if interrupted:
+        tally.note += f"; {interrupted} under way when the plant's process died"
 
 
 def reachable(e: Evidence, tally: Tally) -> Judging:
@@ -73,6 +85,8 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
                 g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
             elif isinstance(item, Missed):
                 step = item
+                if step.interrupted:
+                    continue  # what was applied, and for how long, is not known
                 g = _gauge(e, step)
             else:
                 continue

@@ -44,14 +44,25 @@ class Counted:
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class Missed:
-    """A step without an offer, as the plant's trace holds it."""
+    """A step without a counted offer, as the plant's trace holds it.
 
-    event: Literal["missed"]
+    An ``interrupted`` one was under way when the plant's process died; ``candidates`` and ``coin``
+    are of an offer that it had begun to apply.
+    """
+
+    event: Literal["missed", "interrupted"]
     session: str
     k: int
     x: Vector
     u: Vector
     x_next: Vector
+    candidates: tuple[Vector, ...] = ()
+    coin: int = -1
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the plant's process died over it."""
+        return self.event == "interrupted"
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -109,12 +120,26 @@ class BlockJudged:
     what: Literal["confirmed", "unequal"]
 
 
-EventLine = SessionBegan | Queued | Recovered | Refused | BlockStored | BlockJudged
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Timing:
+    """How punctual the plant was."""
+
+    event: Literal["timing"]
+    k: int
+    steps: int
+    sampled_late_s: Vector
+    actuated_after_s: Vector
+    overruns: int
+
+
+EventLine = SessionBegan | Queued | Recovered | Refused | BlockStored | BlockJudged | Timing
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "plant": {
         "transition": TypeAdapter(Counted),
         "missed": TypeAdapter(Missed),
+        "interrupted": TypeAdapter(Missed),
+        "timing": TypeAdapter(Timing),
         "session": TypeAdapter(SessionBegan),
         "recovered": TypeAdapter(Recovered),
         "refused": TypeAdapter(Refused),
@@ -206,6 +231,10 @@ class Shape(NamedTuple):
         """The same of a missed step."""
         if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
             return f"expected {self.n} states and {self.m} inputs"
+        if step.event == "missed" and (step.candidates or step.coin != -1):
+            return "candidates, coin: expected of an interrupted step only"
+        if step.candidates and not 0 <= step.coin < len(step.candidates):
+            return f"coin: got {step.coin}, expected 0 to {len(step.candidates) - 1}"
         return ""
 
 

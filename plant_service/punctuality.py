@@ -1,0 +1,118 @@
+"""How punctual the plant's steps are, and whether D_c keeps what was promised of it."""
+
+from collections import deque
+from typing import Final
+
+from protocol.agreement import INSIDE
+from protocol.link.events import Timing
+from protocol.link.session import Transition
+from protocol.scenario import Calibration
+
+Vector = tuple[float, ...]
+
+STEPS: Final = 1000
+"""Steps that the figures are of, the newest."""
+
+DOUBT: Final = 0.999
+"""Confidence with which a promise must be contradicted before it is said."""
+
+
+class Punctuality:
+    """Lateness of the last :data:`STEPS` steps; of a plant in lock-step there is none."""
+
+    def __init__(self) -> None:
+        self._sampled: deque[float] = deque(maxlen=STEPS)
+        self._actuated: deque[float] = deque(maxlen=STEPS)
+        self.overruns = 0
+
+    def ticked(self, late_s: float, overruns: int) -> None:
+        """A step was found to be over ``late_s`` after its end."""
+        self._sampled.append(late_s)
+        self.overruns = overruns
+
+    def acted(self, after_s: float) -> None:
+        """An input was applied ``after_s`` after its step began."""
+        self._actuated.append(after_s)
+
+    @property
+    def sampled_late_s(self) -> Vector:
+        """Median, 99th percentile and largest; empty before the first step."""
+        return _spread(self._sampled)
+
+    @property
+    def actuated_after_s(self) -> Vector:
+        """Median, 99th percentile and largest; empty before the first step."""
+        return _spread(self._actuated)
+
+    def as_event(self, k: int) -> Timing | None:
+        """For the trace; None where nothing was measured."""
+        if not self._sampled:
+            return None
+        steps = len(self._sampled)
+        return Timing(k, steps, self.sampled_late_s, self.actuated_after_s, self.overruns)
+
+
+def _spread(values: deque[float]) -> Vector:
+    if not values:
+        return ()
+    ordered = sorted(values)
+    last = len(ordered) - 1
+    return ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last]
+
+
+class Watch:
+    """Counts transitions whose disturbance left D_c, and holds them against the calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration, optional
+    """
+
+    def __init__(self, calibration: Calibration | None) -> None:
+        self._calibration = calibration
+        self._in_session = 0
+        self._left = False
+        self._contradicted = False
+        self.sessions = self.exceeded = 0
+        self.outside = self.unexplained = 0
+
+    def counted(self, t: Transition, coin: int) -> str | None:
+        """Count one; a line the first time that the promise is contradicted.
+
+        ``outside`` is exact, as the plant knows its coin; ``unexplained`` are those that no
+        candidate explains, which the controller sees too.
+        """
+        gauges = t.verdict.gauges
+        out = gauges[coin] > INSIDE
+        self.outside += out
+        self.unexplained += min(gauges) > INSIDE
+        c = self._calibration
+        if c is None:
+            return None
+        self._in_session += 1
+        self._left = self._left or out
+        if self._in_session < c.steps:
+            return None
+        self.sessions += 1
+        self.exceeded += self._left
+        self._in_session, self._left = 0, False
+        return self._doubted(c)
+
+    def _doubted(self, c: Calibration) -> str | None:
+        if self._contradicted or self.exceeded < c.violation * self.sessions:
+            return None
+        from scipy.stats import binom
+
+        # How probable so many would be, were the promise true.
+        if binom.sf(self.exceeded - 1, self.sessions, c.violation) > 1 - DOUBT:
+            return None
+        self._contradicted = True
+        return (
+            f"D_c does not hold what was promised: {self.exceeded} of {self.sessions} times "
+            f"{c.steps} steps left it, expected at most {c.violation:.3g} of them; fit it anew"
+        )
+
+    @property
+    def doubt(self) -> str:
+        """What the status says of it, or nothing."""
+        return "D_c is left more often than its calibration promised" if self._contradicted else ""

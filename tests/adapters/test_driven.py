@@ -1,0 +1,440 @@
+"""Plants that act: the order of a step, what dies in between, watchdog, safe state, doubt."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import make_law, synthesise
+from plant_service.adapters import Operated, PlantError
+from plant_service.driven import DrivenEndpoint, DrivenPlant
+from plant_service.from_journal import plant_endpoint
+from plant_service.punctuality import Punctuality, Watch
+from plant_service.status import News
+from protocol.agreement import Verdict
+from protocol.link.endpoint import Actions, Append, Keep
+from protocol.link.events import Interrupted, Missed
+from protocol.messages import ControllerHello, Measurement, Offer
+from protocol.runtime.memory_journal import MemoryPlantJournal
+from protocol.runtime.process import UsageError
+from protocol.scenario import Calibration, Scenario
+from protocol.streams import COIN, SeededSymbols, Stream
+from tests.adapters.plants import Device, PythonLine
+from wyner.api import load, vary
+from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.safety import violations
+
+OBJECT = "tests.adapters.plants:PythonLine"
+
+
+def line(name: str = OBJECT, **link: Any) -> Scenario:
+    """The double integrator under the packed law, as a plant that nobody can put back."""
+    s = load("packed-double-integrator")
+    data = json.loads(s.model_dump_json(exclude_none=True, exclude_unset=True))
+    plant = data["plant"]
+    data["defender"] |= {"A": plant["A"], "B": plant["B"]}
+    data["plant"] = {
+        "kind": "python",
+        "object": name,
+        "period_s": 1.0,
+        "disturbance": {"enters": "none"},
+        "operating_point": {
+            "state": [0.0, 0.0],
+            "input": [0.0],
+            "state_scale": [2.0, 2.0],
+            "input_scale": [2.0],
+        },
+    }
+    data["link"] = {"fallback": "hold", **link}
+    from wyner.api import build
+
+    return build(data)
+
+
+@pytest.fixture(scope="module")
+def law() -> CandidateLaw:
+    scenario = line()
+    return make_law(scenario, synthesise(scenario))
+
+
+# --- one step -------------------------------------------------------------------------------------
+
+
+class Bench:
+    """A plant's endpoint with a device, driven by hand."""
+
+    def __init__(self, device: Any, journal: MemoryPlantJournal | None = None, **link: Any) -> None:
+        self.device = device
+        self.journal = journal or MemoryPlantJournal()
+        scenario = line(**link)
+        self.news = News(scenario, "realtime", seeded=True)
+        self.endpoint = plant_endpoint(
+            scenario,
+            self.journal,
+            SeededSymbols(1, COIN),
+            Stream(1, 0, width=0),
+            lambda: "1" * 16,
+            0.0,
+            1.0,
+            news=self.news,
+            own=device,
+        )
+        self.events: list[Any] = []
+        self.published: list[Any] = []
+        self.do(self.endpoint.start(0.0))
+        hello = ControllerHello(
+            instance="2" * 16,
+            fingerprint=scenario.fingerprint(),
+            verdict="greeting",
+        )
+        self.do(self.endpoint.receive(ControllerHello, hello.wire(), 0.0))
+        answer = hello.model_copy(
+            update={
+                "verdict": "accepted",
+                "session": self.record.session,
+                "answers": self.endpoint.plant.receiver.instance,
+            }
+        )
+        self.do(self.endpoint.receive(ControllerHello, answer.wire(), 0.0))
+
+    @property
+    def record(self) -> Any:
+        return self.endpoint.plant.receiver.record
+
+    def offer(self, now: float, u: float = 0.5) -> Actions:
+        rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
+        size = self.endpoint.plant.receiver.rules.size
+        candidates = rows[:size]
+        offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
+        return self.endpoint.receive(Offer, offer.wire(), now)
+
+    def do(self, actions: Actions) -> None:
+        """What `perform` does, step by step."""
+        while True:
+            self.events += actions.events
+            if actions.write is not None:
+                self.journal.write(actions.write)
+                self.device.calls.append("write" if isinstance(actions.write, Keep) else "append")
+            self.published += [o for o in actions.publish if o.kind is Measurement]
+            if not actions.settle:
+                return
+            actions = self.endpoint.settle()
+
+
+def test_coin_journal_apply_sample_journal_report() -> None:
+    bench = Bench(Device())
+    assert isinstance(bench.endpoint, DrivenEndpoint)
+    bench.device.calls.clear()
+    actions = bench.offer(0.2)
+    assert isinstance(actions.write, Append)
+    assert actions.write.said == b""
+    assert bench.device.calls == []  # nothing moves before it is saved
+    bench.do(actions)
+    assert bench.device.calls == ["append", "apply"]
+    begun = bench.journal.begun()
+    assert begun is not None
+    assert begun.coin == actions.write.coin
+    bench.do(bench.endpoint.wake(0.9))
+    assert "sample" not in bench.device.calls
+    bench.published.clear()
+    bench.do(bench.endpoint.wake(1.05))
+    assert bench.device.calls == ["append", "apply", "sample", "append", "write"]
+    assert bench.journal.begun() is None
+    (report,) = bench.published
+    measurement = Measurement.model_validate_json(report.payload)
+    assert (measurement.k, measurement.applied_k) == (1, 0)
+    assert measurement.x == tuple(v / 2 for v in bench.device.y)
+    assert bench.record.transitions == 1
+    assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
+    assert bench.news.punctuality.actuated_after_s[2] == pytest.approx(0.2)
+
+
+def test_a_second_offer_for_the_same_step_changes_nothing() -> None:
+    bench = Bench(Device())
+    bench.do(bench.offer(0.2))
+    calls = list(bench.device.calls)
+    bench.do(bench.offer(0.3, u=-0.5))
+    assert bench.device.calls == calls
+
+
+def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallback() -> None:
+    bench = Bench(Device(), fallback="zero")
+    bench.do(bench.offer(0.2))
+    bench.do(bench.endpoint.wake(1.0))
+    in_force = bench.record.u
+    bench.device.calls.clear()
+    bench.do(bench.endpoint.wake(2.0))
+    assert bench.device.calls == ["sample", "apply", "write"]
+    (missed,) = [e for e in bench.events if isinstance(e, Missed)]
+    assert missed.u == in_force != (0.0,)
+    assert bench.record.u == (0.0,) == (bench.device.u,)
+    bench.device.calls.clear()
+    bench.do(bench.endpoint.wake(3.0))
+    assert bench.device.calls == ["sample", "write"]
+    assert [e.u for e in bench.events if isinstance(e, Missed)][1] == (0.0,)
+
+
+def test_a_simulation_makes_a_missed_step_under_the_fallback() -> None:
+    class Line(PythonLine):
+        def __init__(self) -> None:
+            self.calls: list[str] = []
+
+    bench = Bench(Line(), fallback="zero")
+    bench.do(bench.offer(0.2, u=1.0))
+    bench.do(bench.endpoint.wake(1.0))
+    x = bench.record.x
+    bench.do(bench.endpoint.wake(2.0))
+    (missed,) = [e for e in bench.events if isinstance(e, Missed)]
+    assert missed.u == (0.0,)
+    assert missed.x_next == (x[0] + x[1], x[1])
+
+
+# --- what dies in between -------------------------------------------------------------------------
+
+
+def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
+    device = Device()
+    bench = Bench(device)
+    bench.do(bench.offer(0.2))  # applied, and then the process dies
+    begun = bench.journal.begun()
+    assert begun is not None
+    session = bench.record.session
+    back = Bench(Device(), bench.journal)
+    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
+    assert event.coin == begun.coin
+    assert event.u == begun.offer.candidates[begun.coin]
+    assert (event.k, event.x_next) == (0, tuple(v / 2 for v in back.device.y))
+    record = back.record
+    assert (record.session, record.k, record.transitions, record.missed) == (session, 1, 0, 1)
+    assert record.applied_k == -1  # never reported, so tested by neither end
+    again = Bench(Device(), bench.journal)
+    assert again.record.k == 2  # whoever is away for a while has missed a step again
+
+
+def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
+    bench = Bench(Device())
+    bench.do(bench.offer(0.2))
+    actions = bench.endpoint.wake(1.0)
+    assert isinstance(actions.write, Append)
+    bench.journal.write(actions.write)  # and then the process dies
+    back = Bench(Device(), bench.journal)
+    assert back.record.transitions == 1
+    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
+    assert (event.k, event.coin, event.candidates) == (1, -1, ())
+    assert back.record.k == 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None:
+    """The contract of the link, for a plant that starts anew with each of its processes."""
+    payloads = (b"one", b"two")
+    sim = Simulation(
+        line(),
+        law,
+        seed=seed,
+        payloads=payloads,
+        faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.01, until_s=60.0),
+        step_s=1.0 if seed % 2 else None,
+    )
+    history = sim.run(seconds=4000, until=lambda: len(sim.history.delivered) >= len(payloads))
+    assert list(violations(history, payloads)) == []
+    assert history.inbox == list(payloads)
+    assert history.crashes > 0
+
+
+SUICIDAL = """
+import os
+from pathlib import Path
+from tests.adapters.plants import PythonLine
+
+class Line(PythonLine):
+    steps = 0
+    def step(self, u, period_s):
+        Line.steps += 1
+        flag = Path(__file__).with_name("killed")
+        if Line.steps == 7 and not flag.exists():
+            flag.write_text("once")
+            os.kill(os.getpid(), 9)
+        return super().step(u, period_s)
+"""
+
+
+@pytest.mark.integration
+def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
+    """Three real processes; the plant's own code kills it, and the check knows such a step."""
+    (tmp_path / "line.py").write_text(SUICIDAL)
+    from wyner.studies.fit.toml import as_toml
+
+    tables = line("line.py:Line").model_dump(mode="json", exclude_none=True)
+    (tmp_path / "line.toml").write_text(as_toml(tables))
+    run_dir = tmp_path / "run"
+    root = Path(__file__).resolve().parents[2]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    command = [sys.executable, "-m", "wyner.cli.main"]
+    done = subprocess.run(
+        [
+            *(*command, "up", "--scenario", str(tmp_path / "line.toml"), "--headless"),
+            *("--pace", "fast", "--until-delivered", "--message", "Hi", "--run-dir", str(run_dir)),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    assert (tmp_path / "killed").exists()
+    lines = [json.loads(x) for x in (run_dir / "plant/trace.jsonl").read_text().splitlines()]
+    (event,) = [x for x in lines if x["event"] == "interrupted"]
+    assert event["u"] == event["candidates"][event["coin"]]
+    check = subprocess.run(
+        [*command, "check", str(run_dir)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=environment,
+    )
+    assert check.returncode == 0, check.stdout
+    assert "1 under way when the plant's process died" in check.stdout
+
+
+# --- failures -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("where", ["apply", "sample"])
+def test_a_device_that_fails_is_safe_before_anything_else_happens(where: str) -> None:
+    device = Device()
+    bench = Bench(device)
+    if where == "apply":
+        device.raises = OSError("no answer")
+        with pytest.raises(PlantError, match="plant: apply: OSError: no answer"):
+            bench.do(bench.offer(0.2))
+    else:
+        bench.do(bench.offer(0.2))
+        device.reading = lambda y: (float("nan"), 0.0)
+        with pytest.raises(PlantError, match="expected finite numbers"):
+            bench.endpoint.wake(1.0)
+    assert device.calls[-1] == "safe"
+    bench.endpoint.stop(1.0)
+    assert device.calls[-2:] == ["safe", "close"]
+
+
+def test_the_watchdog_bites_once_and_for_good() -> None:
+    bench = Bench(Device(), watchdog_s=2.5)
+    bench.do(bench.offer(0.2))
+    for now in (1.0, 2.0):
+        bench.do(bench.endpoint.wake(now))
+    assert bench.endpoint.wake_at() <= 2.7
+    with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
+        bench.endpoint.wake(2.71)
+    assert bench.device.calls[-1] == "safe"
+    with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
+        bench.endpoint.plant.miss()
+
+
+def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:
+    bench = Bench(Device())
+    bench.do(bench.offer(0.2))
+    bench.do(bench.endpoint.wake(3.4))
+    assert bench.news.punctuality.overruns == 2
+    assert bench.record.k == 1
+    assert bench.endpoint.wake_at() > 3.4
+
+
+def test_a_device_runs_at_its_own_pace_only() -> None:
+    for step_s in (None, 0.1):
+        device = Device()
+        with pytest.raises(UsageError, match="--pace: expected realtime, as the plant is a device"):
+            plant_endpoint(
+                line(),
+                MemoryPlantJournal(),
+                SeededSymbols(1, COIN),
+                Stream(1, 0, width=0),
+                lambda: "1" * 16,
+                0.0,
+                step_s,
+                own=device,
+            )
+        assert device.calls == ["close"]
+
+
+def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
+    import threading
+
+    from plant_service.service import PlantConfig, PlantService
+    from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+    from protocol.runtime.process import Pace
+    from protocol.runtime.run_folder import PLANT_SAFE
+
+    scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})
+    config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
+    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    service = PlantService(config, *buses, threading.Event())
+    plant = service.endpoint.plant
+    assert isinstance(plant, DrivenPlant)
+    service.endpoint._moved = True
+    with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
+        service.run()
+    assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
+    with pytest.raises(UsageError, match=r"safe state: .*belt is torn .*--clear-safe"):
+        PlantService(config, *buses, threading.Event())
+
+
+# --- punctuality and doubt ------------------------------------------------------------------------
+
+
+def test_percentiles_are_of_the_newest_steps() -> None:
+    p = Punctuality()
+    assert p.as_event(0) is None
+    for i in range(1, 1001):
+        p.ticked(i / 1000, 0)
+    assert p.sampled_late_s == (0.5, 0.991, 1.0)
+    event = p.as_event(7)
+    assert event is not None
+    assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
+
+
+def transition(gauges: tuple[float, ...]) -> Any:
+    class Counted:
+        verdict = Verdict(gauges, -1)
+
+    return Counted()
+
+
+def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
+    promise = Calibration(
+        sessions=100,
+        steps=10,
+        exceeded=0,
+        violation=0.05,
+        confidence=0.99,
+        law_fingerprint="x",
+    )
+    watch = Watch(promise)
+    told = []
+    for step in range(200):
+        out = step % 20 == 0  # every second session of ten steps
+        told.append(watch.counted(transition((1.5, 2.0) if out else (0.5, 2.0)), 0))
+    lines = [line for line in told if line]
+    assert (watch.outside, watch.unexplained, watch.sessions, watch.exceeded) == (10, 10, 20, 10)
+    assert len(lines) == 1
+    assert "expected at most 0.05 of them; fit it anew" in lines[0]
+    assert watch.doubt
+    kept = Watch(promise)
+    for step in range(2000):
+        kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)), 0)
+    assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
+
+
+def test_operated_devices_are_told_from_simulations() -> None:
+    from plant_service.adapters.registry import open_plant
+
+    device: Operated = open_plant(line(), own=Device())
+    assert device.device
+    assert not open_plant(line(), own=PythonLine()).device
