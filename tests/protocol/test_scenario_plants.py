@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+import wyner  # noqa: F401 - who imports it knows every law and every kind of plant
 from protocol.link.fallback import Fallback
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 
