@@ -151,8 +151,35 @@ def test_the_verdict_says_why(gauges: tuple[float, ...], symbol: int, words: str
     assert words in verdict(status)
 
 
-def test_a_step_that_carries_a_message_symbol_is_not_called_untested_agreement() -> None:
+def marks(status: PlantStatus) -> str:
+    cells = [c for line in draw(status, 120, 30, unicode=True) for c in line]
+    return "".join(sorted(c.character for c in cells if c.kind == "centre"))
+
+
+@pytest.mark.parametrize(("size", "shown"), [(4, "0123"), (12, "0123456789ab"), (40, "+" * 40)])
+def test_every_centre_of_an_alphabet_has_its_mark(size: int, shown: str) -> None:
     last = statuses()[-1]
-    k = next(k for k, role in zip(last.tail_k, last.tail_role, strict=True) if role == "message")
-    status = last.model_copy(update={"pictured_k": k, "pictured_symbol": -1})
-    assert "not tested" in verdict(status)
+    candidates = tuple((0.5 * i,) for i in range(size))
+    status = last.model_copy(
+        update={"pictured_candidates": candidates, "pictured_gauges": (1.5,) * size}
+    )
+    assert marks(status) == shown
+
+
+def test_a_grid_of_two_inputs_has_all_its_centres() -> None:
+    H, h = box(0.03, 0.03, 0.03, 0.03)
+    B = ((0.400086, 0.022762), (0.01209, 0.305529), (0.0, 0.215905), (0.143777, 0.0))
+    grid = tuple((0.15 * i, 0.2 * j) for i in range(4) for j in range(4))
+    eye = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
+    status = statuses()[-1].model_copy(
+        update={
+            "A": eye,
+            "B": B,
+            "defender_H": H,
+            "defender_h": h,
+            "pictured_x": (0.0,) * 4,
+            "pictured_candidates": grid,
+            "pictured_x_next": (0.01,) * 4,
+        }
+    )
+    assert set(marks(status)) == set("0123456789abcdef")

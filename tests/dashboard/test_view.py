@@ -24,6 +24,7 @@ from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
 from wyner.dashboard.text import (
+    symbol_of,
     MARKS,
     component,
     count,
@@ -689,3 +690,9 @@ def test_a_screenshot_is_the_same_bytes_twice_and_fetches_nothing(tmp_path: Path
     assert first[0].name == "screen-1.svg"
     assert second[1].name == "screen-2.txt"
     assert first[0].read_bytes() == second[0].read_bytes()
+
+
+def test_a_symbol_has_one_character_up_to_thirty_six() -> None:
+    assert [symbol_of(v, 16) for v in (0, 9, 10, 15)] == ["0", "9", "a", "f"]
+    assert symbol_of(35, 36) == "z"
+    assert symbol_of(200, 256) == "c8"

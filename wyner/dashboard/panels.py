@@ -36,6 +36,7 @@ from wyner.dashboard.text import (
     row,
     rule,
     sparkline,
+    symbol_of,
 )
 
 Letters = tuple[str, ...]
@@ -186,8 +187,10 @@ class Panels:
             # A tap that lags is compared at the last steps that she has a guess for.
             guesses = shown[0][0].guesses
             agreed = [k for k in agreed if k in guesses] or agreed
-        agreed = agreed[-room:]
-        truth = "".join(str(self.board.truths[k].symbol % 10) for k in agreed)
+        size = self.board.candidates
+        wide = len(symbol_of(0, size))
+        agreed = agreed[-(room // wide) :]
+        truth = "".join(symbol_of(self.board.truths[k].symbol, size) for k in agreed)
         total = plant.agreements if plant else 0
         lines = [row(f"{count(total)} keys", Text(truth))]
         if shown:
@@ -196,12 +199,13 @@ class Panels:
             for k in agreed:
                 guess = tap.guesses.get(k)
                 if guess is None:
-                    guessed.append(" ")
-                    marks.append(" ")
+                    guessed.append(" " * wide)
+                    marks.append(" " * wide)
                     continue
                 right = guess.symbol == self.board.truths[k].symbol
-                guessed.append(str(guess.symbol % 10), style=STYLES["" if right else "wrong"])
-                marks.append(" " if right else "^", style=STYLES["bad"])
+                said = symbol_of(guess.symbol, size)
+                guessed.append(said, style=STYLES["" if right else "wrong"])
+                marks.append((" " if right else "^").ljust(wide), style=STYLES["bad"])
             lines += [
                 row(tap.status.name, guessed),
                 row(f"{marks.plain.count('^')} wrong", marks),

@@ -15,6 +15,7 @@ from typing import Final, Literal
 
 from protocol.messages import PlantStatus
 from protocol.vectors import Matrix, Vector
+from wyner.dashboard.text import symbol_of
 
 Kind = Literal["", "eavesdropper", "defender", "centre", "next"]
 Point = tuple[float, float]
@@ -27,8 +28,6 @@ MARGIN: Final = 0.06
 
 COMBINATIONS_TRIED: Final = 40_000
 """Row subsets tried to find a set's corners; beyond it the set is drawn as its bounding box."""
-
-DIGITS: Final = "0123456789abcdef"
 
 _BRAILLE: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
@@ -77,12 +76,9 @@ def _reach(H: Matrix, h: Vector, axis: int) -> float:
 def verdict(status: PlantStatus) -> str:
     """What the agreement test said of the pictured step, in words (equation 20)."""
     gauges = status.pictured_gauges
-    role = dict(zip(status.tail_k, status.tail_role, strict=False)).get(status.pictured_k)
     symbol = status.pictured_symbol
     if symbol >= 0:
         return f"KEY {symbol}: only input {symbol} explains it"
-    if role == "message":
-        return "not tested: carries a message symbol"
     inside = sum(g <= 1 for g in gauges)
     if inside == 0:
         return "no key: no input explains it"
@@ -117,7 +113,8 @@ def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in shape], "defender")
     canvas.mark(fallen, "●" if unicode else "*", "next")
     for i, c in enumerate(centres):
-        canvas.mark(c, DIGITS[i % len(DIGITS)], "centre")
+        name = symbol_of(i, len(centres))
+        canvas.mark(c, name if len(name) == 1 else "+", "centre")
     spread = max(abs(a) for a, _ in wide)
     leaves_left = min(c[0] for c in centres) - spread
     leaves_right = max(c[0] for c in centres) + spread

@@ -11,6 +11,9 @@ from typing import Final
 from rich.cells import cell_len, set_cell_size
 from rich.text import Span, Text
 
+SYMBOLS: Final = "0123456789abcdefghijklmnopqrstuvwxyz"
+"""A character for each symbol of an alphabet that has no more."""
+
 LABEL: Final = 14
 """Columns of the labels at the left."""
 
@@ -150,6 +153,11 @@ def component(value: float, sign: str = "-") -> str:
 
 def _scientific(text: str) -> str:
     return text.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+
+
+def symbol_of(symbol: int, size: int) -> str:
+    """A symbol of an alphabet of ``size``: 0 to 9 and a to z; beyond 36 symbols two hex digits."""
+    return f"{symbol:02x}" if size > len(SYMBOLS) else SYMBOLS[symbol]
 
 
 def count(value: int) -> str:
