@@ -24,7 +24,6 @@ from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
 from wyner.dashboard.text import (
-    symbol_of,
     MARKS,
     component,
     count,
@@ -35,6 +34,7 @@ from wyner.dashboard.text import (
     percent,
     row,
     sparkline,
+    symbol_of,
 )
 from wyner.dashboard.view import (
     DETAIL_AT_LEAST,

@@ -19,6 +19,7 @@ from protocol.shipped import SCENARIOS
 from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
+from wyner.studies import signalling
 from wyner.studies.grid import Point, code_version, load_sweep, points_of
 from wyner.studies.results import Results
 from wyner.studies.secrecy.study import STUDIES, measure_study
@@ -246,6 +247,17 @@ def measure_sweep(name: str) -> Callable[[Path], None]:
     return measure
 
 
+def measure_rows(
+    columns: Sequence[str], rows: Callable[[], Iterable[Sequence[Any]]]
+) -> Callable[[Path], None]:
+    """The measurement of a study of docs/signalling.md."""
+
+    def measure(path: Path) -> None:
+        write(path, columns, rows(), signalling.SOURCES)
+
+    return measure
+
+
 FIGURE_SWEEPS: Final = (
     "fig7-paper-20",
     "fig7-paper",
@@ -263,5 +275,8 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "widths": measure_widths,
     "sets": measure_sets,
     **{f"secrecy-{study}": measure_study(study) for study in STUDIES},
+    "signalling-rates": measure_rows(signalling.RATE_COLUMNS, signalling.rate_rows),
+    "signalling-price": measure_rows(signalling.PRICE_COLUMNS, signalling.price_rows),
+    "two-step": measure_rows(signalling.CODE_COLUMNS, signalling.code_rows),
 }
 """How each data file of docs/data is made."""

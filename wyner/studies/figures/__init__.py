@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.studies.figures import idea, loop, secrecy
+from wyner.studies.figures import idea, loop, secrecy, signalling
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
 
 __all__ = ["FIGURES", "FigureError", "draw"]
@@ -34,8 +34,11 @@ FIGURES: Final[dict[str, Kind]] = {
     "secrecy-alpha-bits": Kind(secrecy.draw_alpha_bits, ("secrecy-alpha",), (7.0, 3.8)),
     "secrecy-learning": Kind(secrecy.draw_learning, ("secrecy-learning",), (7.0, 3.8)),
     "secrecy-view": Kind(secrecy.draw_views, ("secrecy-view",), (7.5, 4.2)),
+    "signalling-rates": Kind(signalling.draw_rates, ("signalling-rates", "fig7-paper"), (7.4, 4.6)),
+    "signalling-price": Kind(signalling.draw_price, ("signalling-price",), (8.0, 3.8)),
+    "two-step": Kind(signalling.draw_codes, ("two-step",), (6.4, 3.8)),
 }
-"""The figures, in the order of docs/experiments.md and then of docs/secrecy.md."""
+"""The figures, in the order of docs/experiments.md, docs/secrecy.md and docs/signalling.md."""
 
 
 def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:
