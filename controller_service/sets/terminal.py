@@ -185,8 +185,8 @@ def merged_directions(H: Array, h: Array) -> tuple[Array, Array]:
     least = np.minimum.reduceat(h, groups)
     # The range of angles ends at half a turn, where a group may go on with the first one.
     if len(groups) > 1 and 2 * np.pi - angles[groups[-1]] + angles[0] <= NEARLY_PARALLEL:
-        least[0] = min(least[0], least[-1])
-        groups, least = groups[:-1], least[:-1]
+        least[-1] = min(least[0], least[-1])
+        groups, least = groups[1:], least[1:]
     return H[groups], least
 
 

@@ -31,7 +31,7 @@ from protocol.vectors import FiniteMatrix, FiniteVector
 RULES_VERSION = 2
 """Version of agreement and framing together; part of the fingerprint, beside the scheme's own."""
 
-DESIGN_VERSION = 2
+DESIGN_VERSION = 3
 """Version of the synthesis; part of the key of a cached design."""
 
 

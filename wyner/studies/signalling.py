@@ -1,6 +1,7 @@
 """Data of docs/signalling.md: rates of every law and scheme, the price, codes over two steps."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -12,8 +13,10 @@ from controller_service.sets.betting import DisturbanceLaw, best_bet
 from controller_service.sets.capacity import dither_price
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import feedback_gain
+from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.files import scenario_of
+from wyner.scoring.statistics import Interval, bootstrap_mean, normal_mean
 from wyner.simulate.engine import Runs, follow, simulate_runs
 from wyner.studies.two_step import best_codes, single_step_keys
 
@@ -41,11 +44,12 @@ SOURCES: Final = ("wyner/studies/signalling.py", "wyner/studies/two_step.py")
 
 RATE_COLUMNS: Final = (
     *("law", "scheme", "alpha", "candidates", "spacing", "runs", "steps", "seed"),
-    *("agreed", "carried", "bits_per_step", "expected_bits"),
+    *("agreed", "carried", "bits_per_step", "bits_low", "bits_high", "expected_bits"),
 )
 PRICE_COLUMNS: Final = (
     *("law", "terminal", "candidates", "spacing", "alpha", "runs", "steps", "seed"),
-    *("bits_per_step", "state_cost", "input_effort", "travel", "largest_input", "kx", "ku"),
+    *("bits_per_step", "state_cost", "state_low", "state_high", "input_effort", "travel"),
+    *("travel_low", "travel_high", "largest_input", "kx", "ku"),
 )
 CODE_COLUMNS: Final = (
     "alpha",
@@ -77,10 +81,10 @@ def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected
     size = scenario.secrecy.candidates
     link = follow(runs, [alpha])
     agreed, carried = int(link.agreements.sum()), int(link.message_symbols.sum())
-    steps = RUNS * STEPS
+    rate = bootstrap_mean(Counter(link.message_symbols[0].tolist())).scaled(math.log2(size) / STEPS)
     return (
         *(scenario.control.law, scenario.secrecy.scheme, alpha, size, spacing, RUNS, STEPS, SEED),
-        *(agreed, carried, math.log2(size) * carried / steps, expected),
+        *(agreed, carried, *rate, expected),
     )
 
 
@@ -149,12 +153,17 @@ def _price(name: str, scenario: Scenario, spacing: float) -> tuple[Any, ...]:
     return (
         *(scenario.control.law, name, size, spacing, alpha, RUNS, STEPS, SEED),
         0.0 if math.isnan(spacing) else bits,
-        float(runs.state_cost.mean()) / STEPS,
+        *_mean(runs.state_cost / STEPS),
         float(runs.input_effort.mean()) / STEPS,
-        float(np.abs(np.diff(u, axis=0)).mean()),
+        *_mean(np.abs(np.diff(u, axis=0)).mean(axis=0)),
         float(np.abs(u).max()),
         *(price.state[0], price.input[0]),
     )
+
+
+def _mean(values: Array) -> Interval:
+    """Mean over runs with its normal interval."""
+    return normal_mean(float(values.sum()), float((values * values).sum()), len(values))
 
 
 def code_rows() -> Iterator[tuple[Any, ...]]:
