@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "bench": "measure speed beside a reference, in one run",
     "knowledge": "write what a scenario's eavesdropper knows",
     "certs": "make certificates for mutual TLS",
+    "kme": "hand one side's keys to its application (ETSI GS QKD 014)",
     "router": "run a Zenoh router, with access control where asked",
     "health": "say whether a service advances",
 }

@@ -1,0 +1,96 @@
+"""``wyner kme``: hand one side's keys to its application, by ETSI GS QKD 014."""
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+
+RATE: Final = 200.0
+LOOK_S: Final = 0.1
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "kme",
+        help="hand one side's keys to its application (ETSI GS QKD 014)",
+        description="Serve the keys that the controller or the plant of a run has distilled: ETSI "
+        "GS QKD 014 V1.1.1 over mutual TLS. Who asks is the common name of the client's "
+        "certificate. Each side gives out its own half, and the partner's half by id.",
+    )
+    parser.add_argument("--run-dir", required=True, type=Path, metavar="D", help="the run's folder")
+    parser.add_argument("--side", required=True, choices=("controller", "plant"))
+    parser.add_argument(
+        "--tls", required=True, type=Path, metavar="FOLDER", help="with ca.pem, cert.pem, key.pem"
+    )
+    parser.add_argument("--sae", required=True, metavar="NAME", help="who is served here")
+    parser.add_argument("--partner-sae", required=True, metavar="NAME", help="who is, over there")
+    parser.add_argument("--kme", metavar="NAME", help="of this entity (default: kme-SIDE)")
+    parser.add_argument("--partner-kme", metavar="NAME", help="of the other (default: kme-SIDE)")
+    parser.add_argument(
+        "--listen", default="127.0.0.1:8014", metavar="HOST:PORT", help="default: 127.0.0.1:8014"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=RATE, metavar="N", help=f"requests a second ({RATE:g})"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until a signal comes."""
+    try:
+        import aiohttp  # noqa: F401
+    except ImportError:
+        raise UsageError("kme: needs aiohttp: pip install 'wyner[kme]'") from None
+    import asyncio
+
+    from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+    from protocol.secret.records import StoreError
+    from protocol.secret.store import KeyStore
+    from wyner.kme.entity import KeyManagementEntity, Names
+    from wyner.kme.server import KeyServer, tls_context
+
+    host, _, port = args.listen.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UsageError(f"--listen: got {args.listen!r}, expected HOST:PORT")
+    if not args.rate > 0:
+        raise UsageError(f"--rate: got {args.rate:g}, expected more than 0")
+    if args.sae == args.partner_sae:
+        raise UsageError(f"--partner-sae: got {args.sae!r} twice, expected another")
+    partner = "plant" if args.side == "controller" else "controller"
+    names = Names(
+        kme=args.kme or f"kme-{args.side}",
+        partner_kme=args.partner_kme or f"kme-{partner}",
+        sae=args.sae,
+        partner_sae=args.partner_sae,
+    )
+    try:
+        tls = tls_context(args.tls)
+    except OSError as error:
+        raise UsageError(f"--tls: {args.tls}: {error.strerror or error}") from None
+    log = logger("kme")
+    path = args.run_dir / (CONTROLLER_KEYS if args.side == "controller" else PLANT_KEYS)
+    try:
+        store = KeyStore(path, args.side, create=True)
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+    with store, stop_on_signals() as stopping:
+        server = KeyServer(KeyManagementEntity(names, store), args.rate)
+
+        async def serve() -> None:
+            stop = asyncio.Event()
+            serving = asyncio.create_task(server.serve(host.strip("[]"), int(port), tls, stop))
+            serving.add_done_callback(lambda _task: stop.set())
+            log.info("%s serves %s at %s: %s", names.kme, names.sae, args.listen, path)
+            while not (stopping.is_set() or stop.is_set()):
+                await asyncio.sleep(LOOK_S)
+            stop.set()
+            await serving
+
+        try:
+            asyncio.run(serve())
+        except OSError as error:
+            raise UsageError(f"--listen: {args.listen}: {error.strerror or error}") from None
+    log.info("stopping")
+    return DONE
