@@ -1,6 +1,7 @@
 """``wyner controller``, and ``python -m controller_service``."""
 
 import argparse
+from pathlib import Path
 
 from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.options import add_message_arguments, at_least, message_of, run_dir_of
@@ -13,6 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     add_message_arguments(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
+    parser.add_argument(
+        "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
+    )
     add_endpoint_arguments(parser, "controller")
 
 
@@ -41,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
         loop=loop_of(args),
         message=message_of(args.message, args.message_file),
         seed=args.seed,
+        secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
     )
     try:

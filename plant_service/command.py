@@ -28,6 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let a plant run again that was sent to its safe state",
     )
+    parser.add_argument(
+        "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
+    )
     add_endpoint_arguments(parser, "plant")
 
 
@@ -47,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         pace=pace_of(args.pace),
         steps=args.steps,
         seed=args.seed,
+        secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
         folder=scenario_file_of(args.scenario).parent
         if args.plant_folder is None

@@ -293,3 +293,12 @@ class KeyStore(StoreFile):
         with self._lock:
             rows = self._db.execute("SELECT id FROM key WHERE own = 1 ORDER BY place").fetchall()
         return [name for (name,) in rows]
+
+    def compare(self) -> dict[str, bytes | None]:
+        """Every key by its id, in order, None where it was erased: for whoever holds both stores.
+
+        Nobody else should; a test bed does.
+        """
+        with self._lock:
+            rows = self._db.execute("SELECT id, body FROM key ORDER BY place").fetchall()
+        return {name: None if body is None else bytes(body) for name, body in rows}

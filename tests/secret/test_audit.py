@@ -8,10 +8,11 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.secret.audit import bits_held, held, miss_rate
 from protocol.secret.bound import Assumption, GilbertElliott, quantile
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
+from tap_service.inference.key_solver import bits_held, held
+from tap_service.inference.miss_rate import miss_rate
 
 N, COPIES = 128, 256
 EPS = 1e-12

@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "figures": "draw the figures from their data",
     "bench": "measure speed beside a reference, in one run",
     "knowledge": "write what a scenario's eavesdropper knows",
+    "secret": "make the secret by which both ends sign key blocks",
     "certs": "make certificates for mutual TLS",
     "kme": "hand one side's keys to its application (ETSI GS QKD 014)",
     "router": "run a Zenoh router, with access control where asked",

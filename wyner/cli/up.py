@@ -20,6 +20,7 @@ from protocol.runtime.run_folder import (
     PLANT_JOURNAL,
     SCENARIO,
     SUMMARY,
+    make_folder,
     write_atomically,
 )
 from protocol.scenario.files import scenario_of
@@ -62,6 +63,11 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
+    parser.add_argument(
+        "--secret",
+        action="store_true",
+        help="sign key blocks with a secret made for this run",
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     parser.set_defaults(run=run)
 
@@ -145,7 +151,10 @@ def run(args: argparse.Namespace) -> int:
         raise failure
     if ending is Ending.INTERRUPTED:
         return INTERRUPTED
-    return FAILED if args.until_delivered and not summary["delivered"] else DONE
+    if args.until_delivered and not summary["delivered"]:
+        return FAILED
+    # keys were asked for, and under the scenario's claim there cannot be any
+    return FAILED if scenario.keys is not None and scenario.keys.refusal() else DONE
 
 
 def _take_signals() -> None:
@@ -226,6 +235,7 @@ def _children(
     common = ["--run-dir", str(run_dir)]
     seed = [] if args.seed is None else ["--seed", str(args.seed)]
     steps = [] if args.steps is None else ["--steps", str(args.steps)]
+    secrets = _secrets(run_dir) if args.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
     for name, value in knobs.items():
@@ -236,6 +246,7 @@ def _children(
             [
                 *common,
                 *seed,
+                *secrets.get("plant", ()),
                 *steps,
                 *("--scenario", str(scenario_file), "--pace", args.pace),
                 *("--plant-folder", str(scenario_file_of(args.scenario).parent.resolve())),
@@ -249,6 +260,7 @@ def _children(
             [
                 *common,
                 *seed,
+                *secrets.get("controller", ()),
                 *("--scenario", str(scenario_file), "--message-file", str(message_file)),
                 *("--listen", f"field={controller_field}", "--connect", f"field={plant_field}"),
                 *("--connect", f"field={tap_field}"),
@@ -278,6 +290,22 @@ def _children(
             intel=intel,
         ),
     )
+
+
+def _secrets(run_dir: Path) -> dict[str, list[str]]:
+    """A secret in each end's folder, and the option that names it."""
+    from protocol.secret.authentication import make_secret
+
+    options = {}
+    first = run_dir / "controller" / "secret"
+    make_folder(first.parent)
+    make_secret(first)
+    for side in ("controller", "plant"):
+        path = run_dir / side / "secret"
+        if path != first:
+            write_atomically(path, first.read_bytes())
+        options[side] = ["--secret", str(path)]
+    return options
 
 
 class _Progress:

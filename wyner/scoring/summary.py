@@ -9,6 +9,7 @@ from protocol.runtime.run_folder import PLANT_TRACE, SCENARIO
 from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import load_scenario
 from protocol.text import readable
+from wyner.scoring.keys import audit_keys, key_lines
 from wyner.scoring.report import report
 from wyner.scoring.score import RunScore, ScoreError, score_run, summary_of
 
@@ -25,7 +26,8 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
     ``delivered_k`` is the step at which the plant had ``payload`` whole, -1 never.
     ``bits_per_second`` counts message bits over plant time, missed steps included.
     ``claimed_bits`` is what the paper's rule counts, ``true_bits`` what the strongest eavesdropper
-    of this run leaves of it (None: nobody was scored).
+    of this run leaves of it (None: nobody was scored). ``keys`` is what
+    :func:`wyner.scoring.keys.audit_keys` finds, None where the scenario makes none.
     """
     scenario = load_scenario(run_dir / SCENARIO)
     size = scenario.secrecy.candidates
@@ -68,6 +70,7 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         **_secrecy(run_dir, len(agreed) * math.log2(size)),
+        "keys": None if (keys := audit_keys(run_dir, scenario)) is None else keys.as_json(),
         "run_dir": str(run_dir),
     }
 
@@ -134,6 +137,8 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
         f"Secret     claimed: {summary['claimed_bits']:.0f} bits of key. True: {shown}"
         + (f" ({summary['strongest']})." if true is not None else ".")
     )
+    if summary["keys"] is not None:
+        lines += key_lines(summary["keys"])
     return lines
 
 

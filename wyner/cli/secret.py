@@ -1,0 +1,30 @@
+"""``wyner secret``: the first secret that both ends of a loop share."""
+
+import argparse
+from pathlib import Path
+
+from protocol.runtime.process import DONE, UsageError
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the subcommand."""
+    parser = subparsers.add_parser(
+        "secret",
+        help="make the secret by which both ends sign key blocks",
+        description="Write a new secret to F. Give a copy of it to each end, for its --secret; "
+        "each takes it once, and its file then holds only the secret's name.",
+    )
+    parser.add_argument("file", metavar="F", help="a file that is not there yet")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make it."""
+    from protocol.secret.authentication import SecretError, make_secret
+
+    try:
+        name = make_secret(Path(args.file))
+    except SecretError as error:
+        raise UsageError(str(error)) from None
+    print(f"secret {name}: give a copy of {args.file} to each end")
+    return DONE

@@ -1,0 +1,313 @@
+"""What the tap of a run holds of its keys, from the plant's trace, the capture and the stores.
+
+The claim is the operator's; a run can refute it, and never prove it. What she missed is exact here:
+her capture is all that she heard, and which copies counted stands in the plant's trace.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from protocol.runtime.run_folder import (
+    CAPTURE,
+    CONTROLLER_KEYS,
+    PLANT_KEYS,
+    PLANT_TRACE,
+)
+from protocol.runtime.trace import TraceError, TraceReader
+from protocol.scenario import Scenario
+from protocol.secret.blocks import Schedule
+from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.records import StoreError
+from protocol.secret.store import KeyStore
+from tap_service.capture.recording import CaptureError, CaptureReader
+from tap_service.inference.key_solver import bits_held
+from tap_service.inference.miss_rate import MissRate, miss_rate
+
+KEY_BITS: Final = 8 * NONCE_BYTES
+
+Copy = tuple[str, str, int]
+"""A copy 0: which message (``offer``, ``measurement``), session and step."""
+
+
+class AuditedBlock(NamedTuple):
+    """A key block beside what the tap heard of it.
+
+    ``missed`` counts copies that counted and that she did not hear; ``held_bits`` is what she can
+    compute of the block's rows.
+    """
+
+    session: str
+    number: int
+    transitions: int
+    steps: int
+    counted: int
+    rows: int
+    keys: int
+    missed: int
+    held_bits: int
+    confirmed: bool
+    last_k: int
+
+
+@dataclass(slots=True)
+class _Block:
+    transitions: int = 0
+    steps: int = 0
+    last_k: int = -1
+    copies: list[Copy] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Walk:
+    """The blocks of a run, and every copy 0 that was sent, from the plant's trace."""
+
+    schedule: Schedule
+    blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
+    sent: list[Copy] = field(default_factory=list)
+    keys: dict[tuple[str, int], int] = field(default_factory=dict)
+    confirmed: set[tuple[str, int]] = field(default_factory=set)
+    steps: int = 0
+    _last_k: dict[str, int] = field(default_factory=dict)
+    _last_j: dict[str, int] = field(default_factory=dict)
+
+    def event(self, event: dict[str, Any]) -> None:
+        """Take the next line of the trace."""
+        kind = event["event"]
+        if kind == "missed":
+            self.steps += 1
+            self.sent.append(("measurement", event["session"], event["k"]))
+        elif kind == "transition" and event["j"] > self._last_j.get(event["session"], -1):
+            self._transition(event)
+        elif kind == "block":
+            self.keys[event["session"], event["number"]] = event["keys"]
+        elif kind == "judged" and event["what"] == "confirmed":
+            self.confirmed.add((event["session"], event["number"]))
+
+    def _transition(self, event: dict[str, Any]) -> None:
+        session, j, k = event["session"], event["j"], event["k"]
+        before = self._last_k.get(session, k)
+        self._last_k[session], self._last_j[session] = k, j
+        self.steps += 1
+        both: tuple[Copy, Copy] = (("measurement", session, k), ("offer", session, k))
+        self.sent += both
+        number = self.schedule.block_of(j)
+        if number < 0:
+            return
+        block = self.blocks.setdefault((session, number), _Block())
+        block.transitions += 1
+        block.steps += k - before
+        block.last_k = k
+        counts = self.schedule.assumption.counting(event["counts"])
+        block.copies += [both[1]] * (counts & 1) + [both[0]] * (counts >> 1)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyAudit:
+    """A run's keys, and what its tap holds of them.
+
+    Parameters
+    ----------
+    claim : float
+        eps_E.
+    sentence : str
+        Under which claim the keys are secret, in words.
+    refused : str or None
+        Why nobody gets them.
+    blocks : tuple of AuditedBlock
+    same : bool or None
+        Whether both stores hold the same keys under the same ids in the same order; None where one
+        of them is not there.
+    rate : MissRate or None
+        Her misses of copies 0, None where nothing was captured.
+    seconds : float
+        Plant time.
+    period_s : float
+    """
+
+    claim: float
+    sentence: str
+    refused: str | None
+    blocks: tuple[AuditedBlock, ...]
+    same: bool | None
+    rate: MissRate | None
+    seconds: float
+    period_s: float
+
+    @property
+    def made(self) -> int:
+        """Keys of blocks that the partner has confirmed."""
+        return sum(block.keys for block in self.blocks if block.confirmed)
+
+    @property
+    def held_bits(self) -> int:
+        """Bits that the tap holds of blocks that made keys."""
+        return sum(block.held_bits for block in self.blocks if block.keys)
+
+    @property
+    def first_key_s(self) -> float | None:
+        """Plant time at which the first key's block was over."""
+        made = [block for block in self.blocks if block.keys]
+        return (made[0].last_k + 1) * self.period_s if made else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What must be told in red."""
+        found = []
+        if self.held_bits:
+            broken = sum(block.held_bits > 0 and block.keys > 0 for block in self.blocks)
+            found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
+        if self.rate is not None and self.rate.refuted:
+            found.append(
+                f"she misses {self.rate.high:.3g} at most, and eps_E = {self.claim:g} was claimed: "
+                "refuted"
+            )
+        if self.rate is not None and self.rate.bursts:
+            found.append(
+                f"her misses come in bursts (lag {self.rate.lag}, {self.rate.z:.1f} standard "
+                "deviations)"
+            )
+        if self.same is False:
+            found.append("the two stores differ")
+        return tuple(found)
+
+    def as_json(self) -> dict[str, Any]:
+        """The object ``keys`` of ``wyner up --json``."""
+        made = [block for block in self.blocks if block.keys and block.confirmed]
+        last = made[-1] if made else None
+        return {
+            "made": self.made,
+            "bits_per_second": KEY_BITS * self.made / self.seconds if self.seconds else 0.0,
+            "last_block_bits_per_second": 0.0
+            if last is None
+            else KEY_BITS * last.keys / (last.steps * self.period_s),
+            "first_key_s": self.first_key_s,
+            "same_at_both_ends": self.same,
+            "held_by_tap_bits": None if self.rate is None else self.held_bits,
+            "refused": self.refused,
+            "blocks": len(self.blocks),
+            "missed_by_tap": None if self.rate is None else self.rate.missed / self.rate.copies,
+            "assumption": self.sentence,
+            "warnings": list(self.warnings),
+        }
+
+
+def key_lines(keys: dict[str, Any]) -> list[str]:
+    """What :meth:`KeyAudit.as_json` says, for people; the first line is the verdict."""
+    refused = keys["refused"]
+    if refused is not None and not keys["blocks"]:
+        return [f"Keys       none: {refused}"]
+    held = "an unknown number of" if keys["held_by_tap_bits"] is None else keys["held_by_tap_bits"]
+    lines = [
+        f"Keys       {keys['made']} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s. "
+        f"Eve holds {held} bits of them.",
+        f"           {keys['assumption']}",
+    ]
+    if refused is not None:
+        lines.append(f"           refused: {refused}")
+    return lines + [f"           WARNING: {text}" for text in keys["warnings"]]
+
+
+def audit_keys(run_dir: Path, scenario: Scenario) -> KeyAudit | None:
+    """What the tap of a run holds of its keys; None where the scenario has no table ``keys``."""
+    if scenario.keys is None:
+        return None
+    claim = scenario.keys.assumption()
+    schedule = scenario.keys.schedule()
+    refused = _refused(run_dir) or scenario.keys.refusal()
+    if schedule is None:
+        nothing = (claim.sentence(), refused, (), None, None, 0.0, scenario.plant.period_s)
+        return KeyAudit(claim.eps_E, *nothing)
+    walk = _Walk(schedule)
+    try:
+        for event in TraceReader(run_dir / PLANT_TRACE):
+            walk.event(event)
+    except TraceError:
+        pass
+    heard = _heard(run_dir)
+    blocks = tuple(
+        _audited(walk, at, block, heard)
+        for at, block in walk.blocks.items()
+        if block.transitions == schedule.length(at[1])
+    )
+    rate = None
+    if heard is not None:
+        directions = claim.directions
+        sent = [c for c in walk.sent if directions in ("both", f"{c[0]}s")]
+        rate = miss_rate([copy not in heard for copy in sent], claim.eps_E)
+    return KeyAudit(
+        claim.eps_E,
+        claim.sentence(),
+        refused,
+        blocks,
+        _same(run_dir),
+        rate,
+        walk.steps * scenario.plant.period_s,
+        scenario.plant.period_s,
+    )
+
+
+def _audited(
+    walk: _Walk, at: tuple[str, int], block: _Block, heard: set[Copy] | None
+) -> AuditedBlock:
+    a = walk.schedule.assumption
+    rows = a.rows(block.transitions, block.steps, len(block.copies))
+    missed = 0 if heard is None else sum(copy not in heard for copy in block.copies)
+    return AuditedBlock(
+        *at,
+        transitions=block.transitions,
+        steps=block.steps,
+        counted=len(block.copies),
+        rows=rows,
+        keys=walk.keys.get(at, 0),
+        missed=missed,
+        held_bits=bits_held(rows, missed) if rows >= 2 else 0,
+        confirmed=at in walk.confirmed,
+        last_k=block.last_k,
+    )
+
+
+def _heard(run_dir: Path) -> set[Copy] | None:
+    """Every copy 0 in the capture; None where there is none."""
+    try:
+        reader = CaptureReader(run_dir / CAPTURE)
+        return {
+            (message.topic, message.session, message.k)
+            for _, message in reader.records()
+            if not message.copy_number
+        }
+    except (CaptureError, OSError):
+        return None
+
+
+def _refused(run_dir: Path) -> str | None:
+    try:
+        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
+            return store.refused
+    except StoreError:
+        return None
+
+
+def _same(run_dir: Path) -> bool | None:
+    """Whether what both stores hold is the same: ids, order, and the bytes that are still there."""
+    try:
+        with (
+            KeyStore(run_dir / CONTROLLER_KEYS, "controller") as controller,
+            KeyStore(run_dir / PLANT_KEYS, "plant") as plant,
+        ):
+            mine, theirs = controller.compare(), plant.compare()
+            kept = [
+                [name for name, state in store.ids() if state in ("confirmed", "delivered")]
+                for store in (controller, plant)
+            ]
+    except StoreError:
+        return None
+    shared = [name for name in mine if name in theirs]
+    in_order = shared == [name for name in theirs if name in mine]
+    alike = all(
+        mine[name] == theirs[name]
+        for name in shared
+        if mine[name] is not None and theirs[name] is not None
+    )
+    # the last block of a run may have been closed at one end only, and is confirmed at none
+    return in_order and alike and set(kept[0]) <= set(theirs) and set(kept[1]) <= set(mine)
