@@ -43,6 +43,10 @@ _MODELS: Final[dict[str, type[Measurement] | type[Offer]]] = {
 _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
+_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]*"')
+_BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
+_AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
+
 BLURRED: Final = "the tap saw numbers blurred, by its own settings"
 
 
@@ -223,8 +227,14 @@ _DIGITS: Final = b"0123456789abcdef.+-"
 
 
 def _shape(raw: bytes) -> tuple[bytes, int]:
-    """A message's names, lengths and kinds of value: all that is left without digits."""
-    return raw.translate(None, _DIGITS), raw.count(b"[]")
+    """A message's names, lengths and kinds of value: all that is left without digits.
+
+    Of a nonce and a tag that is their length; which block was stored last follows from what was
+    counted, and that is public.
+    """
+    keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
+    keyless = _BLOCK.sub(b"", keyless, 1)
+    return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 
 def same_shape(e: Evidence, tally: Tally) -> Judging:

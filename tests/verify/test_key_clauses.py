@@ -1,0 +1,146 @@
+"""The clauses of keys: a right run passes, each thing that is wrong fails the one that says so."""
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_KEYS, CONTROLLER_TRACE, PLANT_KEYS
+from wyner.cli.main import main
+from wyner.scoring.keys import audit_keys
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
+
+Line = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "keys"
+    arguments = ["up", "--scenario", "keys", "--pace", "fast", "--steps", "200", "--json"]
+    assert main([*arguments, "--eavesdropper", "nearest-centre", "--run-dir", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run, tmp_path / "run"))
+
+
+def failed(folder: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+
+
+@pytest.mark.integration
+def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
+    evidence = read_evidence(run)
+    assert failed(run) == set()
+    audit = audit_keys(run, evidence.scenario)
+    assert audit is not None
+    assert audit.made in (1, 15)  # the second block may have been confirmed after the last step
+    assert audit.held_bits == 0
+    assert audit.same
+    assert audit.first_key_s == pytest.approx(4.5)
+    assert audit.warnings == ()
+    summary = json.loads((run / "summary.json").read_text())["keys"]
+    assert summary["made"] == audit.made
+    assert summary["refused"] is None
+
+
+def rewrite(path: Path, change: Callable[[list[Line]], object]) -> None:
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    lines = [line for line in lines if line["event"] != "end"]
+    change(lines)
+    path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines))
+
+
+def repeat_a_nonce(lines: list[Line]) -> None:
+    first, second = [line["message"] for line in lines if line["event"] == "field"][10:12]
+    second["nonce"] = first["nonce"]
+
+
+def send_copy_0_again(lines: list[Line]) -> None:
+    place = next(i for i, line in enumerate(lines) if i > 20 and line["event"] == "field")
+    again = json.loads(json.dumps(lines[place]))
+    again["message"]["nonce"] = "A" * 43 + "="
+    lines.insert(place + 1, again)
+
+
+def change_a_tag(lines: list[Line]) -> None:
+    told = [line["message"] for line in lines if line.get("event") == "field"]
+    last = [m for m in told if m["block"] >= 0][-1]
+    last["tag"] = "0" * 32
+
+
+def count_otherwise(lines: list[Line]) -> None:
+    next(line for line in lines if line.get("j") == 30)["counts"] = 1
+
+
+def claim_more_keys(lines: list[Line]) -> None:
+    next(line for line in lines if line["event"] == "block")["keys"] += 1
+
+
+WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
+    "a nonce twice": (CAPTURE, repeat_a_nonce, {"nonce-once"}),
+    "copy 0 twice": (CAPTURE, send_copy_0_again, {"copy-0-once"}),
+    "another tag": (CAPTURE, change_a_tag, {"tags"}),
+    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"counted"}),
+    "more keys": (CONTROLLER_TRACE, claim_more_keys, {"blocks"}),
+}
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_wrong_fails_its_clause(wrong: str, copied: Path) -> None:
+    path, change, clauses = WRONG[wrong]
+    rewrite(copied / path, change)
+    assert clauses <= failed(copied)
+
+
+@pytest.mark.integration
+def test_stores_that_differ_fail(copied: Path) -> None:
+    with sqlite3.connect(copied / PLANT_KEYS) as db:
+        db.execute("UPDATE key SET own = 1")
+    db.close()
+    with sqlite3.connect(copied / CONTROLLER_KEYS) as db:
+        db.execute("UPDATE key SET id = 'another' || place WHERE place < 3")
+        db.execute("UPDATE key SET body = zeroblob(32) WHERE place = 5")
+    db.close()
+    assert "key-ids" in failed(copied)
+    audit = audit_keys(copied, read_evidence(copied).scenario)
+    assert audit is not None
+    assert audit.same is False
+    assert "the two stores differ" in audit.warnings
+
+
+@pytest.mark.integration
+def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(copied: Path) -> None:
+    """The capture as if she had missed nothing: all copies 0 of the run."""
+
+    def hear_all(lines: list[Line]) -> None:
+        example = next(line for line in lines if line["event"] == "field")
+        trace = (copied / "plant" / "trace.jsonl").read_bytes().splitlines()
+        for event in map(json.loads, trace):
+            if event["event"] != "transition":
+                continue
+            base = {"session": event["session"], "k": event["k"], "nonce": "", "copy_number": 0}
+            common = {"v": 2, **base, "block": -1, "tag": ""}
+            offer = {**common, "candidates": event["candidates"], "cipher": 0, "heard": 0}
+            x = {"x": event["x"], "applied_k": event["k"] - 1, "x_after": event["x"]}
+            for topic, message in (
+                ("measurement", {**common, **x, "applied_copy": 0}),
+                ("offer", offer),
+            ):
+                lines.append({**example, "topic": topic, "message": message})
+
+    rewrite(copied / CAPTURE, hear_all)
+    audit = audit_keys(copied, read_evidence(copied).scenario)
+    assert audit is not None
+    assert audit.held_bits >= 256 * 2  # all rows of each block, the public one included
+    assert audit.rate is not None
+    assert audit.rate.refuted
+    assert len(audit.warnings) == 2
