@@ -363,7 +363,7 @@ def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / CAPTURE
-    record(path, 1000, Limits(part_bytes=100_000, free_bytes=0)).close()
+    record(path, 1000, Limits(part_bytes=180_000, free_bytes=0)).close()
     first, second = parts_of(path)
     assert first.stat().st_size > second.stat().st_size
     monkeypatch.setattr(jsonl, "CHUNK", first.stat().st_size)

@@ -61,7 +61,7 @@ def draw_idea(figure: Figure, data: Path) -> str:
     right = max(c[0] for c in centres) + (ALPHA + 0.3) * w[0]
     panels[0].set_xlim(left, right)
     return (
-        "A real step of the scenario sustained. Full lines: D_c around each prediction. "
+        "A step of one run, seed 7, of the scenario sustained. Full: D_c around each prediction. "
         f"Dashed: D_e = {ALPHA:g} D_c. Star: the state."
     )
 
