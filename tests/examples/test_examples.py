@@ -21,6 +21,12 @@ SAYS = {
     "own_eavesdropper": "speed-watcher",
     "data_frame": "True",
     "certificate": "confidence 0.999: 688 sessions",
+    "gymnasium_plant": "recovered [b'gym']",
+    "lossy_network": "the plant has [b'first', b'second']",
+    "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",
+    "own_plant": "250 of 250 tested steps agreed, 10.0 bit/s",
+    "packed_law": "expected at most 4",
+    "pendulum": "regulator  for ever",
 }
 """A part of what each program prints."""
 
