@@ -95,7 +95,7 @@ class Service:
         self.startup_s: float | None = None
         self._began = time.monotonic()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"{name}_service", *arguments],
+            [sys.executable, "-m", "wyner", name, *arguments],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

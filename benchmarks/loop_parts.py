@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
     from protocol.messages import Message
-    from protocol.runtime.host import Files
+    from protocol.runtime.ports import Files
     from protocol.scenario import Scenario
     from protocol.secret.tasks import Task
 
@@ -132,11 +132,12 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from controller_service.endpoint import ControllerEndpoint
     from controller_service.laws.registry import cached_design, make_law
     from plant_service.from_journal import plant_endpoint
+    from protocol.link.pacing import Pacing
     from protocol.link.perform import perform
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
-    from protocol.runtime.host import Files
     from protocol.runtime.journal import ControllerJournal, PlantJournal
+    from protocol.runtime.ports import Files
     from protocol.runtime.process import new_id
     from protocol.runtime.run_folder import (
         CONTROLLER_JOURNAL,
@@ -161,7 +162,9 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     controller = ControllerEndpoint(sender, queue, scenario.plant.period_s, message=MESSAGE)
     journal = PlantJournal(folder / PLANT_JOURNAL, fingerprint)
     coin, disturbances = symbols(None, COIN), noise(None, scenario.n)
-    plant = plant_endpoint(scenario, journal, coin, disturbances, new_id, time.monotonic(), None)
+    now = time.monotonic()
+    pacing = Pacing(None, scenario.link.repeats_per_period, now)
+    plant = plant_endpoint(scenario, journal, coin, disturbances, new_id, now, pacing)
     traces = [
         TraceWriter(folder / CONTROLLER_TRACE, "controller", {}),
         TraceWriter(folder / PLANT_TRACE, "plant", {}),

@@ -3,9 +3,15 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
-from protocol.runtime.options import add_message_arguments, at_least, message_of, run_dir_of
-from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
+from protocol.runtime.endpoints import add_endpoint_arguments, buses_of, fleet_of, loop_of
+from protocol.runtime.options import (
+    add_fleet_arguments,
+    add_message_arguments,
+    at_least,
+    message_of,
+    run_dir_of,
+)
+from protocol.runtime.process import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,45 +23,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
+    add_fleet_arguments(parser)
     add_endpoint_arguments(parser, "controller")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
-    from controller_service.laws.base import ProgramError
+    from controller_service.laws.base import CandidateLaw, ProgramError
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
-    from controller_service.service import ControllerConfig, run_controller
+    from controller_service.service import ControllerConfig, run_controller, run_controllers
     from controller_service.sets.design import SynthesisError
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import open_bus
+    from protocol.scenario import Scenario
     from protocol.scenario.files import keep_scenario, scenario_of
 
     at_least("--seed", args.seed, 0)
+
+    def law_of(scenario: Scenario) -> CandidateLaw:
+        try:
+            with shown_progress() as progress:
+                design = cached_design(scenario, progress)
+            return make_law(scenario, design)
+        except (SynthesisError, ProgramError) as error:
+            raise UsageError(f"{scenario.name}: {error}") from None
+
+    fleet = fleet_of(args)
+    if fleet is not None:
+        folder = run_dir_of(args.run_dir)
+        with buses_of(args, "controller") as (stopping, field, ops):
+            return run_controllers(fleet, folder, law_of, field, ops, stopping)
     scenario = scenario_of(args.scenario)
-    try:
-        with shown_progress() as progress:
-            design = cached_design(scenario, progress)
-        law = make_law(scenario, design)
-    except (SynthesisError, ProgramError) as error:
-        raise UsageError(f"{scenario.name}: {error}") from None
     config = ControllerConfig(
         scenario=scenario,
-        law=law,
+        law=law_of(scenario),
         loop=loop_of(args),
         message=message_of(args.message, args.message_file),
         seed=args.seed,
         secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
     )
-    try:
-        with (
-            stop_on_signals() as stopping,
-            open_bus(endpoints_of(args, "controller", "field")) as field,
-            open_bus(endpoints_of(args, "controller", "ops")) as ops,
-        ):
-            keep_scenario(config.run_dir, args.scenario)
-            freeze_startup()
-            return run_controller(config, field, ops, stopping)
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+    with buses_of(args, "controller") as (stopping, field, ops):
+        keep_scenario(config.run_dir, args.scenario)
+        return run_controller(config, field, ops, stopping)

@@ -74,7 +74,7 @@ class ControllerEndpoint:
         self.sender = sender
         self.garbage = 0
         self.code: int | None = None
-        self._messages = messages
+        self.messages = messages
         self._message = message
         self._running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
         self._telemetry = telemetry
@@ -93,7 +93,7 @@ class ControllerEndpoint:
             self._status_at = now
         if self.sender.unsettled:
             self._later.append(self._settle)
-        if self._message is not None and self._messages.queued_as(INITIAL_ID) is None:
+        if self._message is not None and self.messages.queued_as(INITIAL_ID) is None:
             message = self._message
             self._later.append(lambda: self._queue(INITIAL_ID, message))
         self._later.append(
@@ -143,7 +143,7 @@ class ControllerEndpoint:
     def status(self) -> ControllerStatus:
         """What the dashboard is told; an endpoint without telemetry has none."""
         assert self._telemetry is not None
-        return self._telemetry.status(self.sender, self._messages, self.garbage)
+        return self._telemetry.status(self.sender, self.messages, self.garbage)
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -220,9 +220,9 @@ class ControllerEndpoint:
         return Actions(events, write, tuple(publish), tuple(notices), health)
 
     def _delivered(self, number: int) -> Notice:
-        payload = self._messages.payload(number)
+        payload = self.messages.payload(number)
         assert payload is not None
-        identifier = self._messages.identifier(number)
+        identifier = self.messages.identifier(number)
         return Notice(
             f"message {identifier} delivered", event=Delivered(number, identifier, payload)
         )
@@ -261,8 +261,8 @@ class ControllerEndpoint:
 
     def _commanded(self, command: SendCommand) -> Actions:
         """The operator hands over a message; the same identifier is queued once."""
-        size, queued = len(command.payload), self._messages.queued_as(command.id)
-        waiting = self._messages.queued - self.sender.record.message
+        size, queued = len(command.payload), self.messages.queued_as(command.id)
+        waiting = self.messages.queued - self.sender.record.message
         accepted, detail, actions = False, "", NOTHING_TO_DO
         if command.id == INITIAL_ID:
             detail = f"id: {INITIAL_ID!r} is the message that the controller is started with"

@@ -6,14 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from controller_service.endpoint import ControllerEndpoint
+from controller_service.endpoint import STATUS_S, ControllerEndpoint
 from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import Telemetry
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.runtime.bus import Bus
-from protocol.runtime.host import Files, Host
+from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
+from protocol.runtime.fleet import Fleet, FleetLoop
+from protocol.runtime.fleet_host import run_fleet
+from protocol.runtime.host import Host
 from protocol.runtime.journal import ControllerJournal, JournalError
+from protocol.runtime.ports import Files
 from protocol.runtime.process import UsageError, logger, new_id, spoken
 from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
@@ -23,6 +27,7 @@ from protocol.runtime.run_folder import (
 )
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
+from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.opening import open_keeper
 from protocol.streams import CIPHER, symbols
 
@@ -45,8 +50,47 @@ class ControllerConfig:
     secret: Path | None = None
 
 
+def open_controller(
+    config: ControllerConfig, *, status_s: float = STATUS_S
+) -> tuple[ControllerEndpoint, Files]:
+    """The controller's end of one loop as its journal has it, and its files.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+    status_s : float
+        Seconds between statuses.
+
+    Raises
+    ------
+    UsageError
+        When the journal cannot be used.
+    """
+    scenario, seeded = config.scenario, config.seed is not None
+    try:
+        journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
+        record, step = journal.load(), journal.step()
+        raws = journal.raws(None if record is None else record.session)
+        keeper = open_keeper(
+            config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed, config.secret
+        )
+    except JournalError as error:
+        raise UsageError(str(error)) from None
+    trace = TraceWriter(config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity())
+    rules, fresh = rules_of(scenario), symbols(config.seed, CIPHER)
+    endpoint = ControllerEndpoint(
+        Sender(rules, config.law.candidates, journal, fresh, new_id(), record, step, raws),
+        journal,
+        scenario.plant.period_s,
+        message=config.message,
+        telemetry=Telemetry(scenario.name, config.law, seeded=seeded),
+        status_s=status_s,
+    )
+    return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, keeper)
+
+
 class ControllerService:
-    """Answers measurements with offers until it is told to stop.
+    """Answers one plant's measurements with offers until it is told to stop.
 
     Parameters
     ----------
@@ -72,42 +116,19 @@ class ControllerService:
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        scenario, seeded = config.scenario, config.seed is not None
         log = logger("controller")
-        try:
-            journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
-            record, step = journal.load(), journal.step()
-            raws = journal.raws(None if record is None else record.session)
-            keeper = open_keeper(
-                config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed, config.secret
-            )
-        except JournalError as error:
-            raise UsageError(str(error)) from None
-        self.trace = TraceWriter(
-            config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity()
-        )
-        rules = rules_of(scenario)
-        fresh = symbols(config.seed, CIPHER)
-        self.sender = Sender(
-            rules, config.law.candidates, journal, fresh, new_id(), record, step, raws
-        )
-        self.endpoint = ControllerEndpoint(
-            self.sender,
-            journal,
-            scenario.plant.period_s,
-            message=config.message,
-            telemetry=Telemetry(scenario.name, config.law, seeded=seeded),
-        )
+        self.endpoint, files = open_controller(config)
+        self.trace = files.trace
+        self.sender = self.endpoint.sender
         self._host = Host(field, ops, stopping, clock)
-        files = Files(journal, self.trace, config.run_dir / CONTROLLER_STATUS, keeper)
         self._host.add(config.loop, self.endpoint, files, log)
-        if seeded:
+        if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
             self.sender.record.session or "none yet",
-            spoken(scenario.fingerprint()),
-            journal.queued,
+            spoken(config.scenario.fingerprint()),
+            self.endpoint.messages.queued,
             self.sender.record.message,
         )
 
@@ -121,3 +142,27 @@ def run_controller(
 ) -> int:
     """Run the controller service on open buses; returns the exit code."""
     return ControllerService(config, field, ops, stopping).run()
+
+
+def run_controllers(
+    fleet: Fleet,
+    run_dir: Path,
+    law_of: Callable[[Scenario], CandidateLaw],
+    field: Bus,
+    ops: Bus,
+    stopping: threading.Event,
+) -> int:
+    """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
+    laws: dict[str, tuple[Scenario, CandidateLaw]] = {}
+
+    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerEndpoint, Files]:
+        folder = run_dir / loop.id
+        keep_scenario(folder, loop.scenario)
+        if loop.scenario not in laws:
+            scenario = scenario_of(loop.scenario)
+            laws[loop.scenario] = (scenario, law_of(scenario))
+        scenario, law = laws[loop.scenario]
+        config = ControllerConfig(scenario, law, folder, loop.id, loop.payload, loop.seed)
+        return open_controller(config, status_s=FLEET_STATUS_S)
+
+    return run_fleet(fleet, open_end, field, ops, stopping, logger("controller"))

@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
-from protocol.runtime.options import at_least, pace_of, run_dir_of
-from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
+from protocol.runtime.endpoints import add_endpoint_arguments, buses_of, fleet_of, loop_of
+from protocol.runtime.options import add_fleet_arguments, at_least, pace_of, run_dir_of
+from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import PLANT_SAFE
 
 
@@ -31,19 +31,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
+    add_fleet_arguments(parser)
     add_endpoint_arguments(parser, "plant")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
-    from plant_service.service import PlantConfig, run_plant
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import open_bus
+    from plant_service.service import PlantConfig, run_plant, run_plants
     from protocol.scenario.files import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
     at_least("--steps", args.steps, 1)
     at_least("--seed", args.seed, 0)
+    fleet = fleet_of(args)
+    if fleet is not None:
+        folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
+        if args.steps is not None:
+            raise UsageError("--steps: a fleet runs until it is stopped")
+        with buses_of(args, "plant") as (stopping, field, ops):
+            return run_plants(fleet, folder, pace, field, ops, stopping)
     config = PlantConfig(
         scenario=scenario_of(args.scenario),
         loop=loop_of(args),
@@ -58,14 +64,6 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.clear_safe:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
-    try:
-        with (
-            stop_on_signals() as stopping,
-            open_bus(endpoints_of(args, "plant", "field")) as field,
-            open_bus(endpoints_of(args, "plant", "ops")) as ops,
-        ):
-            keep_scenario(config.run_dir, args.scenario)
-            freeze_startup()
-            return run_plant(config, field, ops, stopping)
-    except TransportError as error:
-        raise UsageError(str(error)) from None
+    with buses_of(args, "plant") as (stopping, field, ops):
+        keep_scenario(config.run_dir, args.scenario)
+        return run_plant(config, field, ops, stopping)

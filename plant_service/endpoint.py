@@ -117,7 +117,8 @@ class PlantEndpoint:
         self._status_at = now if news is not None else inf
         self._health_at = self._hello_at = self._last_at = -inf
         self._answered_at = now
-        self._latest_late_k = -1
+        self._latest_late_k = self._measured_k = -1
+        self._measured_at = now
         self._taken_up = ("", "")
         self._moved = plant.receiver.record.k > 0 or pending is not None
         self._gives_up_at: float | None = None
@@ -214,6 +215,9 @@ class PlantEndpoint:
             status, health = self._status(force=False)
             publish += status
         if receiver.accepted and not actions.settle and pacing.measurement_due(now):
+            k = receiver.record.k
+            if k != self._measured_k:
+                self._measured_k, self._measured_at = k, now
             publish.append(Outgoing(Measurement, receiver.measurement().wire()))
         return actions._replace(publish=(*actions.publish, *publish), health=health)
 
@@ -313,6 +317,8 @@ class PlantEndpoint:
                 self._news.late += 1
         if what != "current" or pacing.waiting:
             return NOTHING_TO_DO
+        if self._news is not None and self._measured_k == record.k:
+            self._news.answered(now - self._measured_at)
         return self._apply(offer, payload, now)
 
     def _acted(self, now: float) -> None:
@@ -335,6 +341,7 @@ class PlantEndpoint:
         due = receiver.accepted and pacing.measurement_due(now)
         if due:
             receiver.reported()
+            self._measured_k, self._measured_at = receiver.record.k + 1, now
         return Actions(
             write=Append(payload, report, move.coin),
             publish=(Outgoing(Measurement, report),) if due else (),

@@ -7,7 +7,7 @@ from typing import Protocol
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import is_model, open_plant
 from plant_service.driven import DrivenEndpoint, DrivenPlant
-from plant_service.endpoint import PlantEndpoint
+from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import News
 from protocol.link.pacing import Pacing
@@ -45,10 +45,11 @@ def plant_endpoint(
     noise: Stream,
     new_id: Callable[[], str],
     now: float,
-    step_s: float | None,
+    pacing: Pacing,
     *,
     steps: int | None = None,
     news: News | None = None,
+    status_s: float = STATUS_S,
     folder: Path = Path(),
     seed: int | None = None,
     own: Stepped | PlantAdapter | None = None,
@@ -57,9 +58,7 @@ def plant_endpoint(
 
     Parameters
     ----------
-    scenario, journal, coin, noise, new_id, now, steps, news
-    step_s : float or None
-        As of :class:`protocol.link.pacing.Pacing`.
+    scenario, journal, coin, noise, new_id, now, pacing, steps, news, status_s
     folder : Path
         Where the files that the scenario's plant names are looked for.
     seed : int, optional
@@ -75,12 +74,11 @@ def plant_endpoint(
         When a device is to run at another pace than its own.
     """
     record, step = journal.load(), journal.step()
-    pacing = Pacing(step_s, scenario.link.repeats_per_period, now)
     operated, x = None, None
     if own is not None or not is_model(scenario):
         operated = open_plant(scenario, folder, own)
         try:
-            if operated.device and step_s != scenario.plant.period_s:
+            if operated.device and pacing.step_s != scenario.plant.period_s:
                 raise UsageError("--pace: expected realtime, as the plant is a device")
             x = operated.start(seed)
         except (PlantError, UsageError):
@@ -118,4 +116,5 @@ def plant_endpoint(
         steps=steps,
         news=news,
         watchdog_s=watchdog_s,
+        status_s=status_s,
     )

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from plant_service.adapters.base import PlantError
+from plant_service.adapters.registry import is_model
+from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import News
+from protocol.link.pacing import Pacing
 from protocol.runtime.bus import Bus
-from protocol.runtime.host import Files, Host
+from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
+from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
+from protocol.runtime.fleet_host import run_fleet
+from protocol.runtime.host import Host
 from protocol.runtime.journal import JournalError, PlantJournal
+from protocol.runtime.ports import Files
 from protocol.runtime.process import Pace, UsageError, logger, new_id, spoken
 from protocol.runtime.run_folder import (
     PLANT_JOURNAL,
@@ -23,6 +30,7 @@ from protocol.runtime.run_folder import (
 )
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
+from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.opening import open_keeper
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
@@ -47,8 +55,58 @@ class PlantConfig:
     folder: Path = Path()
 
 
+def open_plant(
+    config: PlantConfig, now: float, *, phase: float | None = None, status_s: float = STATUS_S
+) -> tuple[PlantEndpoint, Files]:
+    """The plant's end of one loop as its journal has it, and its files.
+
+    Parameters
+    ----------
+    config : PlantConfig
+    now : float
+        Monotonic seconds.
+    phase : float, optional
+        :class:`protocol.link.pacing.Pacing`'s.
+    status_s : float
+        Seconds between statuses.
+
+    Raises
+    ------
+    UsageError
+        When the journal cannot be used.
+    """
+    scenario, seeded = config.scenario, config.seed is not None
+    try:
+        journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
+        news = News(scenario, config.pace.text, seeded=seeded)
+        keeper = open_keeper(
+            config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
+        )
+        for payload in journal.inbox(1):
+            news.last_message = readable(payload)
+        step_s = config.pace.step_s(scenario.plant.period_s)
+        endpoint = plant_endpoint(
+            scenario,
+            journal,
+            symbols(config.seed, COIN),
+            noise(config.seed, len(scenario.plant.disturbance.half_widths)),
+            new_id,
+            now,
+            Pacing(step_s, scenario.link.repeats_per_period, now, phase),
+            steps=config.steps,
+            news=news,
+            folder=config.folder,
+            seed=config.seed,
+            status_s=status_s,
+        )
+    except (JournalError, PlantError) as error:
+        raise UsageError(str(error)) from None
+    trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
+    return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
+
+
 class PlantService:
-    """Runs the plant until it is told to stop, or has made its steps.
+    """Runs one plant until it is told to stop, or has made its steps.
 
     Parameters
     ----------
@@ -74,7 +132,6 @@ class PlantService:
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        scenario, seeded = config.scenario, config.seed is not None
         self._safe_state = config.run_dir / PLANT_SAFE
         if self._safe_state.exists():
             why = self._safe_state.read_text(encoding="utf-8").strip()
@@ -82,42 +139,17 @@ class PlantService:
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log = logger("plant")
-        try:
-            journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
-            news = News(scenario, config.pace.text, seeded=seeded)
-            keeper = open_keeper(
-                config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
-            )
-            for payload in journal.inbox(1):
-                news.last_message = readable(payload)
-            self.endpoint = plant_endpoint(
-                scenario,
-                journal,
-                symbols(config.seed, COIN),
-                noise(config.seed, len(scenario.plant.disturbance.half_widths)),
-                new_id,
-                clock(),
-                config.pace.step_s(scenario.plant.period_s),
-                steps=config.steps,
-                news=news,
-                folder=config.folder,
-                seed=config.seed,
-            )
-        except JournalError as error:
-            raise UsageError(str(error)) from None
-        except PlantError as error:
-            raise UsageError(str(error)) from None
-        self.trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
+        self.endpoint, files = open_plant(config, clock())
+        self.trace = files.trace
         self._host = Host(field, ops, stopping, clock)
-        files = Files(journal, self.trace, config.run_dir / PLANT_STATUS, keeper)
         self._host.add(config.loop, self.endpoint, files, log)
         record = self.endpoint.plant.receiver.record
-        if seeded:
+        if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(
             "session %s, model %s, step %d, pace %s",
             record.session,
-            spoken(scenario.fingerprint()),
+            spoken(config.scenario.fingerprint()),
             record.k,
             config.pace.text,
         )
@@ -141,3 +173,23 @@ class PlantService:
 def run_plant(config: PlantConfig, field: Bus, ops: Bus, stopping: threading.Event) -> int:
     """Run the plant service on open buses; returns the exit code."""
     return PlantService(config, field, ops, stopping).run()
+
+
+def run_plants(
+    fleet: Fleet, run_dir: Path, pace: Pace, field: Bus, ops: Bus, stopping: threading.Event
+) -> int:
+    """Run the plants of a fleet on open buses; returns the exit code."""
+
+    def open_end(loop: FleetLoop, number: int) -> tuple[PlantEndpoint, Files]:
+        folder = run_dir / loop.id
+        keep_scenario(folder, loop.scenario)
+        scenario = scenario_of(loop.scenario)
+        if not is_model(scenario):
+            kind = scenario.plant.kind
+            said = f"plant.kind: got {kind!r}, expected linear in a fleet"
+            raise UsageError(f"{loop.scenario}: {said}")
+        config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed)
+        phase = number % SLOTS / SLOTS
+        return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
+
+    return run_fleet(fleet, open_end, field, ops, stopping, logger("plant"))

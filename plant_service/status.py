@@ -1,6 +1,7 @@
 """What the plant tells the dashboard."""
 
 import time
+from bisect import bisect_left
 from collections import deque
 from math import isfinite
 from typing import Final, Literal
@@ -9,7 +10,7 @@ from plant_service.plant import Step
 from plant_service.punctuality import Punctuality, Watch
 from protocol.link.receiver import Receiver
 from protocol.link.session import Transition
-from protocol.messages import PlantStatus
+from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.scenario import Scenario
 from protocol.text import readable
 
@@ -35,6 +36,7 @@ class News:
         self.late = 0
         self.last_message = ""
         self.message_k = -1
+        self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
         self.tail: deque[Step] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
         self.watch = Watch(scenario.defender.calibration)
@@ -44,6 +46,10 @@ class News:
         self._seq = 0
         self._rate_mark = (0.0, 0)
         self._rate_hz = 0.0
+
+    def answered(self, seconds: float) -> None:
+        """Count an offer that came so long after its measurement."""
+        self._latencies[bisect_left(LATENCY_BOUNDS_S, seconds)] += 1
 
     def status(self, receiver: Receiver, garbage: int, now_s: float) -> PlantStatus:
         """What the dashboard is told at monotonic time ``now_s``."""
@@ -88,6 +94,7 @@ class News:
             messages=record.messages,
             last_message=self.last_message,
             message_k=self.message_k,
+            latency_counts=tuple(self._latencies),
             partial=readable(receiver.deframer.partial),
             frame_symbols=len(receiver.deframer.symbols),
             frame_length=receiver.deframer.expected_length,

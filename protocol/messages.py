@@ -139,6 +139,13 @@ class SendReply(Message):
     detail: str = ""
 
 
+LATENCY_BOUNDS_S: Final = (
+    *(0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006, 0.008, 0.01),
+    *(0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.2, 0.5, 1.0),
+)
+"""Upper bounds of a status's counts of latencies, seconds."""
+
+
 class PlantStatus(Message):
     """What the plant knows, for the dashboard: published at a bounded rate, the newest wins.
 
@@ -151,6 +158,8 @@ class PlantStatus(Message):
     largest of the last steps, empty in lock-step.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
+    ``latency_counts`` says how long offers took, from a step's first measurement to its offer: one
+    count for each bound of `LATENCY_BOUNDS_S`, not cumulative, and one for all above.
     """
 
     topic: ClassVar[str] = "ops/plant/status"
@@ -184,6 +193,7 @@ class PlantStatus(Message):
     messages: Count
     last_message: str
     message_k: Annotated[int, Field(ge=-1)] = -1
+    latency_counts: tuple[Count, ...] = ()
     partial: str
     frame_symbols: Count
     frame_length: Count

@@ -34,3 +34,8 @@ def check_loop(loop: str) -> str:
 def key_of(message_type: type[Message], loop: str) -> str:
     """The key on which messages of a type travel in one loop."""
     return f"{BASE}/{VERSION}/{check_loop(loop)}/{message_type.topic}"
+
+
+def every_loop(message_type: type[Message]) -> str:
+    """The key expression that fits messages of a type in all loops."""
+    return f"{BASE}/{VERSION}/*/{message_type.topic}"

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
     from protocol.knowledge import Knowledge
+    from protocol.runtime.fleet import FleetLoop
     from tap_service.capture.channel import View
 
 KNOBS = ("view", "loss", "noise", "quantise", "delay", "model_error")
@@ -62,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
     from protocol.runtime.endpoints import add_endpoint_arguments
+    from protocol.runtime.options import add_fleet_arguments
 
     parser.add_argument(
         "--eavesdropper",
@@ -93,6 +95,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds for the heavy eavesdroppers' last thoughts at the end (default 20)",
     )
+    add_fleet_arguments(parser)
     add_endpoint_arguments(parser, "tap")
 
 
@@ -200,22 +203,26 @@ def told_by(path: str) -> Told:
     return Told(knowledge, knowledge if knowledge.alpha is not None else None)
 
 
-def run_told(args: argparse.Namespace, told: Told) -> int:
-    """Run the service with what it was told, until it is told to stop."""
+def run_told(
+    args: argparse.Namespace, told: Told, told_of: "Callable[[FleetLoop], Told] | None" = None
+) -> int:
+    """Run the service with what it was told, until it is told to stop.
+
+    In a fleet ``told_of`` says what the tap of each loop is told; without it all are told alike.
+    """
     from pathlib import Path
 
     from pydantic import ValidationError
 
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.endpoints import endpoints_of, loop_of
+    from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of
     from protocol.runtime.options import alone_in, run_dir_of
     from protocol.runtime.process import UsageError
     from tap_service.capture.recording import Limits
-    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
+    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError, named
+    from tap_service.fleet import run_taps
     from tap_service.service import FINISH_S, TapConfig, run_tap
 
-    names = names_of(args.eavesdropper)
-    names, where = (names, "") if names else (told.names, told.where)
     bounds = {
         "part_bytes": args.part_bytes,
         "part_s": args.part_seconds,
@@ -226,23 +233,46 @@ def run_told(args: argparse.Namespace, told: Told) -> int:
         limits = Limits.model_validate({k: v for k, v in bounds.items() if v is not None})
     except ValidationError as error:
         raise UsageError(_wrong_options(error)) from None
-    view = view_of(args, told.view)
     if args.finish is not None and not 0 <= args.finish <= 3600:
         raise UsageError(f"--finish: got {args.finish}, expected 0 to 3600 seconds")
-    try:
+    field, intel = endpoints_of(args, "tap", "field"), endpoints_of(args, "tap", "intel")
+    fleet = fleet_of(args)
+
+    def config_of(told: Told, loop: str, folder: Path) -> TapConfig:
+        names = names_of(args.eavesdropper)
+        names, where = (names, "") if names else (told.names, told.where)
+        view = view_of(args, told.view)
         config = TapConfig(
-            run_dir=Path(args.run_dir),
+            run_dir=folder,
             knowledge=told.knowledge.model_copy(update={"alpha": None}),
-            field=endpoints_of(args, "tap", "field"),
-            intel=endpoints_of(args, "tap", "intel"),
+            field=field,
+            intel=intel,
             oracle_knowledge=told.oracle,
             names=names or (DEFAULT if view.clear else DEFAULT_UNCLEAR),
             view=view,
-            loop=loop_of(args),
+            loop=loop,
             limits=limits,
             finish_s=FINISH_S if args.finish is None else args.finish,
         )
         find_each(config.names, config.knowledge_of, where)
+        return config
+
+    def config_in_fleet(loop: "FleetLoop") -> TapConfig:
+        told_here = told if told_of is None else told_of(loop)
+        config = config_of(told_here, loop.id, Path(args.run_dir) / loop.id)
+        for name in config.names:
+            if named(name).heavy:
+                raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
+        return config
+
+    try:
+        if fleet is not None:
+            for loop in fleet.loops.values():
+                config_in_fleet(loop)
+                break
+            with alone_in(run_dir_of(args.run_dir) / "tap"):
+                return run_taps(fleet, config_in_fleet, field, intel)
+        config = config_of(told, loop_of(args), Path(args.run_dir))
         with alone_in(run_dir_of(args.run_dir) / "tap"):
             return run_tap(config)
     except (KnowledgeError, TransportError) as error:

@@ -231,8 +231,17 @@ class TapService:
 
     def attach(self, field_bus: "Bus", intel_bus: "Bus") -> None:
         """Subscribe to the field messages, and publish on the intel bus."""
-        for key in self._types:
-            field_bus.subscribe(key, self.deliver)
+        for key in self.keys:
+            field_bus.subscribe(key, self.deliver, patient=True)
+        self.publish_on(intel_bus)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that are listened to."""
+        return tuple(self._types)
+
+    def publish_on(self, intel_bus: "Bus") -> None:
+        """Publish statuses there."""
         self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop)).put
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
@@ -254,7 +263,7 @@ class TapService:
             if status.ready(now):
                 self.publish()
             if beliefs.ready(now):
-                self._write_beliefs()
+                self.write_beliefs()
         self.finish()
 
     def work(self, wait_s: float) -> None:
@@ -320,7 +329,7 @@ class TapService:
             self._ears.review(listener)
         self._guesses.flush()
         self.publish(last=True)
-        self._write_beliefs()
+        self.write_beliefs()
         if self._pipe is not None:
             self._finish_analysis(self._pipe)
             self.publish(last=True)
@@ -336,7 +345,7 @@ class TapService:
                 if report is None:
                     return
                 self._note(*report)
-                self._write_beliefs()
+                self.write_beliefs()
         except (EOFError, OSError):
             self.log.error("the heavy eavesdroppers' process is gone")
             return
@@ -394,7 +403,8 @@ class TapService:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
         return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"
 
-    def _write_beliefs(self) -> None:
+    def write_beliefs(self) -> None:
+        """Write down what the eavesdroppers believe, and how much was captured."""
         captured = {
             "t_ns": time.time_ns(),
             "first_part": self._capture.first_part,

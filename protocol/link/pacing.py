@@ -22,6 +22,8 @@ class Pacing:
         How often a measurement goes out within a step while no offer comes.
     now_s : float
         The time.
+    phase : float, optional
+        In a fleet: which part of a step after a whole number of steps ticks come, 0 to 1.
 
     Attributes
     ----------
@@ -31,14 +33,22 @@ class Pacing:
         Ticks that went by unnoticed.
     """
 
-    def __init__(self, step_s: float | None, repeats: int, now_s: float) -> None:
+    def __init__(
+        self, step_s: float | None, repeats: int, now_s: float, phase: float | None = None
+    ) -> None:
         self._step_s = step_s
+        self._phase = phase
         self._repeat_s = LOCKSTEP_REPEAT_S if step_s is None else step_s / repeats
         self._deadline = now_s + (step_s or 0.0)
         self._repeat_at = now_s
         self._waiting = False
         self.late_s = 0.0
         self.overruns = 0
+
+    @property
+    def step_s(self) -> float | None:
+        """Seconds in a step; None in lock-step."""
+        return self._step_s
 
     @property
     def timed(self) -> bool:
@@ -64,17 +74,25 @@ class Pacing:
         if self._step_s is None:
             return "nothing"
         if not running:
-            self._deadline = now_s + self._step_s
+            self._deadline = self._next_tick(now_s, self._step_s)
             return "nothing"
         if now_s < self._deadline:
             return "nothing"
         self.late_s = now_s - self._deadline
         self.overruns += int(self.late_s / self._step_s)
         following = self._deadline + self._step_s
-        self._deadline = following if following > now_s else now_s + self._step_s
+        swallowed = following <= now_s
+        self._deadline = self._next_tick(now_s, self._step_s) if swallowed else following
         self._repeat_at = now_s
         was_waiting, self._waiting = self._waiting, False
         return "ended" if was_waiting else "missed"
+
+    def _next_tick(self, now_s: float, step_s: float) -> float:
+        """The end of a step that begins at ``now_s``; where there is a phase, of a longer one."""
+        if self._phase is None:
+            return now_s + step_s
+        late = (now_s - self._phase * step_s) % step_s
+        return now_s + 2 * step_s - late
 
     def measurement_due(self, now_s: float) -> bool:
         """Whether to publish the measurement now; if so, the next time is a repeat interval on."""

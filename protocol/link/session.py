@@ -28,6 +28,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple
 
 from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
@@ -77,6 +78,7 @@ class Rules:
         return self.inputs_gauge(u) <= INSIDE
 
 
+@lru_cache(maxsize=16)
 def rules_of(scenario: Scenario) -> Rules:
     """The rules that both ends of a scenario share."""
     H, h = scenario.defender.disturbance.rows()

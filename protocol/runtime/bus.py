@@ -27,14 +27,40 @@ class Publisher(Protocol):
         """Whether any subscriber of this key is known at this moment."""
 
 
+class ChannelClosed(Exception):
+    """Nothing comes from this channel any more."""
+
+
+class Channel(Protocol):
+    """Messages of others that wait to be taken by one thread; the newest push out the oldest."""
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        """All that wait, oldest first, each after its key; with ``wait`` there is at least one.
+
+        Raises
+        ------
+        ChannelClosed
+            When the channel or its bus has been closed.
+        """
+
+    def close(self) -> None:
+        """End the subscription; whoever waits is woken."""
+
+
 class Bus(Protocol):
     """Publish and subscribe. A bus never delivers its own messages to itself."""
 
-    def publisher(self, key: str) -> Publisher:
-        """A publisher on one key (no wildcard)."""
+    def publisher(self, key: str, *, express: bool = True) -> Publisher:
+        """A publisher on one key (no wildcard); ``express`` says not to wait for more to send."""
 
-    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
-        """Call ``deliver`` with every message of others that fits, until the bus is closed."""
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
+        """Call ``deliver`` with every message of others that fits, until the bus is closed.
+
+        ``patient``: they may gather for some milliseconds, which spares the processor.
+        """
+
+    def channel(self, key_expr: str, capacity: int) -> Channel:
+        """The messages of others that fit, for a thread that waits for them."""
 
     def close(self) -> None:
         """End all subscriptions and publishers; closing twice is allowed."""

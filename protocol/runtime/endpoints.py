@@ -1,15 +1,19 @@
 """Endpoints of the buses: defaults for one machine, options for several."""
 
 import argparse
-from collections.abc import Iterable
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
 from protocol.runtime.services import SERVICES
 from protocol.topics import DEFAULT_LOOP, check_loop
 
 if TYPE_CHECKING:
+    from protocol.runtime.bus import Bus
+    from protocol.runtime.fleet import Fleet
     from protocol.runtime.zenoh_bus import Endpoints
 
 
@@ -95,3 +99,49 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints
         tls=TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None,
         scouting=args.scouting,
     )
+
+
+@contextmanager
+def buses_of(
+    args: argparse.Namespace, service: str
+) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
+    """The event that signals set, and the open buses field and ops of a service.
+
+    Raises
+    ------
+    UsageError
+        When a bus cannot be opened.
+    """
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.zenoh_bus import open_bus
+
+    try:
+        with (
+            stop_on_signals() as stopping,
+            open_bus(endpoints_of(args, service, "field")) as field,
+            open_bus(endpoints_of(args, service, "ops")) as ops,
+        ):
+            freeze_startup()
+            yield stopping, field, ops
+    except TransportError as error:
+        raise UsageError(str(error)) from None
+
+
+def fleet_of(args: argparse.Namespace) -> "Fleet | None":
+    """The fleet of ``--fleet`` or ``--loops``, if any.
+
+    Raises
+    ------
+    UsageError
+        When it is not one, or an option beside it is for a single loop.
+    """
+    from protocol.runtime.fleet import Fleet, numbered
+
+    if args.fleet is None and args.loops is None:
+        return None
+    if args.loop != DEFAULT_LOOP:
+        raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
+    if args.fleet is not None:
+        return Fleet.of_file(Path(args.fleet))
+    scenario = getattr(args, "scenario", None) or ""
+    return numbered(args.loops, scenario, getattr(args, "message", None) or "", args.seed)

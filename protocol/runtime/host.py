@@ -1,7 +1,8 @@
 """The shell: any number of endpoints on two buses, in one process.
 
-What comes is put on one queue by the transport's threads; one thread takes it off, wakes whoever
-is due, and carries out what the endpoints ask for. A service is a host with one endpoint.
+Two threads take turns. The *field thread* blocks on the field bus and makes the steps. The *main
+thread* wakes whoever is due, and hears ops and signals. A service is a host with one endpoint; a
+fleet's has many, on subscriptions that fit every loop.
 """
 
 import heapq
@@ -9,128 +10,48 @@ import logging
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from math import inf
-from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, NamedTuple
 
-from pydantic_core import from_json
-
-from protocol.link.endpoint import Actions, Endpoint, Notice, Write
-from protocol.link.events import Event
+from protocol.link.endpoint import Actions, Endpoint, Notice
 from protocol.link.perform import perform
 from protocol.messages import Measurement, Message, Offer
-from protocol.runtime.bus import Bus, Publisher
+from protocol.runtime.bus import Bus, Channel, ChannelClosed
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.process import DONE, Burst, Complaints
-from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import HEALTH, write_atomically
-from protocol.runtime.trace import TraceWriter
-from protocol.secret.blocks import Stored
-from protocol.secret.keeper import Keeper
-from protocol.secret.tasks import Broken, Done, Judged, Task
+from protocol.runtime.ports import Files, LoopPorts
+from protocol.runtime.process import DONE
+from protocol.secret.tasks import Done
 from protocol.secret.worker import KeyWorker
-from protocol.topics import key_of
+from protocol.topics import every_loop, key_of
 
 LOOK_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
+
+CHORE_S: Final = 1.0
+
+CAPACITY: Final = 8192
+"""Messages that may wait on the field bus; the newest push out the oldest."""
+
+AT_ONCE: Final = 16
+"""Messages or wakes in a row before the other thread has its turn."""
+
+BACKLOG: Final = 256
+"""Messages that may wait in order. Where more do, the newest of each loop takes its first's place:
+an answer to an older one would come too late, and so would every answer after it."""
 
 FIELD: Final = frozenset({Measurement, Offer})
 """What travels on the field bus; all else is on ops."""
 
 
-Heard = tuple[type[Message], bytes] | Done
+class _Kept(NamedTuple):
+    """What a loop's keeper of keys has done."""
 
-
-class Journal(Protocol):
-    """What :func:`protocol.link.perform.perform` writes to."""
-
-    def write(self, write: Write) -> None:
-        """Keep it."""
-
-    def close(self) -> None:
-        """Close it; it can be opened again."""
-
-
-@dataclass(slots=True)
-class Files:
-    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
-
-    journal: Journal
-    trace: TraceWriter
-    health: Path
-    keeper: Keeper | None = None
-
-    def close(self) -> None:
-        """Close journal and trace."""
-        try:
-            self.trace.close()
-        finally:
-            self.journal.close()
-
-
-@dataclass(slots=True)
-class LoopPorts:
-    """The ports of one end of one loop: its files, its publishers, its log."""
-
-    files: Files
-    publishers: dict[type[Message], Publisher]
-    log: logging.Logger
-    worker: KeyWorker | None = None
-    limited: dict[str, Complaints] = field(default_factory=dict)
-    pulse: Pulse = field(default_factory=Pulse)
-    space: Space | None = None
-    burst: Burst = field(default_factory=Burst)
-
-    def write(self, write: Write) -> None:
-        """Write to the journal."""
-        self.files.journal.write(write)
-
-    def publish(self, kind: type[Message], payload: bytes) -> None:
-        """Put it on the bus that its type belongs to."""
-        self.publishers[kind].put(payload)
-
-    def trace(self, event: Event) -> None:
-        """Append to the trace."""
-        self.files.trace.write(event.as_event())
-
-    def keep(self, task: Task) -> None:
-        """Hand it to the thread that keeps keys."""
-        assert self.worker is not None, "keys are made, and nobody keeps them"
-        self.worker.put(task)
-
-    def tell(self, notice: Notice) -> None:
-        """Log it; with a subject once a second at most."""
-        if not notice.subject:
-            if self.burst.allows(time.monotonic()):
-                self.log.log(_LEVELS[notice.level], "%s", notice.text)
-            else:
-                self._limited("lines").add(notice.text)
-            return
-        self._limited(notice.subject).add(notice.text)
-
-    def _limited(self, subject: str) -> Complaints:
-        if subject not in self.limited:
-            self.limited[subject] = Complaints(self.log)
-        return self.limited[subject]
-
-    def health(self, status: bytes) -> None:
-        """Replace the status file and the line beside it that says whether this end keeps up."""
-        write_atomically(self.files.health, status)
-        told = from_json(status)
-        beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
-        folder = self.files.health.parent
-        write_atomically(folder / HEALTH, f"{beat.line}\n".encode())
-        if self.space is None:
-            self.space = Space(folder)
-        for line in (beat.notice, self.space.look()):
-            if line:
-                self.log.warning("%s", line)
-
-
-_LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+    loop: str
+    done: Done
 
 
 @dataclass(slots=True)
@@ -138,6 +59,21 @@ class _Loop:
     endpoint: Endpoint
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
+
+
+class Turns:
+    """A lock that two threads take in turns: who lets go of it cannot be first again."""
+
+    def __init__(self) -> None:
+        self._gate = threading.Lock()
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._gate:
+            self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
 
 
 class Host:
@@ -151,6 +87,11 @@ class Host:
         Ends :meth:`run`.
     clock : callable
         Monotonic seconds.
+    fleet : bool
+        Any number of loops may come and go, and one that fails is dropped and logged. Otherwise
+        the host is there for its loops: it ends with them, and with the first that fails.
+    chore : callable, optional
+        Called every :data:`CHORE_S` seconds, between two messages.
     """
 
     def __init__(
@@ -159,35 +100,81 @@ class Host:
         ops: Bus,
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        fleet: bool = False,
+        chore: Callable[[], None] | None = None,
     ) -> None:
         self._field, self._ops = field_bus, ops
         self._stopping = stopping
         self._clock = clock
-        self._loops: list[_Loop] = []
-        self._wakes: list[tuple[float, int]] = []
-        self._inbox: Inbox[tuple[int, Heard]] = Inbox()
+        self._fleet = fleet
+        self._chore = chore
+        self._chore_at = -inf
+        self._loops: dict[str, _Loop] = {}
+        self._by_key: dict[str, tuple[str, type[Message]]] = {}
+        self._wakes: list[tuple[float, str]] = []
+        self._inbox: Inbox[tuple[str, bytes] | _Kept | None] = Inbox()
+        self._channels: dict[str, Channel] = {}
+        self._heard_on_ops: set[str] = set()
+        self._threads: list[threading.Thread] = []
+        self._turns = Turns()
+        self._sleeps_until = -inf
         self._dropped = 0
+        self._error: BaseException | None = None
+        self._started = False
         self._code = DONE
-        self._living = 0
+
+    @property
+    def loops(self) -> tuple[str, ...]:
+        """The loops that run."""
+        return tuple(self._loops)
 
     def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
-        """Take in one more end, under the id of its loop; its files are closed with the host."""
-        number = len(self._loops)
-
-        def arrived(kind: type[Message], _key: str, payload: bytes, _t_ns: int) -> None:
-            self._inbox.put((number, (kind, payload)), len(payload))
-
-        publishers = {kind: self._bus(kind).publisher(key_of(kind, loop)) for kind in endpoint.says}
-        worker = None
-        if files.keeper is not None:
-            worker = KeyWorker(files.keeper, lambda done: self._inbox.put((number, done), None))
-        self._loops.append(_Loop(endpoint, LoopPorts(files, publishers, log, worker)))
+        """Take in one more end, under the id of its loop; its files are closed when it is over."""
+        with self._turns:
+            publishers = {
+                kind: self._bus(kind).publisher(key_of(kind, loop), express=not self._fleet)
+                for kind in endpoint.says
+            }
+            worker = None
+            if files.keeper is not None:
+                worker = KeyWorker(
+                    files.keeper, lambda done: self._inbox.put(_Kept(loop, done), None)
+                )
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, worker))
+            for kind in endpoint.hears:
+                self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
-            self._bus(kind).subscribe(key_of(kind, loop), partial(arrived, kind))
-        self._living += 1
+            self._subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
+        if self._started:
+            with self._turns:
+                self._do(loop, endpoint.start)
+
+    def remove(self, loop: str) -> None:
+        """Let one end say its last word, and close its files."""
+        with self._turns:
+            self._end(loop)
+
+    def _subscribe(self, kind: type[Message], key_expr: str) -> None:
+        if key_expr in self._channels:
+            return
+        if kind in FIELD:
+            channel = self._field.channel(key_expr, CAPACITY)
+            self._channels[key_expr] = channel
+            thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
+            self._threads.append(thread)
+            if self._started:
+                thread.start()
+        elif key_expr not in self._heard_on_ops:
+            self._heard_on_ops.add(key_expr)
+            self._ops.subscribe(
+                key_expr, lambda key, body, _t: self._inbox.put((key, body), len(body))
+            )
 
     def _bus(self, kind: type[Message]) -> Bus:
         return self._field if kind in FIELD else self._ops
+
+    # --- the two threads --------------------------------------------------------------------------
 
     def run(self) -> int:
         """Run until stopped, or until every end is over; returns the exit code.
@@ -198,72 +185,146 @@ class Host:
             Whatever an endpoint, a file or a bus cannot go on after.
         """
         try:
-            for number, loop in enumerate(self._loops):
-                self._perform(number, loop.endpoint.start(self._clock()))
-            while self._living and not self._stopping.is_set():
+            for loop in self.loops:
+                with self._turns:
+                    self._do(loop, self._loops[loop].endpoint.start)
+            self._started = True
+            for thread in self._threads:
+                thread.start()
+            while (self._fleet or self._loops) and not self._stopping.is_set():
+                self._housekeep()
                 self._wake()
-                self._take(self._wakes[0][0] if self._wakes else inf)
+                self._take()
+            if self._error is not None:
+                raise self._error
         finally:
             self.close()
         return self._code
 
-    def _wake(self) -> None:
-        """Wake all who are due."""
-        now = self._clock()
-        while self._wakes and self._wakes[0][0] <= now:
-            at, number = heapq.heappop(self._wakes)
-            loop = self._loops[number]
-            if at == loop.wakes_at and loop.endpoint.code is None:  # else overtaken by an earlier
-                loop.wakes_at = inf
-                if loop.endpoint.wake_at() <= now:
-                    self._perform(number, loop.endpoint.wake(now))
-                else:
-                    self._schedule(number, loop)
-
-    def _take(self, until: float) -> None:
-        """Wait for a message, and hand it over."""
-        wait_s = min(max(until - self._clock(), 0.0), LOOK_S)
+    def _listen(self, channel: Channel) -> None:
+        """The field bus's own thread: nobody else is woken for a step."""
+        waiting: deque[tuple[str, bytes]] = deque()
         try:
-            number, heard = self._inbox.get(timeout=wait_s)
+            while True:
+                waiting.extend(channel.receive(wait=not waiting))
+                if len(waiting) > BACKLOG:  # too much to do: of each loop only the newest counts
+                    waiting = deque(dict(waiting).items())
+                with self._turns:
+                    for _ in range(min(len(waiting), AT_ONCE)):
+                        self._hear(*waiting.popleft())
+        except ChannelClosed:
+            pass
+        except BaseException as error:
+            self._error = error
+            self._stopping.set()
+            self._inbox.put(None, None)
+
+    def _housekeep(self) -> None:
+        now = self._clock()
+        if self._chore is not None and now >= self._chore_at:
+            self._chore_at = now + CHORE_S
+            self._chore()
+
+    def _wake(self) -> None:
+        """Wake all who are due, some at once, so that offers get through between them."""
+        due = True
+        while due:
+            with self._turns:
+                now = self._clock()
+                for _ in range(AT_ONCE):
+                    due = bool(self._wakes) and self._wakes[0][0] <= now
+                    if not due:
+                        break
+                    at, name = heapq.heappop(self._wakes)
+                    loop = self._loops.get(name)
+                    if loop is None or at != loop.wakes_at:  # gone, or overtaken by an earlier one
+                        continue
+                    loop.wakes_at = inf
+                    if loop.endpoint.wake_at() <= now:
+                        self._do(name, loop.endpoint.wake)
+                    else:
+                        self._schedule(name, loop)
+                until = self._wakes[0][0] if self._wakes else inf
+                self._sleeps_until = min(until, now + LOOK_S)
+
+    def _take(self) -> None:
+        """Wait for a message on ops, or for the next wake."""
+        try:
+            item = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
         except queue.Empty:
             return
         if self._inbox.dropped > self._dropped:
-            text = f"messages come faster than they are taken: {self._inbox.dropped} dropped so far"
-            self._loops[number].ports.tell(Notice(text, "warning", "flood"))
             self._dropped = self._inbox.dropped
-        endpoint = self._loops[number].endpoint
-        if endpoint.code is not None:
+            text = f"messages come faster than they are taken: {self._dropped} dropped so far"
+            for loop in list(self._loops.values())[:1]:
+                loop.ports.tell(Notice(text, "warning", "flood"))
+        if item is None:
             return
-        if isinstance(heard, Stored | Judged | Broken):
-            self._perform(number, endpoint.kept(heard, self._clock()))
-        else:
-            self._perform(number, endpoint.receive(*heard, self._clock()))
+        with self._turns:
+            if not isinstance(item, _Kept):
+                self._hear(*item)
+            elif item.loop in self._loops:
+                self._do(item.loop, partial(self._loops[item.loop].endpoint.kept, item.done))
 
-    def _perform(self, number: int, actions: Actions) -> None:
-        loop = self._loops[number]
-        perform(actions, loop.endpoint, loop.ports)
+    # --- under the lock ---------------------------------------------------------------------------
+
+    def _hear(self, key: str, payload: bytes) -> None:
+        name, kind = self._by_key.get(key, ("", Message))
+        loop = self._loops.get(name)
+        if loop is not None:
+            self._do(name, partial(loop.endpoint.receive, kind, payload))
+
+    def _do(self, name: str, act: Callable[[float], Actions]) -> None:
+        loop = self._loops[name]
+        try:
+            perform(act(self._clock()), loop.endpoint, loop.ports)
+        except Exception as error:
+            if not self._fleet:
+                raise
+            loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
+            self._end(name)
+            return
         code = loop.endpoint.code
-        if code is None:
-            self._schedule(number, loop)
-        else:
-            self._living -= 1
+        if code is not None:
             self._code = max(self._code, code)
+            self._end(name)
+            return
+        self._schedule(name, loop)
 
-    def _schedule(self, number: int, loop: _Loop) -> None:
+    def _schedule(self, name: str, loop: _Loop) -> None:
         due = loop.endpoint.wake_at()
         if due < loop.wakes_at:
             loop.wakes_at = due
-            heapq.heappush(self._wakes, (due, number))
+            heapq.heappush(self._wakes, (due, name))
+            if due < self._sleeps_until:
+                self._sleeps_until = due
+                self._inbox.put(None, None)
+
+    def _end(self, name: str) -> None:
+        """The last word of an end, and the end of its files."""
+        loop = self._loops.pop(name, None)
+        if loop is None:
+            return
+        for kind in loop.endpoint.hears:
+            self._by_key.pop(key_of(kind, name), None)
+        try:
+            perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
+        except OSError as error:
+            loop.ports.log.warning("the last status is lost: %s", error)
+        finally:
+            if loop.ports.worker is not None:
+                loop.ports.worker.close()
+            loop.ports.files.close()
+        if not self._loops:
+            self._inbox.put(None, None)
 
     def close(self) -> None:
         """Say the last word of every end, and close its files."""
-        now = self._clock()
-        for loop in self._loops:
-            try:
-                perform(loop.endpoint.stop(now), loop.endpoint, loop.ports)
-            except OSError as error:
-                loop.ports.log.warning("the last status is lost: %s", error)
-            finally:
-                if loop.ports.worker is not None:
-                    loop.ports.worker.close()
-                loop.ports.files.close()
+        for channel in self._channels.values():
+            channel.close()
+        if self._started:
+            for thread in self._threads:
+                thread.join()
+        with self._turns:
+            for name in self.loops:
+                self._end(name)

@@ -3,10 +3,12 @@
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from protocol.runtime.bus import Bus, Deliver, TransportError
+from protocol.runtime.bus import Bus, ChannelClosed, Deliver, TransportError
 
 Fault = Callable[[str, bytes], Sequence[bytes]]
 """Takes key and payload; answers what arrives: nothing, the payload, several, another one."""
@@ -71,15 +73,48 @@ class MemoryPublisher:
         return bool(self.bus.hub.listeners(self.bus, self.key))
 
 
+class MemoryChannel:
+    """A `Channel` on a hub."""
+
+    def __init__(self, capacity: int) -> None:
+        self._waiting: deque[tuple[str, bytes]] = deque(maxlen=capacity)
+        self._news = threading.Condition()
+        self._closed = False
+
+    def deliver(self, key: str, payload: bytes, _t_ns: int) -> None:
+        """Put a message in; the oldest makes room for it."""
+        with self._news:
+            self._waiting.append((key, payload))
+            self._news.notify()
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        """All that wait; with ``wait`` at least one."""
+        with self._news:
+            while wait and not self._waiting and not self._closed:
+                self._news.wait()
+            if self._closed:
+                raise ChannelClosed
+            taken = list(self._waiting)
+            self._waiting.clear()
+            return taken
+
+    def close(self) -> None:
+        """Wake whoever waits; nothing comes any more."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+
+
 class MemoryBus(Bus):
-    """A `Bus` within the process. Key expressions are keys, in which ``**`` fits any chunks."""
+    """A `Bus` within the process. In key expressions ``*`` fits a chunk and ``**`` any chunks."""
 
     def __init__(self, hub: MemoryHub) -> None:
         self.hub = hub
         self._closed = False
+        self._channels: list[MemoryChannel] = []
 
-    def publisher(self, key: str) -> MemoryPublisher:
-        """A publisher on one key."""
+    def publisher(self, key: str, *, express: bool = True) -> MemoryPublisher:  # noqa: ARG002
+        """A publisher on one key; every message goes at once."""
         if "*" in key:
             raise TransportError(f"key {key!r}: expected a key without wildcards")
         return MemoryPublisher(self, key)
@@ -89,20 +124,32 @@ class MemoryBus(Bus):
         if not self._closed:
             self.hub.put(self, key, payload)
 
-    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:  # noqa: ARG002
         """Call ``deliver`` in the publishing thread with every message of others that fits."""
         self.hub.add(self, key_expr, deliver)
+
+    def channel(self, key_expr: str, capacity: int) -> MemoryChannel:
+        """The messages of others that fit, for a thread that waits for them."""
+        channel = MemoryChannel(capacity)
+        self._channels.append(channel)
+        self.hub.add(self, key_expr, channel.deliver)
+        return channel
 
     def close(self) -> None:
         """End all subscriptions."""
         self._closed = True
         self.hub.remove(self)
+        for channel in self._channels:
+            channel.close()
+
+
+_WILD: Final = {"*": r"/[^/]+", "**": r"(?:/[^/]+)*"}
 
 
 def _pattern(key_expr: str) -> re.Pattern[str]:
     chunks = key_expr.split("/")
-    if any(not chunk or ("*" in chunk and chunk != "**") for chunk in chunks):
-        raise TransportError(f"key {key_expr!r}: expected a key, or chunks of it as **")
+    if any(not chunk or ("*" in chunk and chunk not in _WILD) for chunk in chunks):
+        raise TransportError(f"key {key_expr!r}: expected a key, or chunks of it as * or **")
     # Each chunk but ** brings the slash before it, so that a/** fits a as well.
-    parts = [r"(?:/[^/]+)*" if chunk == "**" else "/" + re.escape(chunk) for chunk in chunks]
+    parts = [_WILD.get(chunk, "/" + re.escape(chunk)) for chunk in chunks]
     return re.compile("".join(parts))

@@ -20,6 +20,13 @@ def add_message_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--message-file", metavar="F", help="a file that holds the message")
 
 
+def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--fleet`` and ``--loops``: many loops in one process."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--fleet", metavar="FILE", help="run all loops of this file (docs/fleet.md)")
+    group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
+
+
 def message_of(text: str | None, file: str | None) -> bytes | None:
     """The message given as text or as a file, if any.
 

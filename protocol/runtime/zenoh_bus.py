@@ -9,12 +9,12 @@ import re
 import socket
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from protocol.runtime.bus import Bus, Deliver, TransportError
+from protocol.runtime.bus import Bus, ChannelClosed, Deliver, TransportError
 
 if TYPE_CHECKING:
     import zenoh
@@ -34,6 +34,15 @@ CONNECT_ATTEMPT_MS: Final = 500
 OPEN_MS: Final = 1000
 """Longest attempt to reach a partner. A session that is closed waits for the one under way, and a
 stopped container's address answers nothing."""
+
+NAP_S: Final = 0.01
+"""A nap of a patient subscriber; the kernel's buffer of a connection holds what comes meanwhile."""
+
+YOUNG_NS: Final = 1_000_000
+"""A message so little older than the youngest of late was not kept waiting."""
+
+AGES: Final = 4096
+"""Messages over which the youngest is remembered, and over as many again."""
 
 _JSON: Final = "application/json"
 
@@ -105,6 +114,26 @@ def free_endpoints(count: int) -> list[str]:
 # --- Zenoh ---------------------------------------------------------------------------------------
 
 
+class _Nap:
+    """When a patient subscriber may nap: while messages are about as young as they ever are.
+
+    The smallest age holds for a while only, for a clock that was set makes all later ages larger.
+    """
+
+    def __init__(self) -> None:
+        self._smallest_ns = 1 << 62
+        self._before_ns = 1 << 62
+        self._looked = 0
+
+    def due(self, age_ns: int) -> bool:
+        """Whether whoever hears a message of this age is up to date."""
+        self._looked += 1
+        if self._looked % AGES == 0:
+            self._before_ns, self._smallest_ns = self._smallest_ns, age_ns
+        self._smallest_ns = min(self._smallest_ns, age_ns)
+        return age_ns - min(self._smallest_ns, self._before_ns) <= YOUNG_NS
+
+
 class ZenohPublisher:
     """A `Publisher` over Zenoh: it drops rather than blocks, and sends at once."""
 
@@ -132,6 +161,56 @@ class ZenohPublisher:
         """Whether any subscriber of this key is known at this moment."""
         status: Any = self._publisher.matching_status  # the stub says bool, wrongly
         return bool(status.matching)
+
+
+class ZenohChannel:
+    """A `Channel` over Zenoh: the waiting thread is woken by the transport, and by nobody else."""
+
+    def __init__(self, subscriber: Any) -> None:
+        import zenoh
+
+        self._subscriber = subscriber
+        self._handler = subscriber.handler
+        self._ended = zenoh.ZError
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        """All that wait; with ``wait`` at least one, or an empty list where that one was dropped.
+
+        Raises
+        ------
+        ChannelClosed
+            When the channel or its bus has been closed.
+        """
+        taken: list[tuple[str, bytes]] = []
+        try:
+            sample = self._handler.recv() if wait else self._handler.try_recv()
+            while sample is not None:
+                key = str(sample.key_expr)
+                if _named_alike(sample, key):
+                    taken.append((key, _bounded(sample)))
+                sample = self._handler.try_recv()
+        except self._ended:
+            if not taken:
+                raise ChannelClosed from None
+        return taken
+
+    def close(self) -> None:
+        """End the subscription."""
+        with suppress(self._ended):
+            self._subscriber.undeclare()
+
+
+def _bounded(sample: "zenoh.Sample") -> bytes:
+    """The payload; of one that is too long its size and its first bytes, which is garbage."""
+    size = len(sample.payload)
+    payload = sample.payload.to_bytes()
+    return payload if size <= LARGEST_MESSAGE else b"%d bytes: " % size + payload[:SHOWN]
+
+
+def _named_alike(sample: "zenoh.Sample", key: str) -> bool:
+    """Whether the encoding names the key that the sample came under, or none."""
+    encoding, _, named = str(sample.encoding).partition(";")
+    return encoding != _JSON or named in ("", key)
 
 
 class ZenohBus(Bus):
@@ -178,8 +257,8 @@ class ZenohBus(Bus):
         settings = _settings(listen, connect, client, tls, scouting) | dict(extra or {})
         self._session = _open(settings, (*listen, *connect), retry=client)
 
-    def publisher(self, key: str) -> ZenohPublisher:
-        """A publisher on one key: congestion control DROP, express, remote subscribers only.
+    def publisher(self, key: str, *, express: bool = True) -> ZenohPublisher:
+        """A publisher on one key: congestion control DROP, remote subscribers only.
 
         Every message names its key a second time, as the schema of its encoding: see `subscribe`.
 
@@ -196,18 +275,22 @@ class ZenohBus(Bus):
                     key,
                     encoding=f"{_JSON};{key}",
                     congestion_control=zenoh.CongestionControl.DROP,
-                    express=True,
+                    express=express,
                     allowed_destination=zenoh.Locality.REMOTE,
                 )
             )
         except zenoh.ZError as error:
             raise TransportError(f"key {key!r}: {_reason(error)}") from None
 
-    def subscribe(self, key_expr: str, deliver: Deliver) -> None:
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """Call ``deliver`` on Zenoh's thread with every message of others that fits.
 
         Of a message beyond `LARGEST_MESSAGE` its size and its first bytes are delivered: garbage,
         which whoever gets it counts.
+
+        A ``patient`` one naps there as soon as it is up to date: the kernel keeps what comes
+        meanwhile, and one wake takes dozens of messages. Whether it is up to date it knows from
+        the age of a message, which is as small as any before: so it never naps while it is behind.
 
         A message whose encoding names another key than the one it came under is dropped. Peers
         agree on numbers for keys, and where one of them was frozen and the other has connected
@@ -220,27 +303,44 @@ class ZenohBus(Bus):
         """
         import zenoh
 
+        nap = _Nap()
+
         def receive(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr)
-            encoding, _, named = str(sample.encoding).partition(";")
-            if encoding == _JSON and named not in ("", key):
+            if not _named_alike(sample, key):
                 return
             stamp = sample.timestamp
-            size = len(sample.payload)
-            payload = sample.payload.to_bytes()
-            if size > LARGEST_MESSAGE:
-                payload = b"%d bytes: " % size + payload[:SHOWN]
-            deliver(
-                key,
-                payload,
-                time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
-            )
+            t_ns = time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos()
+            deliver(key, _bounded(sample), t_ns)
+            if patient and nap.due(time.time_ns() - t_ns):
+                time.sleep(NAP_S)
 
         try:
             self._session.declare_subscriber(
                 key_expr,
                 zenoh.handlers.Callback(receive, indirect=False),
                 allowed_origin=zenoh.Locality.REMOTE,
+            )
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+
+    def channel(self, key_expr: str, capacity: int) -> ZenohChannel:
+        """The messages of others that fit, on a ring of Zenoh's own; keys are checked as ever.
+
+        Raises
+        ------
+        TransportError
+            When ``key_expr`` is no key expression.
+        """
+        import zenoh
+
+        try:
+            return ZenohChannel(
+                self._session.declare_subscriber(
+                    key_expr,
+                    zenoh.handlers.RingChannel(capacity),
+                    allowed_origin=zenoh.Locality.REMOTE,
+                )
             )
         except zenoh.ZError as error:
             raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None

@@ -19,6 +19,7 @@ from plant_service.status import News
 from protocol.agreement import Verdict
 from protocol.link.endpoint import Actions, Append, Keep
 from protocol.link.events import Interrupted, Missed
+from protocol.link.pacing import Pacing
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.runtime.memory_journal import MemoryPlantJournal
 from protocol.runtime.process import UsageError
@@ -80,7 +81,7 @@ class Bench:
             Stream(1, 0, width=0),
             lambda: "1" * 16,
             0.0,
-            1.0,
+            Pacing(1.0, scenario.link.repeats_per_period, 0.0),
             news=self.news,
             own=device,
         )
@@ -358,7 +359,7 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
                 Stream(1, 0, width=0),
                 lambda: "1" * 16,
                 0.0,
-                step_s,
+                Pacing(step_s, 4, 0.0),
                 own=device,
             )
         assert device.calls == ["close"]

@@ -84,3 +84,19 @@ def test_without_a_controller_only_ticks_are_due(step_s: float | None) -> None:
     pacing = running(0.0, step_s)
     assert pacing.due_at(running=False, measuring=False) == inf
     assert pacing.due_at(running=True, measuring=False) == (inf if step_s is None else 1.0)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.95])
+def test_in_a_fleet_ticks_keep_their_phase_whatever_happens(phase: float) -> None:
+    pacing = Pacing(0.1, 4, 12.345, phase)
+    now = 12.345
+    for stall in (0.0, 0.03, 7.31, 0.0, 0.1):
+        pacing.tick(now, running=False)
+        began, due = now, pacing.due_at(running=True, measuring=False)
+        assert 0.1 - 1e-9 <= due - began <= 0.2 + 1e-9
+        assert (due / 0.1 - phase) % 1 == pytest.approx(0, abs=1e-6) or (
+            due / 0.1 - phase
+        ) % 1 == pytest.approx(1, abs=1e-6)
+        now = due + stall
+        assert pacing.tick(now, running=True) == "missed"
+        assert pacing.due_at(running=True, measuring=False) > now

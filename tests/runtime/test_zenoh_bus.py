@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.bus import Bus, TransportError
+from protocol.runtime.bus import Bus, ChannelClosed, TransportError
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.zenoh_bus import (
     LARGEST_MESSAGE,
@@ -140,6 +140,7 @@ def test_memory_delivers_to_all_others_in_order_with_rising_stamps() -> None:
         ("a/b", ["a/b"], ["a", "a/b/c", "xa/b", "a/bx"]),
         ("a/**", ["a", "a/b", "a/b/c"], ["b", "ab", "b/a"]),
         ("**", ["a", "a/b/c"], []),
+        ("a/*/z", ["a/b/z", "a/c/z"], ["a/z", "a/b/c/z", "b/z"]),
         ("a/**/z", ["a/z", "a/b/z", "a/b/c/z"], ["a", "z", "a/b", "b/z"]),
         ("a.b/c", ["a.b/c"], ["axb/c"]),
     ],
@@ -155,10 +156,59 @@ def test_memory_key_expressions(key_expr: str, fits: list[str], others: list[str
         assert inbox.queue.empty()
 
 
-@pytest.mark.parametrize("key_expr", ["a/*/b", "a/b*", "", "/a", "a//b"])
+@pytest.mark.parametrize("key_expr", ["a/b*", "a/b*c/d", "", "/a", "a//b"])
 def test_memory_refuses_other_wildcards_and_empty_chunks(key_expr: str) -> None:
     with MemoryBus(MemoryHub()) as bus, pytest.raises(TransportError, match="expected a key"):
         bus.subscribe(key_expr, lambda *_: None)
+
+
+@pytest.mark.parametrize("kind", ["memory", "zenoh"])
+def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> None:
+    hub = MemoryHub()
+    (endpoint,) = free_endpoints(1)
+    with (
+        MemoryBus(hub) if kind == "memory" else ZenohBus(listen=[endpoint]) as source,
+        MemoryBus(hub) if kind == "memory" else ZenohBus(connect=[endpoint]) as sink,
+    ):
+        channel = sink.channel("wyner/v1/*/offer", 4)
+        publisher = source.publisher("wyner/v1/b/offer", express=False)
+        until = time.monotonic() + 10
+        while not publisher.matched():
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        taken: list[tuple[str, bytes]] = []
+        ended = threading.Event()
+
+        def take() -> None:
+            with suppress(ChannelClosed):
+                while True:
+                    taken.extend(channel.receive(wait=True))
+            ended.set()
+
+        publisher.put(b"0")
+        thread = threading.Thread(target=take)
+        thread.start()
+        while len(taken) < 1:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        publisher.put(b"1")
+        while len(taken) < 2:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        channel.close()
+        assert ended.wait(10)
+        thread.join()
+    assert taken == [("wyner/v1/b/offer", b"0"), ("wyner/v1/b/offer", b"1")]
+
+
+def test_a_full_channel_keeps_the_newest() -> None:
+    hub = MemoryHub()
+    with MemoryBus(hub) as source, MemoryBus(hub) as sink:
+        channel = sink.channel("a", 2)
+        for i in range(5):
+            source.publisher("a").put(bytes([i]))
+        assert channel.receive(wait=False) == [("a", b"\3"), ("a", b"\4")]
+        assert channel.receive(wait=False) == []
 
 
 def test_a_closed_memory_bus_neither_hears_nor_speaks() -> None:

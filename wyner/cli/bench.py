@@ -22,6 +22,7 @@ class Benchmark(NamedTuple):
 
 BENCHMARKS: Final = {
     "loop": Benchmark("benchmarks.loop", "the live loop beside bare Zenoh round trips"),
+    "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
     "qp": Benchmark("benchmarks.qp", "one step's programs, by solver"),
@@ -33,6 +34,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
     parser = subparsers.add_parser("bench", help="measure speed beside a reference, in one run")
     parser.add_argument("name", choices=(*BENCHMARKS, "all"), help=lines)
+    parser.add_argument("--loops", type=int, metavar="N", help="fleet: loops (default 50)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="fleet: measured (default 10)")
+    parser.add_argument("--router", action="store_true", help="fleet: through a router")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.set_defaults(run=run)
 
@@ -43,15 +47,28 @@ def run(args: argparse.Namespace) -> int:
     if not (CHECKOUT / "benchmarks").is_dir():
         raise UsageError("bench: the benchmarks come with the source tree; run it from a checkout")
     sys.path.insert(0, str(CHECKOUT))
+    options = _fleet_options(args)
     results: dict[str, Any] = {}
     for name in names:
         print(f"bench {name}: {BENCHMARKS[name].text} ...", file=sys.stderr)
         module = importlib.import_module(BENCHMARKS[name].module)
-        measure: Callable[[], dict[str, Any]] = module.measure
+        measure: Callable[..., dict[str, Any]] = module.measure
         render: Callable[[dict[str, Any]], str] = module.render
-        results[name] = measure()
+        results[name] = measure(**options if name == "fleet" else {})
         if not args.json:
             print(render(results[name]))
     if args.json:
         print(json.dumps(results if args.name == "all" else results[args.name]))
     return DONE
+
+
+def _fleet_options(args: argparse.Namespace) -> dict[str, Any]:
+    given = {"loops": args.loops, "seconds": args.seconds, "router": args.router or None}
+    given = {name: value for name, value in given.items() if value is not None}
+    if given and args.name != "fleet":
+        raise UsageError(f"--{next(iter(given))}: is for bench fleet")
+    if given.get("loops", 1) < 1:
+        raise UsageError(f"--loops: got {args.loops}, expected at least 1")
+    if not 0 < given.get("seconds", 1.0) <= 86400:
+        raise UsageError(f"--seconds: got {args.seconds:g}, expected more than 0, at most 86400")
+    return given

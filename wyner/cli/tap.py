@@ -23,12 +23,14 @@ def run(args: argparse.Namespace) -> int:
         return run_told(args, told_by(args.knowledge))
     from protocol.scenario.files import scenario_of
 
-    scenario = scenario_of(args.scenario)
-    told = Told(
-        scenario.knowledge(),
-        scenario.oracle_knowledge(),
-        view=scenario.tap.model_dump(exclude={"eavesdroppers"}),
-        names=scenario.tap.eavesdroppers,
-        where=f"{args.scenario}: tap.eavesdroppers: ",
-    )
-    return run_told(args, told)
+    def told_of(name: str) -> Told:
+        scenario = scenario_of(name)
+        return Told(
+            scenario.knowledge(),
+            scenario.oracle_knowledge(),
+            view=scenario.tap.model_dump(exclude={"eavesdroppers"}),
+            names=scenario.tap.eavesdroppers,
+            where=f"{name}: tap.eavesdroppers: ",
+        )
+
+    return run_told(args, told_of(args.scenario), lambda loop: told_of(loop.scenario))

@@ -19,6 +19,7 @@ from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
 from protocol.link.events import Applied, Event, Missed
+from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
@@ -351,7 +352,7 @@ class Simulation:
             Stream(self._seed, DISTURBANCE, width=self._width, run=draws),
             self._identifier,
             self.now_s,
-            self._step_s,
+            Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
         )
         return self._plant
 

@@ -1,0 +1,110 @@
+"""The ports of one end of one loop: its files, its publishers, its log, its keeper of keys."""
+
+import logging
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from pydantic_core import from_json
+
+from protocol.link.endpoint import Notice, Write
+from protocol.link.events import Event
+from protocol.messages import Message
+from protocol.runtime.bus import Publisher
+from protocol.runtime.process import Burst, Complaints
+from protocol.runtime.pulse import Pulse, Space
+from protocol.runtime.run_folder import HEALTH, write_atomically
+from protocol.runtime.trace import TraceWriter
+from protocol.secret.keeper import Keeper
+from protocol.secret.tasks import Task
+from protocol.secret.worker import KeyWorker
+
+
+class Journal(Protocol):
+    """What :func:`protocol.link.perform.perform` writes to."""
+
+    def write(self, write: Write) -> None:
+        """Keep it."""
+
+    def close(self) -> None:
+        """Close it; it can be opened again."""
+
+
+@dataclass(slots=True)
+class Files:
+    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
+
+    journal: Journal
+    trace: TraceWriter
+    health: Path
+    keeper: Keeper | None = None
+
+    def close(self) -> None:
+        """Close journal and trace."""
+        try:
+            self.trace.close()
+        finally:
+            self.journal.close()
+
+
+@dataclass(slots=True)
+class LoopPorts:
+    """The ports of one end of one loop: its files, its publishers, its log."""
+
+    files: Files
+    publishers: dict[type[Message], Publisher]
+    log: logging.Logger
+    worker: KeyWorker | None = None
+    limited: dict[str, Complaints] = field(default_factory=dict)
+    pulse: Pulse = field(default_factory=Pulse)
+    space: Space | None = None
+    burst: Burst = field(default_factory=Burst)
+
+    def write(self, write: Write) -> None:
+        """Write to the journal."""
+        self.files.journal.write(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        """Put it on the bus that its type belongs to."""
+        self.publishers[kind].put(payload)
+
+    def trace(self, event: Event) -> None:
+        """Append to the trace."""
+        self.files.trace.write(event.as_event())
+
+    def keep(self, task: Task) -> None:
+        """Hand it to the thread that keeps keys."""
+        assert self.worker is not None, "keys are made, and nobody keeps them"
+        self.worker.put(task)
+
+    def tell(self, notice: Notice) -> None:
+        """Log it; with a subject once a second at most."""
+        if not notice.subject:
+            if self.burst.allows(time.monotonic()):
+                self.log.log(_LEVELS[notice.level], "%s", notice.text)
+            else:
+                self._limited("lines").add(notice.text)
+            return
+        self._limited(notice.subject).add(notice.text)
+
+    def _limited(self, subject: str) -> Complaints:
+        if subject not in self.limited:
+            self.limited[subject] = Complaints(self.log)
+        return self.limited[subject]
+
+    def health(self, status: bytes) -> None:
+        """Replace the status file and the line beside it that says whether this end keeps up."""
+        write_atomically(self.files.health, status)
+        told = from_json(status)
+        beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
+        folder = self.files.health.parent
+        write_atomically(folder / HEALTH, f"{beat.line}\n".encode())
+        if self.space is None:
+            self.space = Space(folder)
+        for line in (beat.notice, self.space.look()):
+            if line:
+                self.log.warning("%s", line)
+
+
+_LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

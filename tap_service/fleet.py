@@ -1,0 +1,160 @@
+"""The taps of a fleet in one process: one subscription, a recording for each loop.
+
+Each loop has a tap of its own, with all that it heard and guessed below the loop's folder. Heavy
+eavesdroppers, which need a process each, read the recordings afterwards (``wyner replay``).
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Final
+
+from protocol.messages import Measurement, Offer
+from protocol.runtime.fleet import Fleet, FleetLoop
+from protocol.runtime.process import (
+    DONE,
+    Failure,
+    Throttle,
+    UsageError,
+    freeze_startup,
+    logger,
+    stop_on_signals,
+)
+from protocol.topics import every_loop
+from tap_service.service import GATHER_S, NICENESS, TapConfig, TapService
+
+if TYPE_CHECKING:
+    from protocol.runtime.bus import Bus
+    from protocol.runtime.zenoh_bus import Endpoints
+
+TELL_S: Final = 2.0
+"""Between two statuses of one loop's tap, and between two writings of its beliefs."""
+
+ROUND_S: Final = 0.1
+"""Part of :data:`TELL_S` in which its share of the loops is told of."""
+
+FOLLOW_S: Final = 1.0
+
+
+class TapFleet:
+    """The taps of the loops of a fleet.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    config_of : callable
+        What the tap of one loop is told; raises `UsageError` where that cannot be.
+    """
+
+    def __init__(self, fleet: Fleet, config_of: Callable[[FleetLoop], TapConfig]) -> None:
+        self._fleet = fleet
+        self._config_of = config_of
+        self._log = logger("tap")
+        self._known: dict[str, FleetLoop] = {}
+        self._taps: dict[str, TapService] = {}
+        self._by_key: dict[str, TapService] = {}
+        self._intel: Bus | None = None
+        self._next = 0
+
+    def attach(self, field: "Bus", intel: "Bus") -> None:
+        """Listen to every loop at once, and take the fleet's in."""
+        self._intel = intel
+        for loop in self._fleet.loops.values():
+            self._open(loop)
+        for kind in (Measurement, Offer):
+            field.subscribe(every_loop(kind), self._deliver, patient=True)
+        self._log.info("listening on %d of %d loops", len(self._taps), len(self._known))
+
+    def _deliver(self, key: str, payload: bytes, t_ns: int) -> None:
+        tap = self._by_key.get(key)
+        if tap is not None:
+            tap.deliver(key, payload, t_ns)
+
+    def _open(self, loop: FleetLoop) -> None:
+        assert self._intel is not None
+        self._known[loop.id] = loop
+        try:
+            tap = TapService(self._config_of(loop))
+        except (UsageError, Failure, OSError) as error:
+            self._log.error("loop %s: %s", loop.id, error)
+            return
+        tap.publish_on(self._intel)
+        self._taps[loop.id] = tap
+        self._by_key |= dict.fromkeys(tap.keys, tap)
+
+    def _close(self, name: str) -> None:
+        del self._known[name]
+        tap = self._taps.pop(name, None)
+        if tap is not None:
+            for key in tap.keys:
+                del self._by_key[key]
+            tap.finish()
+            tap.close()
+
+    def run(self, stopping: threading.Event) -> None:
+        """Record and guess until ``stopping``; then settle what is left."""
+        follow, tell = Throttle(FOLLOW_S), Throttle(ROUND_S)
+        while not stopping.is_set():
+            for tap in list(self._taps.values()):
+                tap.work(0.0)
+            time.sleep(GATHER_S)
+            now = time.monotonic()
+            if tell.ready(now):
+                self._tell()
+            if follow.ready(now):
+                self._follow()
+        for name in list(self._known):
+            self._close(name)
+
+    def _tell(self) -> None:
+        """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""
+        taps = list(self._taps.values())
+        share = -(-len(taps) * ROUND_S // TELL_S)
+        for _ in range(int(share)):
+            tap = taps[self._next % len(taps)]
+            self._next += 1
+            tap.publish()
+            tap.write_beliefs()
+
+    def _follow(self) -> None:
+        try:
+            if not self._fleet.changed():
+                return
+        except UsageError as error:
+            self._log.error("%s", error.lines[0])
+            return
+        loops = self._fleet.loops
+        for name in [name for name, loop in self._known.items() if loops.get(name) != loop]:
+            self._close(name)
+        for name, loop in loops.items():
+            if name not in self._known:
+                self._open(loop)
+
+
+def run_taps(
+    fleet: Fleet,
+    config_of: Callable[[FleetLoop], TapConfig],
+    field: "Endpoints",
+    intel: "Endpoints",
+) -> int:
+    """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.
+
+    Raises
+    ------
+    protocol.runtime.bus.TransportError
+        When a bus cannot be opened.
+    """
+    from protocol.runtime.zenoh_bus import open_bus
+
+    with ExitStack() as stack:
+        stopping = stack.enter_context(stop_on_signals())
+        field_bus = stack.enter_context(open_bus(field))
+        intel_bus = stack.enter_context(open_bus(intel))
+        taps = TapFleet(fleet, config_of)
+        taps.attach(field_bus, intel_bus)
+        os.nice(NICENESS)
+        freeze_startup()
+        taps.run(stopping)
+    return DONE

@@ -1,0 +1,175 @@
+"""Fleets: their files, loops that come and go, loops that fail alone, and too many of them."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.service import run_controllers
+from plant_service.service import run_plants
+from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
+from protocol.runtime.fleet import Fleet, numbered, read_fleet
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.process import DONE, Pace, UsageError
+from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
+from protocol.runtime.trace import read_trace
+from wyner.cli.main import main
+
+ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'
+TWO = '[[loop]]\nid = "two"\nseed = 2\n'
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "loop: expected at least one table"),
+        ("loop = 3", "loop: expected at least one table"),
+        ("x = 1\n" + ONE, "x: expected tables"),
+        ("[[loop]]\n", "loop 1: id: Field required"),
+        ('[[loop]]\nid = "a b"\n', "loop 1: id: loop: got 'a b'"),
+        ('[[loop]]\nid = "a"\nseed = -1\n', "loop 1: seed: "),
+        ('[[loop]]\nid = "a"\ncolour = 1\n', "loop 1: colour: "),
+        (ONE + ONE, "loop 2: id: 'one' is there already"),
+        ("[[loop", "not TOML"),
+    ],
+)
+def test_a_wrong_file_names_the_loop_and_the_field(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError) as error:
+        read_fleet(path)
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_a_fleet_of_a_number_has_an_id_and_a_seed_for_each() -> None:
+    loops = numbered(3, "sustained", "m", seed=10).loops
+    assert list(loops) == ["loop-0000", "loop-0001", "loop-0002"]
+    assert [loop.seed for loop in loops.values()] == [10, 11, 12]
+    with pytest.raises(UsageError, match="--loops: got 0"):
+        numbered(0, "sustained")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["plant", "--loops", "0"], "--loops: got 0"),
+        (["plant", "--loops", "2", "--loop", "a"], "--loop: is for a single loop"),
+        (["plant", "--loops", "2", "--steps", "5"], "--steps: a fleet runs until"),
+        (["controller", "--fleet", "nowhere.toml"], "nowhere.toml: cannot be read"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*options, "--run-dir", str(tmp_path / "run")]) == 2
+    assert said in capsys.readouterr().err
+
+
+# --- hosts ----------------------------------------------------------------------------------------
+
+
+class Hosts:
+    """A host of controllers and one of plants on hubs in memory."""
+
+    def __init__(self, fleet: Callable[[], Fleet], law: CandidateLaw, folder: Path) -> None:
+        self.fleet, self.law, self.folder = fleet, law, folder
+        self.field, self.ops = MemoryHub(), MemoryHub()
+        self.codes: list[int] = []
+
+    @contextmanager
+    def running(self, pace: str) -> Iterator[None]:
+        stopping = threading.Event()
+
+        def controllers() -> None:
+            buses = MemoryBus(self.field), MemoryBus(self.ops)
+            self.codes.append(
+                run_controllers(self.fleet(), self.folder, lambda _: self.law, *buses, stopping)
+            )
+
+        def plants() -> None:
+            buses = MemoryBus(self.field), MemoryBus(self.ops)
+            self.codes.append(run_plants(self.fleet(), self.folder, Pace(pace), *buses, stopping))
+
+        threads = [threading.Thread(target=one) for one in (controllers, plants)]
+        for thread in threads:
+            thread.start()
+        try:
+            yield
+        finally:
+            stopping.set()
+            for thread in threads:
+                thread.join(20)
+            assert self.codes == [DONE, DONE]
+
+    def status(self, loop: str) -> PlantStatus | None:
+        try:
+            return PlantStatus.model_validate_json((self.folder / loop / PLANT_STATUS).read_bytes())
+        except OSError:
+            return None
+
+    def wait(self, condition: Callable[[], bool], seconds: float = 30.0) -> None:
+        until = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < until, "waited in vain"
+            time.sleep(0.02)
+
+    def delivered(self, loop: str) -> bool:
+        status = self.status(loop)
+        return status is not None and status.messages > 0
+
+
+def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
+    sustained_law: CandidateLaw, tmp_path: Path
+) -> None:
+    hosts = Hosts(lambda: numbered(3, "sustained", "hi", seed=1), sustained_law, tmp_path)
+    names = list(hosts.fleet().loops)
+    with hosts.running("x20"):
+        hosts.wait(lambda: all(map(hosts.delivered, names)))
+    sessions = set()
+    for name in names:
+        trace = read_trace(tmp_path / name / PLANT_TRACE)
+        assert [e["payload"] for e in trace.of("recovered")] == ["aGk="]
+        sessions |= {e["session"] for e in trace.of("transition")}
+        status = hosts.status(name)
+        assert status is not None
+        assert len(status.latency_counts) == len(LATENCY_BOUNDS_S) + 1
+        assert sum(status.latency_counts) > 0
+        assert main(["check", str(tmp_path / name)]) == 0
+    assert len(sessions) == 3
+
+
+def test_loops_come_and_go_while_the_hosts_run(sustained_law: CandidateLaw, tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(ONE)
+    hosts = Hosts(lambda: Fleet.of_file(path), sustained_law, tmp_path / "run")
+    with hosts.running("x20"):
+        hosts.wait(lambda: hosts.delivered("one"))
+        path.write_text("[[loop]\n")  # not TOML: everything stays as it is
+        time.sleep(1.2)
+        path.write_text(ONE + TWO)
+        hosts.wait(lambda: (hosts.status("two") or hosts.status("one")).transitions > 0)  # type: ignore[union-attr]
+        hosts.wait(lambda: hosts.status("two") is not None)
+        path.write_text(TWO)
+        hosts.wait(lambda: hosts.status("one").phase == "stopped")  # type: ignore[union-attr]
+        path.write_text(ONE + TWO)
+        hosts.wait(lambda: hosts.status("one").phase == "running")  # type: ignore[union-attr]
+
+
+def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(TWO + ONE + '[[loop]]\nid = "bad"\nscenario = "nowhere"\n')
+    journal = tmp_path / "run" / "two" / PLANT_JOURNAL
+    journal.parent.mkdir(parents=True)
+    journal.write_bytes(b"no journal" * 1000)
+    hosts = Hosts(lambda: Fleet.of_file(path), sustained_law, tmp_path / "run")
+    with hosts.running("x20"):
+        hosts.wait(lambda: hosts.delivered("one"))
+    assert hosts.status("two") is None
