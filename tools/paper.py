@@ -28,14 +28,18 @@ SHOWN: Final = (
 
 def results(data: Path = DATA) -> str:
     """The table of the paper, in Markdown."""
-    lines = ["| eavesdropper | runs | key symbols | messages |", "|---|---|---|---|"]
+    lines = [
+        "| eavesdropper | runs | key symbols | messages |",
+        "|:-----------------------|---:|:---------|:---------|",
+    ]
     for study, condition, tap, what in SHOWN:
         rows = [
             r for r in read_rows(study, data) if r["tap"] == tap and r["condition"] == condition
         ]
         keys = share_of(rows, "keys_right_reviewed", "keys")
         lines.append(f"| `{tap}`: {what} | {len(rows)} | {keys.text()} | {exact_of(rows).text()} |")
-    return "\n".join(lines)
+    caption = ": Shares of key symbols and of whole messages; 95 % intervals over runs."
+    return "\n".join([*lines, "", caption])
 
 
 def with_results(text: str) -> str:

@@ -142,7 +142,8 @@ def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) ->
     if not worst <= 1 - r.settle(T0)[2]:
         raise SynthesisError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
-            "of itself)"
+            "of itself): K is too slow; a smaller regulator.input or a larger "
+            "regulator.next_state makes it faster"
         )
     control = scenario.control
     bounds = [("control.gain: K T_0 is not within control.inputs", V @ K.T, control.inputs)]

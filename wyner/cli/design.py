@@ -20,6 +20,8 @@ RUNS, STEPS, SEED = 40, 250, 1
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the command."""
+    from controller_service.progress import PATIENCE_S
+
     parser = subparsers.add_parser(
         "design",
         help="compute and show a scenario's sets, gains and expected rate",
@@ -29,6 +31,13 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
+    parser.add_argument(
+        "--patience",
+        type=float,
+        default=PATIENCE_S,
+        metavar="S",
+        help=f"refuse a design that will take longer (default: {PATIENCE_S:g} seconds)",
+    )
     parser.add_argument(
         "--plot", metavar="F", help="draw the sets and a run, as F.png, F.pdf or F.svg"
     )
@@ -48,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_of(args.scenario)
     begin = time.perf_counter()
     try:
-        with shown_progress() as progress:
+        with shown_progress(args.patience) as progress:
             design = (synthesise if args.no_cache else cached_design)(scenario, progress)
         law = make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:
