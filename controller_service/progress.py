@@ -71,7 +71,8 @@ class Outlook:
             return 0.0
         last, power = self._last_and_power()
         made = len(self._done_s)
-        return sum(last * ((made + j) / made) ** power for j in range(1, min(sets, 10_000) + 1))
+        more = range(1, min(sets, 10_000) + 1)
+        return float(sum(last * ((made + j) / made) ** power for j in more))
 
 
 def in_words(seconds: float) -> str:
