@@ -109,6 +109,8 @@ class Eavesdropper(ABC):
     ----------
     scheme : Scheme
         What both ends follow: she may know every algorithm, and no threshold and no key.
+    certain : bool
+        Whether the policy that she was told makes every transition agree.
     settled : list of Guess
         Last thoughts on transitions that she lets go, because she keeps a bounded number of them.
         Whoever feeds her takes them off.
@@ -130,6 +132,7 @@ class Eavesdropper(ABC):
             self.scheme = make_scheme(knowledge.scheme, knowledge.candidates)
         except UnknownError as error:
             raise KnowledgeError(f"knowledge.scheme: {error}") from None
+        self.certain = knowledge.policy is not None and knowledge.policy.certain
         self.settled: list[Guess] = []
 
     @abstractmethod

@@ -31,7 +31,7 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self.beam = Beam(self.scheme, edge=1.0, framed=framed)
+        self.beam = Beam(self.scheme, edge=1.0, framed=framed, certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Cut the list by this step's gauges; the nearest candidate is the guess."""
@@ -40,7 +40,6 @@ class ListDecoder(Eavesdropper):
             self.beam.restart()
         self.beam.session = t.session
         if t.x is None or t.candidates is None or t.x_next is None or t.cipher is None:
-            # without a verdict of her own she takes the step for one without an agreement
             self.beam.step_missed(t.k, t.cipher)
             return Guess(t.k, self._even, 0.5)
         gauges = self._model.gauges(t.x, t.candidates, t.x_next)
@@ -64,6 +63,8 @@ def agreement_probability(beam: Beam, gauges: list[float]) -> float:
     """Whether the best hypothesis, before this step, tests it and finds an agreement."""
     if not beam.testing():
         return 0.0
+    if beam.certain:
+        return 1.0
     lo, hi, edge_lo, edge_hi = beam.thresholds()
     ordered = sorted(gauges)
     if ordered[0] >= hi or ordered[1] <= lo or ordered[-1] >= edge_hi:

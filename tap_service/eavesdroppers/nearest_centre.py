@@ -37,7 +37,6 @@ class NearestCentre(Eavesdropper):
         self._even = even(self.size)
         self._follower = Follower(self.scheme)
         self._largest = 0.0
-        self._always = knowledge.policy is not None and knowledge.policy.certain
 
     def observe(self, transition: Transition) -> Guess:
         """Measure every candidate; the nearest is the guess."""
@@ -53,7 +52,7 @@ class NearestCentre(Eavesdropper):
         self._largest = max(self._largest, nearest)
         threshold = MARGIN * self._largest
         inside = sum(g <= threshold for g in gauges)
-        agreed = self._always or (inside == 1 and max(gauges) <= 1.0)
+        agreed = self.certain or (inside == 1 and max(gauges) <= 1.0)
         symbol = gauges.index(nearest)
         self._follower.step(t.k, symbol if agreed else NO_SYMBOL, t.cipher)
         if ties > 1:

@@ -88,7 +88,7 @@ class Smoother(Eavesdropper):
 
     def _new_beam(self, among: tuple[float, float] | None) -> Beam:
         """A list of thresholds from and to, or of all where every step was heard."""
-        beam = Beam(self.scheme, edge=1.0)
+        beam = Beam(self.scheme, edge=1.0, certain=self.certain)
         low, high = among or ALL
         if among:
             beam.restrict(low, high, 1.0, float(np.nextafter(1.0, 2.0)))

@@ -91,6 +91,8 @@ class Beam:
         Whether messages come in frames; otherwise symbols are raw bytes of text from the start.
     cap : int
         Hypotheses kept at most.
+    certain : bool
+        Whether it is public that every transition agrees: then no threshold is searched.
 
     Attributes
     ----------
@@ -105,11 +107,18 @@ class Beam:
     """
 
     def __init__(
-        self, scheme: Scheme[Any], edge: float | None = None, *, framed: bool = True, cap: int = CAP
+        self,
+        scheme: Scheme[Any],
+        edge: float | None = None,
+        *,
+        framed: bool = True,
+        cap: int = CAP,
+        certain: bool = False,
     ) -> None:
         self.size = size = scheme.alphabet
         self._table = StateTable(scheme)
         self.framed = framed
+        self.certain = certain
         self.dropped = 0
         self.peak = 1
         self.solved_k = -1
@@ -169,6 +178,10 @@ class Beam:
         cipher : int
         """
         nearest = min(gauges)
+        if self.certain:
+            symbol = np.full(self._n, gauges.index(nearest))
+            self._advance(k, symbol, self._values(cipher))
+            return
         ordered = sorted(gauges)
         second, largest = ordered[1], ordered[-1]
         self._cut("lo", "hi", nearest)
@@ -197,11 +210,14 @@ class Beam:
 
     def split_evenly(self, edges: Sequence[float]) -> None:
         """Cut the one hypothesis of the beginning at each t_c of ``edges``."""
-        for edge in edges:
+        for edge in () if self.certain else edges:
             self._cut("lo", "hi", edge)
 
     def step_missed(self, k: int, cipher: int | None) -> None:
-        """Count one transition without a verdict: taken for one without an agreement."""
+        """Count one transition without a verdict: taken for one without an agreement.
+
+        Where every transition agrees, each symbol is as likely.
+        """
         no = np.full((1, self.size), np.inf)
         self.step_sampled(k, no, cipher)
 
@@ -267,13 +283,18 @@ class Beam:
         self, tested: Indices, ordered: NDArray[np.float64], choice: Indices
     ) -> NDArray[np.float64]:
         """Probability of each outcome (no agreement, symbol 0, 1, ...), shape (rows, 1 + M)."""
+        chances = np.zeros((len(tested), 1 + self.size))
+        if self.certain:
+            blind = not np.isfinite(ordered[:, 0]).any()
+            shares = np.bincount(choice, minlength=self.size) / len(choice)
+            chances[:, 1:] = 1.0 / self.size if blind else shares
+            return chances
         rows = self._rows[tested]
         lo, hi = rows["lo"][:, None], np.minimum(rows["hi"], 1e9)[:, None]
         nearest, second, largest = ordered[:, 0], ordered[:, 1], ordered[:, -1]
         overlap = np.minimum(hi, second) - np.maximum(lo, nearest)
         agree = np.clip(overlap / (hi - lo), 0.0, 1.0)
         agree *= rows["edge_lo"][:, None] >= largest
-        chances = np.empty((len(tested), 1 + self.size))
         for symbol in range(self.size):
             chances[:, 1 + symbol] = agree[:, choice == symbol].sum(axis=1) / len(choice)
         chances[:, 0] = np.maximum(1.0 - chances[:, 1:].sum(axis=1), 0.0)

@@ -12,11 +12,16 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.scenario.files import scenario_of
 from protocol.schemes.framing import Deframer, frame_length
+from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
+from tap_service.eavesdroppers.smoother import Smoother
+from wyner.scoring.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Faults, Simulation
 from wyner.simulate.safety import violations
+from wyner.studies.secrecy.runs import simulate as study_run
+from wyner.studies.secrecy.study import heard_by, knowledge_for, said_about
 
 RUNS, STEPS = range(20), 500
 D, D_C = (0.1, 0.1), (0.12, 0.12)
@@ -208,3 +213,13 @@ def test_any_law_with_either_scheme() -> None:
     assert shares["packed", "pipelined"] == 0.999
     assert shares["sustained", "switched"] == pytest.approx(0.230, abs=0.003)
     assert shares["sustained", "pipelined"] == pytest.approx(0.299, abs=0.003)
+
+
+@pytest.mark.parametrize(("knobs", "bits"), [({"loss": 0.1}, 0.9), ({"noise": 0.05}, 0.85)])
+def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bits: float) -> None:
+    """Knowing that every transition agrees, it is never a symbol out of step."""
+    run = study_run(300, 1, name="packed")
+    view = View(seed=1, **knobs)
+    tap = Smoother(knowledge_for(run, Smoother, view))
+    scored = score(run.truth, said_about(tap, heard_by(run, view)))
+    assert scored.bits.right >= bits * scored.bits.of
