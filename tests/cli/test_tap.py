@@ -380,3 +380,46 @@ def test_a_second_tap_in_a_folder_is_refused(
     assert err == f"wyner: --run-dir: {tmp_path / 'tap'}: another process is using it\n"
     with alone_in(tmp_path / "tap"):
         pass
+
+
+def test_export_of_steps_has_one_column_a_number(
+    run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(capsys, "export", run_dir, "--to", "csv", "--steps")
+    assert code == 0
+    rows = list(csv.DictReader(io.StringIO(out)))
+    assert [int(row["k"]) for row in rows] == list(range(run.truth.transitions))
+    assert f"{run.truth.transitions} steps" in err
+    numbers = set(rows[0]) - {"session"}
+    assert numbers == {"k", "x_1", "x_2", "u0_1", "u1_1", "cipher", "x_next_1", "x_next_2"}
+    assert all(float(row[name]) is not None for row in rows for name in numbers)
+    for row, after in zip(rows, rows[1:], strict=False):
+        assert (row["x_next_1"], row["x_next_2"]) == (after["x_1"], after["x_2"])
+    table = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "steps.parquet"
+    assert call(capsys, "export", run_dir, "--to", "parquet", "--steps", "--output", path)[0] == 0
+    assert table.read_table(path).column("x_1").to_pylist() == [float(r["x_1"]) for r in rows]
+
+
+def test_export_puts_the_truth_beside_the_steps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from tests.support.small_run import SmallRun
+
+    folder = tmp_path / "run"
+    whole = SmallRun(folder)
+    whole.steps(200)
+    whole.close()
+    code, out, _ = call(capsys, "export", folder, "--to", "csv", "--steps", "--truth")
+    assert code == 0
+    rows = list(csv.DictReader(io.StringIO(out)))
+    agreed = [row for row in rows if row["key"] not in ("", "-1")]
+    assert agreed
+    for row in agreed:
+        assert row["role"] == "test"
+        assert row["key"] == row["coin"]
+        assert row["u_1"] == row[f"u{row['coin']}_1"]
+        assert float(row[f"gauge_{row['key']}"]) <= 1
+    code, _, err = call(capsys, "export", folder, "--to", "csv", "--truth")
+    assert code == 2
+    assert "expected together with --steps" in err

@@ -13,6 +13,16 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
     parser.add_argument("--to", required=True, choices=("mcap", "csv", "parquet"))
+    parser.add_argument(
+        "--steps",
+        action="store_true",
+        help="one row a step, one column a number (CSV, Parquet), instead of a row a message",
+    )
+    parser.add_argument(
+        "--truth",
+        action="store_true",
+        help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
+    )
     parser.add_argument("--output", metavar="FILE", help="default: capture.mcap or .parquet here")
     parser.set_defaults(run=run)
 
@@ -27,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.recording import CaptureError, CaptureReader
 
+    if args.steps or args.truth:
+        return _steps(args)
     output = args.output or (None if args.to == "csv" else f"capture.{args.to}")
     try:
         reader = CaptureReader(Path(args.capture))
@@ -54,4 +66,44 @@ def run(args: argparse.Namespace) -> int:
         f"{count} messages, {reader.garbage} undecodable left out, {reader.torn} torn lines",
         file=sys.stderr,
     )
+    return DONE
+
+
+def _steps(args: argparse.Namespace) -> int:
+    """One row a step, to a file or to standard output."""
+    import sys
+    from pathlib import Path
+
+    from protocol.runtime.process import DONE, Failure, UsageError, needs
+    from protocol.runtime.run_folder import PUBLIC_FILE, replacing
+    from tap_service.capture.recording import CaptureError, CaptureReader
+    from wyner.scoring.score import ScoreError
+    from wyner.scoring.step_table import step_rows, truth_by_step, write_csv, write_parquet
+
+    if not args.steps:
+        raise UsageError("--truth: expected together with --steps")
+    if args.to == "mcap":
+        raise UsageError("--steps: expected --to csv or --to parquet")
+    output = args.output or (None if args.to == "csv" else "steps.parquet")
+    try:
+        reader = CaptureReader(Path(args.capture))
+        rows = step_rows(reader, truth_by_step(Path(args.capture)) if args.truth else None)
+        if output is None:
+            count = write_csv(rows, sys.stdout)
+        else:
+            with replacing(Path(output), PUBLIC_FILE) as path:
+                if args.to == "csv":
+                    with path.open("w", encoding="utf-8", newline="") as file:
+                        count = write_csv(rows, file)
+                else:
+                    count = write_parquet(rows, path)
+    except (CaptureError, ScoreError) as error:
+        raise UsageError(str(error)) from None
+    except ImportError:
+        raise Failure(needs("parquet", "pyarrow")) from None
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
+    print(f"{count} steps", file=sys.stderr)
     return DONE

@@ -121,5 +121,4 @@ def _print(report: object, *, color: bool) -> None:
     red = color and report.exceeds and "NO_COLOR" not in environ
     verdict = report.verdict()
     print(f"\x1b[31m{verdict}\x1b[0m" if red else verdict)
-    print(f"At most {report.hidden_bits:.1f} bits a run stay hidden from one who knows the model.")
     print(BOUND)

@@ -163,10 +163,10 @@ class Report:
         if strongest is None or strongest.left_bits is None:
             return "No eavesdropper was scored; the claim stands untested."
         claim = f"{self.claimed_bits:.0f} secret bits are claimed"
-        left = f"{strongest.name} leaves {strongest.left_bits:.1f}"
-        if self.exceeds:
-            return f"CLAIMED EXCEEDS TRUE: {claim}, {left}."
-        return f"{claim}; the strongest eavesdropper here, {left}."
+        left = f"{strongest.name} leaves {strongest.left_bits:.1f} of them, guessed one by one"
+        bound = f"All together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
+        told = "CLAIMED EXCEEDS TRUE: " if self.exceeds else ""
+        return f"{told}{claim}; {left}. {bound} the model."
 
 
 def report(scores: Sequence[RunScore]) -> Report:
