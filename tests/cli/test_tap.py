@@ -393,7 +393,7 @@ def test_export_of_steps_has_one_column_a_number(
     numbers = set(rows[0]) - {"session"}
     assert numbers == {"k", "x_1", "x_2", "u0_1", "u1_1", "cipher", "x_next_1", "x_next_2"}
     assert all(float(row[name]) is not None for row in rows for name in numbers)
-    for row, after in zip(rows, rows[1:], strict=False):
+    for row, after in itertools.pairwise(rows):
         assert (row["x_next_1"], row["x_next_2"]) == (after["x_1"], after["x_2"])
     table = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "steps.parquet"
