@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from controller_service.telemetry import Messages, Phase, Telemetry
+from controller_service.telemetry import ControllerTelemetry, Messages, Phase
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
 from protocol.link.key_events import key_events, key_notices
@@ -23,7 +23,7 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
-from protocol.runtime.process import USAGE, spoken
+from protocol.runtime.process import USAGE, proquint
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.tasks import Done
 
@@ -52,7 +52,7 @@ class ControllerEndpoint:
         The plant's; one that has been silent for several of them is away.
     message : bytes, optional
         Queued under `INITIAL_ID` at the start, once in the queue's life.
-    telemetry : Telemetry, optional
+    telemetry : ControllerTelemetry, optional
         What is told beside the record; without it no status is published.
     status_s : float
         Seconds between statuses.
@@ -68,7 +68,7 @@ class ControllerEndpoint:
         period_s: float,
         *,
         message: bytes | None = None,
-        telemetry: Telemetry | None = None,
+        telemetry: ControllerTelemetry | None = None,
         status_s: float = STATUS_S,
     ) -> None:
         self.sender = sender
@@ -243,8 +243,8 @@ class ControllerEndpoint:
         if sender.refused:
             self.code = USAGE
             detail = (
-                f"the plant's model is {spoken(hello.fingerprint)}, "
-                f"this controller's is {spoken(sender.rules.fingerprint)}"
+                f"the plant's model is {proquint(hello.fingerprint)}, "
+                f"this controller's is {proquint(sender.rules.fingerprint)}"
             )
             phase = "refused"
             notice = Notice(f"{detail}: the two ends must share one scenario", "error")

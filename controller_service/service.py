@@ -8,7 +8,7 @@ from pathlib import Path
 
 from controller_service.endpoint import STATUS_S, ControllerEndpoint
 from controller_service.laws.base import CandidateLaw
-from controller_service.telemetry import Telemetry
+from controller_service.telemetry import ControllerTelemetry
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.runtime.bus import Bus
@@ -18,7 +18,7 @@ from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import ControllerJournal, JournalError
 from protocol.runtime.ports import Files
-from protocol.runtime.process import UsageError, logger, new_id, spoken
+from protocol.runtime.process import UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -83,7 +83,7 @@ def open_controller(
         journal,
         scenario.plant.period_s,
         message=config.message,
-        telemetry=Telemetry(scenario.name, config.law, seeded=seeded),
+        telemetry=ControllerTelemetry(scenario.name, config.law, seeded=seeded),
         status_s=status_s,
     )
     return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, keeper)
@@ -127,7 +127,7 @@ class ControllerService:
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
             self.sender.record.session or "none yet",
-            spoken(config.scenario.fingerprint()),
+            proquint(config.scenario.fingerprint()),
             self.endpoint.messages.queued,
             self.sender.record.message,
         )

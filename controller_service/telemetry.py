@@ -24,7 +24,7 @@ class Messages(Outbox, Protocol):
         """Identifier of the queued message ``number``."""
 
 
-class Telemetry:
+class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
     ``phase`` and ``detail`` are the endpoint's to set.

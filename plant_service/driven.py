@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from plant_service.adapters.operated import Operated
 from plant_service.endpoint import PlantEndpoint
 from plant_service.plant import Move, Plant, Step
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Outgoing
 from protocol.link.events import Interrupted
 from protocol.link.pacing import Pacing
@@ -148,7 +148,7 @@ class DrivenEndpoint(PlantEndpoint):
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
-        news: News | None = None,
+        news: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
     ) -> None:
         super().__init__(

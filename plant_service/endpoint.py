@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.plant import Move, Step
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
 from protocol.link.key_events import key_events, key_notices
@@ -23,7 +23,7 @@ from protocol.messages import (
     PlantHello,
     PlantStatus,
 )
-from protocol.runtime.process import DONE, USAGE, spoken
+from protocol.runtime.process import DONE, USAGE, proquint
 from protocol.schemes.framing import Frame
 from protocol.secret.tasks import Done
 from protocol.text import readable
@@ -78,7 +78,7 @@ class PlantEndpoint:
         The record is a new one, and in no journal yet.
     steps : int, optional
         The last step: when k has come there the endpoint reports it, and is over.
-    news : News, optional
+    news : PlantTelemetry, optional
         What is told beside the record; without it no status is published.
     status_s : float
         Seconds between statuses.
@@ -99,7 +99,7 @@ class PlantEndpoint:
         pending: Move | None = None,
         fresh: bool = False,
         steps: int | None = None,
-        news: News | None = None,
+        news: PlantTelemetry | None = None,
         status_s: float = STATUS_S,
         watchdog_s: float | None = None,
     ) -> None:
@@ -405,15 +405,15 @@ class PlantEndpoint:
         record = receiver.record
         if outcome == "refused":
             detail = (
-                f"the controller's model is {spoken(hello.fingerprint)}, "
-                f"this plant's is {spoken(receiver.rules.fingerprint)}"
+                f"the controller's model is {proquint(hello.fingerprint)}, "
+                f"this plant's is {proquint(receiver.rules.fingerprint)}"
             )
             self._phase("refused", detail)
             return _told(f"{detail}: the two ends must share one scenario", "error")
         if outcome == "stranger":
             text = (
                 f"controller {hello.instance} has another model, "
-                f"{spoken(hello.fingerprint)}; ignored"
+                f"{proquint(hello.fingerprint)}; ignored"
             )
             return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
         if outcome == "rival":

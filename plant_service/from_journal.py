@@ -9,7 +9,7 @@ from plant_service.adapters.registry import is_model, open_plant
 from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.plant import Move, Plant, first_record, resuming_advance
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.link.pacing import Pacing
 from protocol.link.receiver import ReceiverRecord
 from protocol.runtime.journal import BegunStep, ReceiverStep
@@ -48,7 +48,7 @@ def plant_endpoint(
     pacing: Pacing,
     *,
     steps: int | None = None,
-    news: News | None = None,
+    news: PlantTelemetry | None = None,
     status_s: float = STATUS_S,
     folder: Path = Path(),
     seed: int | None = None,

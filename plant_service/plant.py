@@ -37,7 +37,7 @@ class Step(NamedTuple):
     effects: ReceiverEffects | None
 
 
-class Luck(NamedTuple):
+class Draw(NamedTuple):
     """What chance has decided for transition j and step k: the coin b_r and the disturbance d."""
 
     j: int
@@ -131,23 +131,23 @@ class Plant:
         self._size = scenario.secrecy.candidates
         self._coin = coin
         self._noise = noise
-        self._luck: Luck | None = None
+        self._drawn: Draw | None = None
 
     def move(self, offer: Offer) -> Move:
         """Choose one input of the current ``offer`` by the coin, and apply it (Fig. 5)."""
         record = self.receiver.record
-        luck = self._luck
-        if luck is None or (luck.j, luck.k) != (record.transitions, record.k):
-            luck = self._draw()
-        x_next = self._advance(record.k, record.x, offer.candidates[luck.coin], luck.d)
-        return Move(offer, luck.coin, x_next)
+        draw = self._drawn
+        if draw is None or (draw.j, draw.k) != (record.transitions, record.k):
+            draw = self._draw()
+        x_next = self._advance(record.k, record.x, offer.candidates[draw.coin], draw.d)
+        return Move(offer, draw.coin, x_next)
 
     def count(self, move: Move) -> Step:
         """Count the transition that ``move`` made, and draw for the one to come."""
         offer, coin, x_next = move
         record = self.receiver.record
         effects = self.receiver.applied(offer, coin, x_next)
-        self._luck = self._draw()
+        self._drawn = self._draw()
         return Step(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
 
     def miss(self) -> Step:
@@ -158,11 +158,11 @@ class Plant:
         self.receiver.missed(u, x_next)
         return Step(record.k, record.x, u, x_next, None, None)
 
-    def _draw(self) -> Luck:
+    def _draw(self) -> Draw:
         """The coin of the next transition and the disturbance of the next step."""
         record = self.receiver.record
         j, k = record.transitions, record.k
-        return Luck(j, k, self._coin.symbol(j, self._size), self._disturbance(k))
+        return Draw(j, k, self._coin.symbol(j, self._size), self._disturbance(k))
 
     def _disturbance(self, k: int) -> Vector:
         spec = self._plant.disturbance

@@ -5,7 +5,7 @@ from typing import Final
 
 from protocol.agreement import INSIDE
 from protocol.link.events import Timing
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.scenario import Calibration
 
 Vector = tuple[float, ...]
@@ -76,7 +76,7 @@ class Watch:
         self.sessions = self.exceeded = 0
         self.outside = self.unexplained = 0
 
-    def counted(self, t: Transition, coin: int) -> str | None:
+    def counted(self, t: CountedTransition, coin: int) -> str | None:
         """Count one; a line the first time that the promise is contradicted.
 
         ``outside`` is exact, as the plant knows its coin; ``unexplained`` are those that no

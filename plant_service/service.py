@@ -10,7 +10,7 @@ from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
 from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.from_journal import plant_endpoint
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.link.pacing import Pacing
 from protocol.runtime.bus import Bus
 from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
@@ -19,7 +19,7 @@ from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import JournalError, PlantJournal
 from protocol.runtime.ports import Files
-from protocol.runtime.process import Pace, UsageError, logger, new_id, spoken
+from protocol.runtime.process import Pace, UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
     PLANT_JOURNAL,
     PLANT_KEYS,
@@ -78,7 +78,7 @@ def open_plant(
     scenario, seeded = config.scenario, config.seed is not None
     try:
         journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
-        news = News(scenario, config.pace.text, seeded=seeded)
+        news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
         keeper = open_keeper(
             config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
         )
@@ -149,7 +149,7 @@ class PlantService:
         log.info(
             "session %s, model %s, step %d, pace %s",
             record.session,
-            spoken(config.scenario.fingerprint()),
+            proquint(config.scenario.fingerprint()),
             record.k,
             config.pace.text,
         )

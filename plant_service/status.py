@@ -9,7 +9,7 @@ from typing import Final, Literal
 from plant_service.plant import Step
 from plant_service.punctuality import Punctuality, Watch
 from protocol.link.receiver import Receiver
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.scenario import Scenario
 from protocol.text import readable
@@ -23,7 +23,7 @@ RATE_S: Final = 0.5
 Phase = Literal["greeting", "running", "stopped", "refused"]
 
 
-class News:
+class PlantTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
     ``phase``, ``detail``, ``late``, ``last_message``, ``message_k`` and ``tail`` are set by the
@@ -119,6 +119,6 @@ class News:
         )
 
 
-def _can_be_drawn(t: Transition) -> bool:
+def _can_be_drawn(t: CountedTransition) -> bool:
     """A message holds finite numbers only; gauges of huge states are not."""
     return t.tested and all(map(isfinite, t.verdict.gauges))

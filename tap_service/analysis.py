@@ -47,7 +47,7 @@ class Assignment:
     header: dict[str, Any]
 
 
-class Ears:
+class Listeners:
     """Several eavesdroppers on one transcript.
 
     Parameters
@@ -104,16 +104,16 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
 
 def _analyse(assignment: Assignment, pipe: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
-    from protocol.runtime.process import Complaints, logger
+    from protocol.runtime.process import RateLimitedLog, logger
 
-    complaints = Complaints(logger("tap.analysis"))
+    complaints = RateLimitedLog(logger("tap.analysis"))
     log = RotatingLog(
         assignment.run_dir / ANALYSIS_GUESSES,
         assignment.header,
         assignment.limits,
         logger("tap.analysis"),
     )
-    ears = Ears(listeners_of(assignment.names, assignment.knowledge), log)
+    listeners = Listeners(listeners_of(assignment.names, assignment.knowledge), log)
     while True:
         try:
             reader = CaptureReader(assignment.run_dir / CAPTURE, assignment.header)
@@ -132,7 +132,7 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
         until = start + SLICE_S
         empty = False
         for _t_ns, message in reader.records():
-            ears.feed(transcript.hear(message))
+            listeners.feed(transcript.hear(message))
             if time.monotonic() >= until:
                 break
         else:
@@ -141,10 +141,10 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
         if not finishing and reader.behind_bytes > FAR_BEHIND:
             reader.skip(FAR_BEHIND // 2)
         if empty and finishing:
-            ears.feed(transcript.flush())
+            listeners.feed(transcript.flush())
         now = time.monotonic()
         if now >= next_belief or (empty and finishing):
-            _report(ears, reader, pipe, last=empty and finishing)
+            _report(listeners, reader, pipe, last=empty and finishing)
             spent = time.monotonic() - now
             # a costly look is repeated the more rarely
             next_belief = time.monotonic() + max(BELIEF_PERIOD_S, spent * REST_RATIO)
@@ -158,16 +158,16 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
             finishing = pipe.recv() == "finish"
 
 
-def _report(ears: Ears, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
+def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
     behind = reader.behind_bytes
-    for listener in ears.listeners:
+    for listener in listeners.listeners:
         if last:
-            ears.review(listener)
+            listeners.review(listener)
         belief = listener.belief()
         counts = dict.fromkeys(("seq", "t_ns", "mirrored", "capture_bytes", "garbage"), 0) | {
             "behind": behind,
             "dropped": reader.skipped,
         }
         status = status_of(listener, belief, counts)
-        record = belief_record(ears.session, listener, belief, last=last)
+        record = belief_record(listeners.session, listener, belief, last=last)
         pipe.send((status, record))

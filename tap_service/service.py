@@ -30,7 +30,7 @@ from protocol.messages import Measurement, Offer, TapStatus
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import (
     DONE,
-    Complaints,
+    RateLimitedLog,
     Throttle,
     freeze_startup,
     logger,
@@ -45,8 +45,8 @@ from protocol.runtime.run_folder import (
     write_atomically,
 )
 from protocol.topics import DEFAULT_LOOP, key_of
-from tap_service.analysis import Assignment, Ears, analyse, listeners_of
-from tap_service.capture.channel import Ear, View, told
+from tap_service.analysis import Assignment, Listeners, analyse, listeners_of
+from tap_service.capture.channel import Channel, View, told
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError, named
@@ -193,11 +193,11 @@ class TapService:
         guesses = eighth(config.limits)
         self._capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self._ears = Ears(listeners, self._guesses)
-        self._ear = Ear(config.view)
+        self._listeners = Listeners(listeners, self._guesses)
+        self._channel = Channel(config.view)
         self._transcript = Transcript()
         self._queue: Inbox[tuple[str, bytes, int]] = Inbox(QUEUE_BYTES)
-        self._complaints = Complaints(self.log)
+        self._complaints = RateLimitedLog(self.log)
         self._types: dict[str, type[Measurement] | type[Offer]] = {
             key_of(kind, config.loop): kind for kind in (Measurement, Offer)
         }
@@ -303,7 +303,7 @@ class TapService:
             self._capture.write(mirror_line(t_ns, kind.topic, payload))
             self._hear(message)
             return
-        for seen_ns, seen in self._ear.hear(t_ns, message):
+        for seen_ns, seen in self._channel.hear(t_ns, message):
             self._see(seen_ns, seen)
 
     def _see(self, t_ns: int, message: Measurement | Offer) -> None:
@@ -315,18 +315,18 @@ class TapService:
         if len(self._queue) > BUSY_LENGTH:
             self._unheard += 1
             return
-        self._ears.feed(self._transcript.hear(message))
+        self._listeners.feed(self._transcript.hear(message))
 
     def finish(self) -> None:
         """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""
         while self._queue:
             self.work(0.0)
-        for seen_ns, seen in self._ear.rest():
+        for seen_ns, seen in self._channel.rest():
             self._see(seen_ns, seen)
-        self._ears.feed(self._transcript.flush())
+        self._listeners.feed(self._transcript.flush())
         self._capture.close()
-        for listener in self._ears.listeners:
-            self._ears.review(listener)
+        for listener in self._listeners.listeners:
+            self._listeners.review(listener)
         self._guesses.flush()
         self.publish(last=True)
         self.write_beliefs()
@@ -373,9 +373,9 @@ class TapService:
     def publish(self, *, last: bool = False) -> None:
         """Publish the status of every eavesdropper."""
         statuses = []
-        for listener in self._ears.listeners:
+        for listener in self._listeners.listeners:
             belief = listener.belief()
-            record = belief_record(self._ears.session, listener, belief, last=last)
+            record = belief_record(self._listeners.session, listener, belief, last=last)
             self._records[listener.name] = record
             counts = self._counts() | {"behind": len(self._queue)}
             statuses.append(status_of(listener, belief, counts))

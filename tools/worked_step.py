@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 
 from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.runtime.process import DONE, USAGE
 from protocol.runtime.run_folder import write_atomically
 from protocol.scenario import Scenario
@@ -38,8 +38,8 @@ class Worked(NamedTuple):
     """The transition that agrees, the one after it, and the coin of the first."""
 
     scenario: Scenario
-    agreed: Transition
-    carried: Transition
+    agreed: CountedTransition
+    carried: CountedTransition
     coin: int
 
 

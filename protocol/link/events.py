@@ -3,7 +3,7 @@
 import base64
 from typing import Any, NamedTuple, Protocol
 
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.vectors import Vector
 
 
@@ -28,7 +28,7 @@ class SessionBegan(NamedTuple):
 class Applied(NamedTuple):
     """A transition as the plant counted it, with b_r and the input that was in force."""
 
-    transition: Transition
+    transition: CountedTransition
     coin: int
     u: Vector
 

@@ -6,7 +6,7 @@ from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.keying import Keying
-from protocol.link.session import Rules, Transition
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
@@ -71,7 +71,7 @@ class ReceiverEffects(NamedTuple):
     transition contributes to its key block, ``judged`` what the offer's word says of blocks.
     """
 
-    transition: Transition
+    transition: CountedTransition
     chunk: str = ""
     frame: Frame | None = None
     raw: Raw | None = None
@@ -314,7 +314,7 @@ class Receiver:
         p = record.p + (1 if carried else 0)
         steps = record.k - record.applied_k
         raw = self.keying.count(record.transitions, steps, offer, offer.copy_number, record.nonce)
-        transition = Transition(
+        transition = CountedTransition(
             session=record.session,
             j=record.transitions,
             k=record.k,

@@ -5,7 +5,7 @@ from typing import Final, Literal, NamedTuple, Protocol
 
 from protocol.agreement import NO_SYMBOL, Verdict
 from protocol.link.keying import Keying
-from protocol.link.session import Rules, Transition
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, encode_frame
@@ -110,7 +110,7 @@ class SenderEffects(NamedTuple):
 
     save: bool = False
     append: bool = False
-    transition: Transition | None = None
+    transition: CountedTransition | None = None
     delivered: int | None = None
     offer: Offer | None = None
     reply: ControllerHello | None = None
@@ -323,7 +323,7 @@ class Sender:
             measurement.applied_copy,
             before.nonce,
         )
-        transition = Transition(
+        transition = CountedTransition(
             session=applied.session,
             j=before.transitions,
             k=applied.k,

@@ -19,7 +19,7 @@ those of docs/protocol.md, numbered there and here:
 8. Where keys are made, the first copy of a step's message, copy 0, carries a nonce that was saved
    before, and leaves at most once. All others are copies 1 with a dummy; so is whatever a process
    sends for the step it woke up in.
-9. Transition j contributes the offer's nonce if ``applied_copy`` is 0, and the nonce of the
+9. CountedTransition j contributes the offer's nonce if ``applied_copy`` is 0, and the nonce of the
    measurement that the offer answers if its ``heard`` is 0.
 10. The session's first transition fixes where block 0 begins; block b is the next N_b transitions.
 
@@ -98,7 +98,7 @@ def rules_of(scenario: Scenario) -> Rules:
     )
 
 
-class Transition(NamedTuple):
+class CountedTransition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
     ``role`` is ``message`` where it carried a message symbol, else ``test``; ``symbol`` is the key

@@ -12,7 +12,7 @@ from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message
 from protocol.runtime.bus import Publisher
-from protocol.runtime.process import Burst, Complaints
+from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
 from protocol.runtime.run_folder import HEALTH, write_atomically
 from protocol.runtime.trace import TraceWriter
@@ -56,7 +56,7 @@ class LoopPorts:
     publishers: dict[type[Message], Publisher]
     log: logging.Logger
     worker: KeyWorker | None = None
-    limited: dict[str, Complaints] = field(default_factory=dict)
+    limited: dict[str, RateLimitedLog] = field(default_factory=dict)
     pulse: Pulse = field(default_factory=Pulse)
     space: Space | None = None
     burst: Burst = field(default_factory=Burst)
@@ -88,9 +88,9 @@ class LoopPorts:
             return
         self._limited(notice.subject).add(notice.text)
 
-    def _limited(self, subject: str) -> Complaints:
+    def _limited(self, subject: str) -> RateLimitedLog:
         if subject not in self.limited:
-            self.limited[subject] = Complaints(self.log)
+            self.limited[subject] = RateLimitedLog(self.log)
         return self.limited[subject]
 
     def health(self, status: bytes) -> None:

@@ -132,7 +132,7 @@ class Burst:
         return True
 
 
-class Complaints:
+class RateLimitedLog:
     """Counts what goes wrong and logs it once a second at most, with the count since."""
 
     def __init__(self, log: logging.Logger) -> None:
@@ -210,7 +210,7 @@ _CONSONANTS: Final = "bdfghjklmnprstvz"
 _VOWELS: Final = "aiou"
 
 
-def spoken(fingerprint: str, words: int = 4) -> str:
+def proquint(fingerprint: str, words: int = 4) -> str:
     """The first ``words`` 16-bit groups of a hexadecimal fingerprint as words a person can compare.
 
     The encoding is that of proquints (Wilkerson, arXiv:0901.4016): consonant and vowel in turn.

@@ -77,8 +77,8 @@ def told(knowledge: Knowledge, kind: type[Eavesdropper], view: View) -> Knowledg
     return view.told(knowledge.model_copy(update=nothing))
 
 
-class Ear:
-    """The tap's imperfect ear: decides which messages get through, and what becomes of them."""
+class Channel:
+    """The tap's imperfect channel: decides which messages get through, and what becomes of them."""
 
     def __init__(self, view: View) -> None:
         self.view = view

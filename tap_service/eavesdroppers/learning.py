@@ -23,7 +23,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, Belief, Eavesdropper, Guess, Model, even
 from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
 from tap_service.inference.identification import identify
-from tap_service.inference.list_decoding import Beam
+from tap_service.inference.list_decoding import ListDecoding
 
 KEPT: Final = 4096
 """Transitions that she keeps to learn from; at this many the older half goes."""
@@ -71,14 +71,14 @@ class Learning(Eavesdropper):
             self._model = Model(knowledge.A, knowledge.B, Gauge(half_widths=widths))
             self._offset = (0.0,) * len(knowledge.A)
         self._found: tuple[float, float, float, float] | None = None
-        self._beam = Beam(self.scheme, cap=CAP)
+        self._decoding = ListDecoding(self.scheme, cap=CAP)
 
     def observe(self, transition: Transition) -> Guess:
         """Guess with what she has learned so far, then learn from the step."""
         t = transition
         self._kept.append(t)
         self._heard += t.whole
-        guess = self._decode(self._beam, t)
+        guess = self._decode(self._decoding, t)
         if self._next_fit == 0 and t.x is not None and t.candidates is not None:
             parameters = len(t.x) + len(t.candidates[0]) + 1
             self._next_fit = 3 * parameters
@@ -114,19 +114,19 @@ class Learning(Eavesdropper):
         if self._past_stays and self._model is not None:
             # thresholds are in units of the support found before
             self._model = Model(_rows(fit.A), _rows(fit.B), self._model.gauge)
-            self._beam.widen(ERROR)
+            self._decoding.widen(ERROR)
             return
         gauge = Gauge(half_widths=tuple(fit.widths.tolist()))
         self._model = Model(_rows(fit.A), _rows(fit.B), gauge)
-        found = self._beam.thresholds() if self._beam.whole_count else self._found
+        found = self._decoding.thresholds() if self._decoding.whole_count else self._found
         self._found = found
         full = len(self._kept) >= KEPT  # decoded for the last time
-        self._beam = Beam(self.scheme) if full else Beam(self.scheme, cap=CAP)
+        self._decoding = ListDecoding(self.scheme) if full else ListDecoding(self.scheme, cap=CAP)
         if found is not None:  # she found a message with these: others are near, in any unit
             lo, hi, edge_lo, edge_hi = found
-            self._beam.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)
+            self._decoding.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)
         for t in self._kept:
-            self._decode(self._beam, t)
+            self._decode(self._decoding, t)
         self._collect(self._kept[-1].k)
 
     def _gauges(self, t: Transition) -> list[float] | None:
@@ -136,16 +136,16 @@ class Learning(Eavesdropper):
         x_next = [a - o for a, o in zip(t.x_next, self._offset, strict=True)]
         return self._model.gauges(t.x, t.candidates, x_next)
 
-    def _decode(self, beam: Beam, t: Transition) -> Guess:
+    def _decode(self, decoding: ListDecoding, t: Transition) -> Guess:
         if t.start or t.gap:
-            beam.restart()
-        beam.session = t.session
+            decoding.restart()
+        decoding.session = t.session
         gauges = self._gauges(t)
         if gauges is None or t.cipher is None:
-            beam.step_missed(t.k, t.cipher)
+            decoding.step_missed(t.k, t.cipher)
             return Guess(t.k, self._even, 0.5)
-        agreed = agreement_probability(beam, gauges)
-        beam.step(t.k, gauges, t.cipher)
+        agreed = agreement_probability(decoding, gauges)
+        decoding.step(t.k, gauges, t.cipher)
         return Guess(t.k, self._shares(gauges), agreed)
 
     def _shares(self, gauges: list[float]) -> tuple[float, ...]:
@@ -156,7 +156,7 @@ class Learning(Eavesdropper):
 
     def _collect(self, k: int) -> None:
         """Keep the whole messages of this decoding, each once."""
-        for at, payload in self._beam.whole_at:
+        for at, payload in self._decoding.whole_at:
             if at not in self._whole:
                 self._whole[at] = payload
                 self._whole_count += 1
@@ -177,7 +177,7 @@ class Learning(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, the model, and what there is of the message under way."""
-        b = belief_of(self._beam, self._model)
+        b = belief_of(self._decoding, self._model)
         whole = tuple(self._whole.values())
         return Belief(
             message=whole[-1] if whole else b.message,

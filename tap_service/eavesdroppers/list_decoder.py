@@ -11,7 +11,7 @@ from typing import ClassVar
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
-from tap_service.inference.list_decoding import Beam
+from tap_service.inference.list_decoding import ListDecoding
 
 
 class ListDecoder(Eavesdropper):
@@ -31,25 +31,25 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self.beam = Beam(self.scheme, edge=1.0, framed=framed, certain=self.certain)
+        self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Cut the list by this step's gauges; the nearest candidate is the guess."""
         t = transition
         if t.start or t.gap:
-            self.beam.restart()
-        self.beam.session = t.session
+            self.decoding.restart()
+        self.decoding.session = t.session
         if t.x is None or t.candidates is None or t.x_next is None or t.cipher is None:
-            self.beam.step_missed(t.k, t.cipher)
+            self.decoding.step_missed(t.k, t.cipher)
             return Guess(t.k, self._even, 0.5)
         gauges = self._model.gauges(t.x, t.candidates, t.x_next)
-        agreed = agreement_probability(self.beam, gauges)
-        self.beam.step(t.k, gauges, t.cipher)
+        agreed = agreement_probability(self.decoding, gauges)
+        self.decoding.step(t.k, gauges, t.cipher)
         return Guess(t.k, nearest(gauges), agreed)
 
     def belief(self) -> Belief:
         """The last message whose check held, else what the best decoding spells so far."""
-        return belief_of(self.beam, self._model)
+        return belief_of(self.decoding, self._model)
 
 
 def nearest(gauges: list[float]) -> tuple[float, ...]:
@@ -59,13 +59,13 @@ def nearest(gauges: list[float]) -> tuple[float, ...]:
     return tuple(share if g == smallest else 0.0 for g in gauges)
 
 
-def agreement_probability(beam: Beam, gauges: list[float]) -> float:
+def agreement_probability(decoding: ListDecoding, gauges: list[float]) -> float:
     """Whether the best hypothesis, before this step, tests it and finds an agreement."""
-    if not beam.testing():
+    if not decoding.testing():
         return 0.0
-    if beam.certain:
+    if decoding.certain:
         return 1.0
-    lo, hi, edge_lo, edge_hi = beam.thresholds()
+    lo, hi, edge_lo, edge_hi = decoding.thresholds()
     ordered = sorted(gauges)
     if ordered[0] >= hi or ordered[1] <= lo or ordered[-1] >= edge_hi:
         return 0.0
@@ -73,17 +73,17 @@ def agreement_probability(beam: Beam, gauges: list[float]) -> float:
     return 1.0 if certain else 0.5
 
 
-def belief_of(beam: Beam, model: Model | None) -> Belief:
-    """What a beam gives as a belief."""
-    whole = tuple(beam.whole)
+def belief_of(decoding: ListDecoding, model: Model | None) -> Belief:
+    """What a decoding gives as a belief."""
+    whole = tuple(decoding.whole)
     return Belief(
-        message=whole[-1] if whole else beam.under_way(),
+        message=whole[-1] if whole else decoding.under_way(),
         whole=whole,
-        whole_count=beam.whole_count,
-        confidence=1.0 if whole else beam.confidence(),
-        candidates_left=beam.candidates(),
-        solved_k=beam.solved_k,
-        symbols=tuple(beam.symbols()),
+        whole_count=decoding.whole_count,
+        confidence=1.0 if whole else decoding.confidence(),
+        candidates_left=decoding.candidates(),
+        solved_k=decoding.solved_k,
+        symbols=tuple(decoding.symbols()),
         A=() if model is None else model.A,
         B=() if model is None else model.B,
     )

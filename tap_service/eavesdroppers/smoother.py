@@ -25,9 +25,8 @@ from tap_service.eavesdroppers.base import (
 )
 from tap_service.eavesdroppers.list_decoder import belief_of, nearest
 from tap_service.inference.from_measurements import infer_from_measurements
-from tap_service.inference.gap_smoother import Smoother as Inference
-from tap_service.inference.gap_smoother import Step
-from tap_service.inference.list_decoding import Beam
+from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.particle_smoother import OffersReader
 from tap_service.inference.policy import KnownLaw
 
@@ -75,26 +74,26 @@ class Smoother(Eavesdropper):
         if self._law is not None:
             self._reader = OffersReader(A, B, self._shape, self._law, self._noise)
         self._kept: list[Transition] = []
-        self._before: Beam | None = None  # the list as it stood before the first that is kept
+        self._before: ListDecoding | None = None
         self._whole: dict[tuple[str, int], bytes] = {}
         self._whole_count = 0
         self._solved_k = -1
         self._next = FIRST
         self._heard = 0
         self._decoded = 0
-        self._steps: list[Step] = []
+        self._steps: list[InferredStep] = []
         self._among = ALL
-        self._beam = self._new_beam(None)
+        self._decoding = self._new_decoding(None)
 
-    def _new_beam(self, among: tuple[float, float] | None) -> Beam:
+    def _new_decoding(self, among: tuple[float, float] | None) -> ListDecoding:
         """A list of thresholds from and to, or of all where every step was heard."""
-        beam = Beam(self.scheme, edge=1.0, certain=self.certain)
+        decoding = ListDecoding(self.scheme, edge=1.0, certain=self.certain)
         low, high = among or ALL
         if among:
-            beam.restrict(low, high, 1.0, float(np.nextafter(1.0, 2.0)))
+            decoding.restrict(low, high, 1.0, float(np.nextafter(1.0, 2.0)))
         count = min(2 + int(np.log(high / low) / FINEST), GRID)
-        beam.split_evenly(np.geomspace(low, high, count)[1:-1].tolist())
-        return beam
+        decoding.split_evenly(np.geomspace(low, high, count)[1:-1].tolist())
+        return decoding
 
     def observe(self, transition: Transition) -> Guess:
         """Take the nearest candidate where the step was heard; what was lost must wait."""
@@ -119,8 +118,8 @@ class Smoother(Eavesdropper):
         self._among = self._infer()
         if all(t.cipher is None for t in self._kept):
             return  # the message is safe from her
-        self._beam = self._follow(self._steps)
-        for at, payload in self._beam.whole_at:
+        self._decoding = self._follow(self._steps)
+        for at, payload in self._decoding.whole_at:
             if at not in self._whole:
                 self._whole[at] = payload
                 self._whole_count += 1
@@ -138,26 +137,26 @@ class Smoother(Eavesdropper):
             self._before = self._follow(oldest)
         self._kept, self._steps = self._kept[count:], self._steps[count:]
 
-    def _follow(self, steps: Sequence[Step]) -> Beam:
+    def _follow(self, steps: Sequence[InferredStep]) -> ListDecoding:
         """The list after these steps, which come right after what was let go."""
         if self._before is None:
             clear = all(s.samples is not None and len(s.samples) == 1 for s in self._steps)
-            beam = self._new_beam(None if clear else self._among)
+            decoding = self._new_decoding(None if clear else self._among)
         else:
-            beam = deepcopy(self._before)
+            decoding = deepcopy(self._before)
         for step in steps:
             t = step.transition
             if t.start or t.gap:
-                beam.restart()
-            beam.session = t.session
+                decoding.restart()
+            decoding.session = t.session
             if step.samples is None:
                 blind = np.full((1, self.size), np.inf)
-                beam.step_sampled(t.k, blind, t.cipher)
+                decoding.step_sampled(t.k, blind, t.cipher)
             elif len(step.samples) == 1 and t.cipher is not None:
-                beam.step(t.k, step.samples[0].tolist(), t.cipher)
+                decoding.step(t.k, step.samples[0].tolist(), t.cipher)
             else:
-                beam.step_sampled(t.k, step.samples, t.cipher)
-        return beam
+                decoding.step_sampled(t.k, step.samples, t.cipher)
+        return decoding
 
     def _infer(self) -> tuple[float, float]:
         """Infer what is kept by what was heard of it; the thresholds that remain, in units of D_e.
@@ -178,7 +177,7 @@ class Smoother(Eavesdropper):
         if facets and not clear and self._reader.trusts(kept):
             self._steps = self._reader.infer(kept)
             return self._reader.width or _among(1.0)
-        inference = Inference(A, B, self._shape, self._noise)
+        inference = GapSmoother(A, B, self._shape, self._noise)
         self._steps = inference.infer(kept)
         return _among(inference.support)
 
@@ -187,7 +186,7 @@ class Smoother(Eavesdropper):
         self.decode()
         return [self._second_thought(step) for step in self._steps]
 
-    def _second_thought(self, step: Step) -> Guess:
+    def _second_thought(self, step: InferredStep) -> Guess:
         t = step.transition
         if step.samples is None:
             return Guess(t.k, self._even, 0.5, t.session)
@@ -198,7 +197,7 @@ class Smoother(Eavesdropper):
         """The last whole message, else what the best decoding spells so far."""
         if self._solved_k < 0:
             self.decode()
-        b = belief_of(self._beam, self._model)
+        b = belief_of(self._decoding, self._model)
         whole = tuple(self._whole.values())
         return Belief(
             message=whole[-1] if whole else b.message,

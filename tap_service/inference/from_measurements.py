@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition
-from tap_service.inference.gap_smoother import Step
+from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.policy import KnownLaw
 
 WIDTHS: Final = tuple(np.geomspace(1 / 64, 1.0, 209).tolist())
@@ -24,7 +24,7 @@ BULK: Final = 0.95
 
 def infer_from_measurements(
     A: Array, B: Array, shape: Array, law: KnownLaw, transitions: Sequence[Transition]
-) -> list[Step]:
+) -> list[InferredStep]:
     """Gauges of transitions of which no offer was heard.
 
     Parameters
@@ -55,4 +55,4 @@ def infer_from_measurements(
         width = min(WIDTHS, key=left) if law.facets else 1.0
         for (i, _, _), row in zip(pairs, gauges(width), strict=True):
             samples[i] = row[None]
-    return [Step(t, s) for t, s in zip(transitions, samples, strict=True)]
+    return [InferredStep(t, s) for t, s in zip(transitions, samples, strict=True)]

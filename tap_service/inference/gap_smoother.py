@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.law_pieces import Form, Law, Reading, heard_exactly, learn_law
+from tap_service.inference.law_pieces import Form, LearnedLaw, Reading, heard_exactly, learn_law
 
 SAMPLES: Final = 32
 """Trajectories drawn for a stretch with something missed."""
@@ -37,7 +37,7 @@ TINY: Final = 1e-9
 
 
 @dataclass(slots=True)
-class Step:
+class InferredStep:
     """One transition as it was inferred: equally likely gauges, and the cipher if it was heard.
 
     ``samples`` has shape (S, M); S = 1 where nothing is uncertain; None where nothing is known.
@@ -84,7 +84,7 @@ class Rivals:
         return [r for i, r in enumerate(self._readings) if i not in out]
 
 
-class Smoother:
+class GapSmoother:
     """Infers the transitions of a transcript.
 
     Parameters
@@ -101,16 +101,16 @@ class Smoother:
         self._A, self._B, self._shape, self._noise = A, B, shape, noise
         self._n = len(A)
         self._rng = np.random.default_rng(0)
-        self._law: Law | None = None
+        self._law: LearnedLaw | None = None
         self._d_cov = np.eye(self._n)
         self.support = 1.0
         """Gauge of the largest disturbance seen, noise apart."""
 
-    def infer(self, transitions: Sequence[Transition]) -> list[Step]:
+    def infer(self, transitions: Sequence[Transition]) -> list[InferredStep]:
         """Infer every transition; the whole transcript that is kept, in one call."""
         heard = [t for t in transitions if t.x is not None and t.candidates is not None]
         if not heard:
-            return [Step(t, None) for t in transitions]
+            return [InferredStep(t, None) for t in transitions]
         x, u = np.array([t.x for t in heard]), np.array([t.candidates for t in heard])
         self._law = learn_law(x, u, self._noise)
         self._measure_disturbance([t for t in heard if t.x_next is not None])
@@ -133,7 +133,7 @@ class Smoother:
         # noise blurs the edge: a high quantile stands for it
         self.support = float(np.quantile(gauge.min(axis=1), 0.995)) * 1.02
 
-    def _stretch(self, transitions: list[Transition]) -> list[Step]:
+    def _stretch(self, transitions: list[Transition]) -> list[InferredStep]:
         """Steps in a row: node i is the state before step i; bridge from heard to heard."""
         count = len(transitions)
         heard: list[Array | None] = [None] * (count + 1)
@@ -142,7 +142,7 @@ class Smoother:
                 heard[i] = np.array(t.x)
             if t.x_next is not None and heard[i + 1] is None:
                 heard[i + 1] = np.array(t.x_next)
-        steps: list[Step] = []
+        steps: list[InferredStep] = []
         i = 0
         while i < count:
             j = i + 1
@@ -150,11 +150,11 @@ class Smoother:
                 j += 1
             first, last, part = heard[i], heard[j], transitions[i:j]
             if first is None or j - i > LONGEST:
-                steps += [Step(t, None) for t in part]
+                steps += [InferredStep(t, None) for t in part]
             elif j == i + 1 and last is not None:
-                steps.append(Step(part[0], self._direct(part[0], first, last)))
+                steps.append(InferredStep(part[0], self._direct(part[0], first, last)))
             elif self._law is None:
-                steps += [Step(t, None) for t in part]
+                steps += [InferredStep(t, None) for t in part]
             else:
                 steps += self._bridge(self._law, part, first, last)
             i = j
@@ -218,8 +218,8 @@ class Smoother:
     # --- over lost states -------------------------------------------------------------------------
 
     def _bridge(
-        self, law: Law, transitions: list[Transition], first: Array, last: Array | None
-    ) -> list[Step]:
+        self, law: LearnedLaw, transitions: list[Transition], first: Array, last: Array | None
+    ) -> list[InferredStep]:
         """From one heard state to the next, over the lost ones in between."""
         paths = [Path(0.0, (first,), (self._noise**2 * np.eye(self._n),), (), ())]
         for i, t in enumerate(transitions):
@@ -229,7 +229,7 @@ class Smoother:
             end = last if at_end else None
             grown = [g for p in paths for g in self._grow(law, p, t, rivals, end)]
             if not grown:
-                return [Step(t, None) for t in transitions]
+                return [InferredStep(t, None) for t in transitions]
             grown.sort(key=lambda p: -p.weight)
             paths = grown[:PATHS]
         weights = np.exp([p.weight - paths[0].weight for p in paths])
@@ -244,11 +244,11 @@ class Smoother:
         if inside.sum() >= 4:
             gauges = gauges[inside]
         gauges = self._rng.permutation(gauges)[:SAMPLES]
-        return [Step(t, gauges[:, i]) for i, t in enumerate(transitions)]
+        return [InferredStep(t, gauges[:, i]) for i, t in enumerate(transitions)]
 
     def _grow(
         self,
-        law: Law,
+        law: LearnedLaw,
         path: Path,
         t: Transition,
         rivals: Rivals | None,
@@ -284,7 +284,7 @@ class Smoother:
 
     def _ends(
         self,
-        law: Law,
+        law: LearnedLaw,
         centre: Array,
         P: Array,
         rivals: Rivals | None,

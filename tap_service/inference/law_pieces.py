@@ -75,7 +75,7 @@ class Form:
         return out
 
 
-class Law(Protocol):
+class LearnedLaw(Protocol):
     """The law as far as it was learned."""
 
     def readings(self, offer: Array) -> list[Reading]:
@@ -233,7 +233,7 @@ class LawNearby:
         return theta[-1], spread * leverage + (self._noise**2 + TINY) * np.eye(outputs.shape[1])
 
 
-def learn_law(x: Array, u: Array, noise: float) -> Law | None:
+def learn_law(x: Array, u: Array, noise: float) -> LearnedLaw | None:
     """The law from the pairs heard: by pieces where they are exact, nearby otherwise."""
     if len(x) < 2 * NEIGHBOURS:
         return None

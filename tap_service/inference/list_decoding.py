@@ -78,7 +78,7 @@ _CRC: Final = np.array(
 )  # fmt: skip
 
 
-class Beam:
+class ListDecoding:
     """The list of hypotheses.
 
     Parameters

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.active_sets import Explanations, Scales, Ways
-from tap_service.inference.gap_smoother import Step
+from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.policy import KnownLaw
 
 Places = NDArray[np.intp]
@@ -331,13 +331,13 @@ class OffersReader:
                     break
         self._scales, self._count = best, PARTICLES
 
-    def infer(self, transitions: Sequence[Transition]) -> list[Step]:
+    def infer(self, transitions: Sequence[Transition]) -> list[InferredStep]:
         """Infer transitions, the whole transcript that is kept; what stays open has no samples."""
         runs = [_joined(run) for run in steps_in_a_row(transitions)]
         longest = max(runs, key=len, default=[])
         offers = [np.array(t.candidates) for t in longest if t.candidates is not None]
         if len(offers) < LEAST:
-            return [Step(t, None) for t in transitions]
+            return [InferredStep(t, None) for t in transitions]
         self._ways.spread = max(float(np.concatenate(offers).std()), TINY)
         if not self._measured(transitions):
             self._learn(longest)
@@ -380,19 +380,19 @@ class OffersReader:
         self._scales = Scales(width, size, EXACTLY)
         return True
 
-    def _inferred(self, run: Sequence[Transition]) -> list[Step]:
+    def _inferred(self, run: Sequence[Transition]) -> list[InferredStep]:
         states = self._backward(run, self._forward(run)[0])
         steps = []
         for i, t in enumerate(run):
             u = self._offers(states[:, i], t)
             if u is None:
-                steps.append(Step(t, None))
+                steps.append(InferredStep(t, None))
                 continue
             residual = states[:, i + 1] - states[:, i] @ self._A.T
             residual = residual[:, None] - u @ self._B.T
             if t.whole and not self._noise:
                 residual = residual[:1]
-            steps.append(Step(t, np.maximum((residual @ self._shape.T).max(axis=2), 0.0)))
+            steps.append(InferredStep(t, np.maximum((residual @ self._shape.T).max(axis=2), 0.0)))
         return steps
 
 

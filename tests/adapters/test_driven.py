@@ -15,7 +15,7 @@ from plant_service.adapters import Operated, PlantError
 from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.from_journal import plant_endpoint
 from plant_service.punctuality import Punctuality, Watch
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
 from protocol.link.endpoint import Actions, Append, Keep
 from protocol.link.events import Interrupted, Missed
@@ -73,7 +73,7 @@ class Bench:
         self.device = device
         self.journal = journal or MemoryPlantJournal()
         scenario = line(**link)
-        self.news = News(scenario, "realtime", seeded=True)
+        self.news = PlantTelemetry(scenario, "realtime", seeded=True)
         self.endpoint = plant_endpoint(
             scenario,
             self.journal,

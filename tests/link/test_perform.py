@@ -9,7 +9,7 @@ from protocol.link.endpoint import Actions, Append, Endpoint, Keep, Notice, Outg
 from protocol.link.events import Applied, Event, Missed, Recovered
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import SenderRecord
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Message
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Judgement
@@ -139,7 +139,10 @@ class Pair:
         self.doomed, self.nth = doomed, nth
         self.draws = Draws()
         self.inbox: list[bytes] = []
-        self.counted: dict[str, dict[tuple[str, int], Transition]] = {"controller": {}, "plant": {}}
+        self.counted: dict[str, dict[tuple[str, int], CountedTransition]] = {
+            "controller": {},
+            "plant": {},
+        }
         self.mail: dict[str, deque[Outgoing]] = {"controller": deque(), "plant": deque()}
         self.queue = MemoryControllerJournal(PAYLOAD)
         self.plant_journal = MemoryPlantJournal()
@@ -177,7 +180,7 @@ class Pair:
             self.counted[side][t.session, t.j] = t
         elif isinstance(event, Recovered):
             self.inbox.append(event.payload)
-        elif isinstance(event, Transition):
+        elif isinstance(event, CountedTransition):
             self.counted[side][event.session, event.j] = event
 
     def do(self, side: str, act: Callable[[], Actions]) -> None:

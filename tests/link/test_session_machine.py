@@ -17,7 +17,7 @@ from controller_service.endpoint import ControllerEndpoint
 from protocol.link.endpoint import Actions, Keep, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.messages import Offer, PlantHello
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.schemes.pipelined import Pipelined
@@ -120,7 +120,7 @@ class Link(RuleBasedStateMachine):
             grown = any(session != event.session for session, _ in self.got)
             excused = self.forgot or self.late_hello
             assert excused or not grown, "a session ended with both journals there"
-        elif isinstance(event, Transition):
+        elif isinstance(event, CountedTransition):
             self.sent[event.session, event.j] = event
 
     # --- lives ---------------------------------------------------------------------------------
@@ -304,10 +304,10 @@ class PipelinedLink(Deadlines):
     @invariant()
     def every_key_serves_the_next_transition(self) -> None:
         for (session, j), t in self.got.items():
-            assert isinstance(t, Transition)
+            assert isinstance(t, CountedTransition)
             assert t.symbol >= 0
             before = self.got.get((session, j - 1))
-            if isinstance(before, Transition):
+            if isinstance(before, CountedTransition):
                 assert (t.role, t.key) == ("message", before.symbol)
             elif j == 0:
                 assert t.role == "test"

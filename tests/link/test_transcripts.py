@@ -15,7 +15,7 @@ import pytest
 
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender, SenderEffects, SenderRecord
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.line_plant import line_rules
 
@@ -97,7 +97,7 @@ class Link:
     def meet(self) -> None:
         """The controller greets, the plant asks, until a session is accepted."""
         said: ControllerHello | None = self.sender.greeting()
-        self.say("controller", f"greets, and knows {self.spoken(self.sender.record.session)}")
+        self.say("controller", f"greets, and knows {self.proquint(self.sender.record.session)}")
         for _ in range(6):
             if said is not None and self.heard(said) == "accepted":
                 return
@@ -107,7 +107,7 @@ class Link:
                 whom = "another controller"
             self.say(
                 "plant",
-                f"hello to {whom}, {self.spoken(hello.session)}, {hello.transitions} counted",
+                f"hello to {whom}, {self.proquint(hello.session)}, {hello.transitions} counted",
             )
             effects = self.sender.heard_plant(hello)
             self.carry_out(effects)
@@ -129,7 +129,7 @@ class Link:
             self.sessions -= 1
         return outcome
 
-    def spoken(self, session: str | None) -> str:
+    def proquint(self, session: str | None) -> str:
         return "no session" if session is None else f"session {int(session, 16)}"
 
     def measure(self) -> None:
@@ -208,7 +208,7 @@ class Link:
         self.saved_receiver = (self.receiver.record, None)
         self.say("plant", f"no offer in time: holds u={record.u[0]:g}")
 
-    def tell(self, who: str, t: Transition, more: str = "") -> None:
+    def tell(self, who: str, t: CountedTransition, more: str = "") -> None:
         gauges = " ".join(f"{g:g}" for g in t.verdict.gauges)
         if t.role == "message":
             outcome = f"cipher {t.cipher} under key {t.key}: m[{t.p - 1}]={t.message_symbol}"

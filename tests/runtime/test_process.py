@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.process import (
-    Complaints,
     Pace,
+    RateLimitedLog,
     Throttle,
     UsageError,
     logger,
     new_id,
-    spoken,
+    proquint,
     stop_on_signals,
 )
 from protocol.runtime.run_folder import write_atomically
@@ -56,11 +56,11 @@ def test_a_pace_that_is_none_is_one_line(text: str) -> None:
     ],
 )
 def test_fingerprints_as_words(address: str, words: str) -> None:
-    assert spoken(address, words=2) == words
+    assert proquint(address, words=2) == words
 
 
 def test_different_groups_are_different_words() -> None:
-    assert len({spoken(f"{value:04x}", words=1) for value in range(2**16)}) == 2**16
+    assert len({proquint(f"{value:04x}", words=1) for value in range(2**16)}) == 2**16
 
 
 def test_ids_are_random_and_well_formed() -> None:
@@ -119,7 +119,7 @@ def test_complaints_are_counted_and_logged_once_a_second(
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     log = logging.getLogger("test-complaints")
-    complaints = Complaints(log)
+    complaints = RateLimitedLog(log)
     for i in range(1000):
         complaints.add(f"offer {i}: garbage")
     now = 101.0

@@ -27,7 +27,7 @@ from protocol.schemes.table import StateTable, advance_many
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import EAVESDROPPERS
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
-from tap_service.inference.list_decoding import Beam
+from tap_service.inference.list_decoding import ListDecoding
 from tap_service.service import TapConfig, TapService
 from tests.support.small_run import SCENARIOS, SmallRun
 from tests.system.test_services import System
@@ -278,7 +278,7 @@ def test_the_list_decoder_goes_on_where_something_was_missed(
     carriers = np.flatnonzero(sent.pad[:, 0] != NO_SYMBOL)
     missed = {int(carriers[40]), int(carriers[60])}
     model = Model.of(scenario.knowledge(), "test")
-    beam = Beam(make_scheme(cls.name, 2), edge=1.0)
+    decoding = ListDecoding(make_scheme(cls.name, 2), edge=1.0)
     for t in transcript(runs, sent, 0):
         assert t.x is not None
         assert t.x_next is not None
@@ -286,10 +286,10 @@ def test_the_list_decoder_goes_on_where_something_was_missed(
         assert t.cipher is not None
         gauges = model.gauges(t.x, t.candidates, t.x_next)
         if t.k in missed:
-            beam.step_sampled(t.k, np.array([gauges]), None)
+            decoding.step_sampled(t.k, np.array([gauges]), None)
         else:
-            beam.step(t.k, gauges, t.cipher)
-    assert beam.whole == [b"Ahoy there"]
+            decoding.step(t.k, gauges, t.cipher)
+    assert decoding.whole == [b"Ahoy there"]
 
 
 # --- live -----------------------------------------------------------------------------------------

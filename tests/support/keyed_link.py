@@ -15,7 +15,7 @@ from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.perform import Ports as AnyPorts
-from protocol.link.session import Rules, Transition
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.keeper import Keeper
@@ -92,7 +92,7 @@ class World:
         self.keepers: dict[Side, Keeper] = {}
         self.copies: Counter[tuple[str, int, str]] = Counter()
         self.nonces: dict[str, tuple[str, int, str]] = {}
-        self.counted: dict[Side, dict[tuple[str, int], Transition]] = {s: {} for s in SIDES}
+        self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
         for side in SIDES:
             self.start(side)
@@ -226,7 +226,7 @@ class World:
         if isinstance(event, BlockJudged):
             assert event.what == "confirmed", "the ends hold different blocks"
         transition = event.transition if isinstance(event, Applied) else event
-        if isinstance(transition, Transition):
+        if isinstance(transition, CountedTransition):
             at = transition.session, transition.j
             self.counted[side][at] = transition
             other = self.counted[OTHER[side]].get(at)

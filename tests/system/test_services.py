@@ -19,7 +19,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
 from plant_service.plant import Plant, Step, first_record
 from plant_service.service import PlantConfig, PlantService
-from plant_service.status import News
+from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
 from protocol.messages import (
     ControllerHello,
@@ -374,7 +374,7 @@ def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: fl
 
 
 def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> None:
-    news = News(sustained, "fast", seeded=False)
+    news = PlantTelemetry(sustained, "fast", seeded=False)
     record = first_record(sustained, "2" * 16)
     plant = Plant(sustained, "1" * 16, symbols(1, COIN), noise(1, sustained.n), record, "")
     receiver = plant.receiver

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from protocol.knowledge import Knowledge, Policy
 from protocol.messages import Measurement, Offer
-from tap_service.capture.channel import Ear, View, told
+from tap_service.capture.channel import Channel, View, told
 from tap_service.eavesdroppers import named
 
 S = "f" * 16
@@ -31,9 +31,9 @@ KNOWLEDGE = Knowledge(
 
 
 def seen(view: View) -> list[Measurement | Offer]:
-    ear = Ear(view)
-    out = [m for i, message in enumerate(MESSAGES) for _, m in ear.hear(i, message)]
-    return out + [m for _, m in ear.rest()]
+    channel = Channel(view)
+    out = [m for i, message in enumerate(MESSAGES) for _, m in channel.hear(i, message)]
+    return out + [m for _, m in channel.rest()]
 
 
 def test_a_clear_view_changes_nothing() -> None:
@@ -54,8 +54,8 @@ def test_one_direction(view: str, kind: type) -> None:
 
 
 def test_delay_holds_back_and_loses_nothing() -> None:
-    ear = Ear(View(delay=7))
-    counts = [len(list(ear.hear(i, m))) for i, m in enumerate(MESSAGES)]
+    channel = Channel(View(delay=7))
+    counts = [len(list(channel.hear(i, m))) for i, m in enumerate(MESSAGES)]
     assert counts == [0] * 7 + [1] * (len(MESSAGES) - 7)
     assert seen(View(delay=7)) == MESSAGES
 

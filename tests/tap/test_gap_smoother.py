@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from protocol.messages import Measurement, Offer
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transcript, Transition
-from tap_service.inference.gap_smoother import Smoother, Step
+from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.law_pieces import UNKNOWN, LawNearby, LawPieces, learn_law
 from wyner.studies.secrecy.runs import Run, simulate
 from wyner.studies.secrecy.study import heard_by
@@ -36,9 +36,9 @@ def shape_of(run: Run) -> NDArray[np.float64]:
     return shape
 
 
-def infer(run: Run, transitions: list[Transition], noise: float = 0.0) -> list[Step]:
+def infer(run: Run, transitions: list[Transition], noise: float = 0.0) -> list[InferredStep]:
     A, B = np.array(run.scenario.A), np.array(run.scenario.B)
-    return Smoother(A, B, shape_of(run), noise).infer(transitions)
+    return GapSmoother(A, B, shape_of(run), noise).infer(transitions)
 
 
 def without(run: Run, *lost: tuple[type, int]) -> list[Transition]:

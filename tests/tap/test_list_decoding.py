@@ -11,7 +11,7 @@ import tap_service.inference.list_decoding as beam_module
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
 from tap_service.inference.language_model import OTHER, SAMPLE, class_of, table
-from tap_service.inference.list_decoding import Beam, bytes_of
+from tap_service.inference.list_decoding import ListDecoding, bytes_of
 
 STEP = tuple[list[float], int]
 
@@ -30,15 +30,15 @@ def decode(steps: list[STEP], t_c: float, t_e: float, size: int) -> list[tuple[i
     return out
 
 
-def follow(steps: list[STEP], size: int, edge: float | None, cap: int = 100_000) -> Beam:
-    beam = Beam(Switched(size), edge=edge, cap=cap)
+def follow(steps: list[STEP], size: int, edge: float | None, cap: int = 100_000) -> ListDecoding:
+    decoding = ListDecoding(Switched(size), edge=edge, cap=cap)
     for k, (gauges, cipher) in enumerate(steps):
-        beam.step(k, gauges, cipher)
-    return beam
+        decoding.step(k, gauges, cipher)
+    return decoding
 
 
-def decodings(beam: Beam) -> set[tuple[tuple[int, int], ...]]:
-    return {tuple(beam._path(row)) for row in range(beam.hypotheses)}
+def decodings(decoding: ListDecoding) -> set[tuple[tuple[int, int], ...]]:
+    return {tuple(decoding._path(row)) for row in range(decoding.hypotheses)}
 
 
 gauge = st.floats(0.01, 4.0).map(lambda v: round(v, 2))
@@ -73,13 +73,13 @@ def test_the_list_holds_exactly_the_decodings_of_all_thresholds(
 def test_rectangles_stay_disjoint_and_true_thresholds_stay_covered(seed: int) -> None:
     rng = random.Random(seed)
     steps = [([rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2)) for _ in range(40)]
-    beam = follow(steps, 2, None)
+    decoding = follow(steps, 2, None)
     t_c, t_e = rng.uniform(0, 2), rng.uniform(0, 4)
-    rows = beam._rows[: beam.hypotheses]
+    rows = decoding._rows[: decoding.hypotheses]
     at = (rows["lo"] <= t_c) & (t_c < rows["hi"])
     at &= (rows["edge_lo"] <= t_e) & (t_e < rows["edge_hi"])
     assert at.sum() == 1
-    assert beam._path(int(at.argmax())) == decode(steps, t_c, t_e, 2)
+    assert decoding._path(int(at.argmax())) == decode(steps, t_c, t_e, 2)
 
 
 def message_steps(payload: bytes, size: int, seed: int, idle: int = 30) -> list[STEP]:
@@ -105,31 +105,31 @@ def message_steps(payload: bytes, size: int, seed: int, idle: int = 30) -> list[
 @pytest.mark.parametrize("size", [2, 3, 4])
 def test_a_frame_is_found_whatever_the_alphabet(size: int) -> None:
     payload = "Größe, 試".encode()
-    beam = follow(message_steps(payload, size, size), size, 3.0, cap=3000)
-    assert beam.whole == [payload]
-    lo, hi, *_ = beam.thresholds()
+    decoding = follow(message_steps(payload, size, size), size, 3.0, cap=3000)
+    assert decoding.whole == [payload]
+    lo, hi, *_ = decoding.thresholds()
     assert 0.9 < lo < hi < 1.1
 
 
 def test_both_thresholds_hidden() -> None:
-    beam = follow(message_steps(b"two unknowns", 2, 9), 2, None, cap=3000)
-    assert beam.whole == [b"two unknowns"]
+    decoding = follow(message_steps(b"two unknowns", 2, 9), 2, None, cap=3000)
+    assert decoding.whole == [b"two unknowns"]
 
 
 def test_the_list_is_bounded_and_says_what_it_dropped() -> None:
     rng = random.Random(3)
-    beam = Beam(Switched(2), cap=200)
+    decoding = ListDecoding(Switched(2), cap=200)
     for k in range(600):
-        beam.step(k, [rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2))
-        assert beam.hypotheses <= 200
-    assert beam.dropped > 0
-    assert beam.peak >= 200
+        decoding.step(k, [rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2))
+        assert decoding.hypotheses <= 200
+    assert decoding.dropped > 0
+    assert decoding.peak >= 200
 
 
 def test_once_found_the_list_stays_short() -> None:
-    beam = follow(message_steps(b"short", 2, 4, idle=400), 2, 3.0, cap=3000)
-    assert beam.whole == [b"short"]
-    assert beam.hypotheses < 50
+    decoding = follow(message_steps(b"short", 2, 4, idle=400), 2, 3.0, cap=3000)
+    assert decoding.whole == [b"short"]
+    assert decoding.hypotheses < 50
 
 
 @pytest.mark.parametrize("nodes", [4000, 800])
@@ -138,21 +138,21 @@ def test_old_symbols_are_let_go_and_the_message_still_comes(
 ) -> None:
     monkeypatch.setattr(beam_module, "NODES", nodes)
     steps = message_steps(b"let go", 2, 12) + message_steps(b"of the old", 2, 13)
-    beam = Beam(Switched(2), edge=3.0)
+    decoding = ListDecoding(Switched(2), edge=3.0)
     for k, (gauges, cipher) in enumerate(steps):
-        beam.step(k, gauges, cipher)
-        assert len(beam._symbol) <= nodes + beam.hypotheses
-    assert beam.whole[-1] == b"of the old"
+        decoding.step(k, gauges, cipher)
+        assert len(decoding._symbol) <= nodes + decoding.hypotheses
+    assert decoding.whole[-1] == b"of the old"
     expected = decode(steps, 1.0, 3.0, 2)
-    got = beam.symbols()
+    got = decoding.symbols()
     assert got[-60:] == expected[-60:]
 
 
 def test_a_sampled_step_without_doubt_is_a_plain_step() -> None:
     steps = message_steps(b"same", 2, 5)
-    plain, sampled = Beam(Switched(2), edge=3.0), Beam(Switched(2), edge=3.0)
-    for beam in (plain, sampled):
-        beam.split_evenly([0.9999, 1.0001])
+    plain, sampled = ListDecoding(Switched(2), edge=3.0), ListDecoding(Switched(2), edge=3.0)
+    for decoding in (plain, sampled):
+        decoding.split_evenly([0.9999, 1.0001])
     for k, (gauges, cipher) in enumerate(steps):
         clear = [g + 0.02 if 0.99 < g < 1.01 else g for g in gauges]
         plain.step(k, clear, cipher)
@@ -164,29 +164,29 @@ def test_lost_cipher_symbols_are_filled_in_by_check_and_text() -> None:
     payload = b"the water is clear and the valve is open"
     steps = message_steps(payload, 2, 6)
     rng = random.Random(1)
-    beam = Beam(Switched(2), edge=3.0)
+    decoding = ListDecoding(Switched(2), edge=3.0)
     lost = 0
     for k, (gauges, cipher) in enumerate(steps):
         if rng.random() < 0.04:
             lost += 1
-            beam.split_evenly([1.0])
-            beam.step_sampled(k, np.array([gauges]), None)
+            decoding.split_evenly([1.0])
+            decoding.step_sampled(k, np.array([gauges]), None)
         else:
-            beam.step(k, gauges, cipher)
+            decoding.step(k, gauges, cipher)
     assert lost > 20
-    assert beam.whole == [payload]
+    assert decoding.whole == [payload]
 
 
 def test_a_new_session_keeps_the_thresholds_and_starts_the_frame_again() -> None:
     steps = message_steps(b"again", 2, 8)
-    beam = Beam(Switched(2), edge=3.0)
+    decoding = ListDecoding(Switched(2), edge=3.0)
     for session in ("a", "b"):
-        beam.restart()
-        beam.session = session
+        decoding.restart()
+        decoding.session = session
         for k, (gauges, cipher) in enumerate(steps):
-            beam.step(k, gauges, cipher)
-    assert [at[0] for at, _ in beam.whole_at] == ["a", "b"]
-    assert beam.whole == [b"again", b"again"]
+            decoding.step(k, gauges, cipher)
+    assert [at[0] for at, _ in decoding.whole_at] == ["a", "b"]
+    assert decoding.whole == [b"again", b"again"]
 
 
 def test_bytes_of_symbols() -> None:
@@ -215,21 +215,21 @@ def test_a_message_in_blocks_of_several_bytes_is_read(size: int) -> None:
     message = b"The old mill, at nine."
     rng = random.Random(size)
     stream = bytes(5) + encode_frame(message, size) + bytes(5)
-    beam = Beam(Switched(size))
+    decoding = ListDecoding(Switched(size))
     for j, symbol in enumerate(stream):
         key = rng.randrange(size)
         gauges = [0.6 if r == key else 2.5 + 0.1 * r for r in range(size)]
-        beam.step(2 * j, gauges, rng.randrange(size))
-        beam.step(2 * j + 1, gauges, (symbol + key) % size)
-    assert beam.whole[-1:] == [message]
+        decoding.step(2 * j, gauges, rng.randrange(size))
+        decoding.step(2 * j + 1, gauges, (symbol + key) % size)
+    assert decoding.whole[-1:] == [message]
 
 
 def test_a_block_larger_than_its_bytes_is_refused() -> None:
-    beam = Beam(Switched(3), edge=9.0)
-    before = beam.confidence()
+    decoding = ListDecoding(Switched(3), edge=9.0)
+    before = decoding.confidence()
     for j, symbol in enumerate([1, *[2] * 11]):
-        beam.step(2 * j, [0.5, 2.5, 2.6], 0)
-        beam.step(2 * j + 1, [0.5, 2.5, 2.6], symbol)
+        decoding.step(2 * j, [0.5, 2.5, 2.6], 0)
+        decoding.step(2 * j + 1, [0.5, 2.5, 2.6], symbol)
     assert before == 1.0
-    assert beam.whole == []
-    assert beam.under_way() == b""
+    assert decoding.whole == []
+    assert decoding.under_way() == b""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from wyner.dashboard import plane
-from wyner.dashboard.model import Board, TapView
+from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.score import Score, characters_right
 from wyner.dashboard.text import (
     STYLES,
@@ -25,8 +25,8 @@ from wyner.dashboard.text import (
 def detail(
     board: Board,
     step: int | None,
-    tap: tuple[TapView, Score] | None,
-    taps: Sequence[tuple[TapView, Score]],
+    tap: tuple[TapBoard, Score] | None,
+    taps: Sequence[tuple[TapBoard, Score]],
     width: int,
     glyphs: Glyphs,
 ) -> list[Text]:
@@ -63,7 +63,7 @@ def _step(board: Board, k: int, width: int, glyphs: Glyphs) -> list[Text]:
     return lines
 
 
-def _said(board: Board, tap: TapView, k: int) -> Text:
+def _said(board: Board, tap: TapBoard, k: int) -> Text:
     guess, truth = tap.guesses.get(k), board.truths.get(k)
     if guess is None:
         return row(tap.status.name, Text("said nothing of this step", style=STYLES["label"]))
@@ -77,7 +77,7 @@ def _said(board: Board, tap: TapView, k: int) -> Text:
     return row(tap.status.name, text)
 
 
-def _tap(board: Board, tap: TapView, its: Score, width: int, glyphs: Glyphs) -> list[Text]:
+def _tap(board: Board, tap: TapBoard, its: Score, width: int, glyphs: Glyphs) -> list[Text]:
     status = tap.status
     right, total = characters_right(board, tap)
     sure = f"first sure of a message at step {status.solved_k}" if status.solved_k >= 0 else ""

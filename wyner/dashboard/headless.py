@@ -9,7 +9,7 @@ from typing import IO, Final
 from protocol.messages import PlantStatus
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
-from wyner.dashboard.model import Board, TapView, reduce_all
+from wyner.dashboard.model import Board, TapBoard, reduce_all
 from wyner.dashboard.score import characters_right, score, secrecy, truth_for
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
@@ -26,12 +26,12 @@ LINES_AT_ONCE: Final = 12
 class Reporter:
     """What was said already; `report` gives the next lines and the next reporter.
 
-    ``spoken`` is the session and the step k that the last line of progress was about.
+    ``proquint`` is the session and the step k that the last line of progress was about.
     """
 
     before: Board = field(default_factory=Board)
     next_progress_ns: int = 0
-    spoken: tuple[str, int] | None = None
+    proquint: tuple[str, int] | None = None
 
     def report(self, board: Board, now_ns: int) -> tuple[list[str], "Reporter"]:
         """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
@@ -40,7 +40,7 @@ class Reporter:
             more = len(lines) - LINES_AT_ONCE
             lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
         now = (board.plant.session, board.plant.k) if board.plant is not None else None
-        if now is None or now == self.spoken or now_ns < self.next_progress_ns:
+        if now is None or now == self.proquint or now_ns < self.next_progress_ns:
             return lines, replace(self, before=board)
         return [*lines, progress(board)], Reporter(board, now_ns + PROGRESS_NS, now)
 
@@ -165,7 +165,7 @@ def _whole_at(plant: PlantStatus) -> int:
     return plant.message_k if plant.message_k >= 0 else plant.k
 
 
-def _tap_events(name: str, before: Board, tap: TapView, board: Board) -> Iterator[str]:
+def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterator[str]:
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
         yield f"tap {name} heard"

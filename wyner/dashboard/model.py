@@ -42,7 +42,7 @@ class Arrival:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class ShownTruth:
     """What the plant says about one transition: its role, the key symbol (or -1), the coin b_r."""
 
     role: Literal["test", "message"]
@@ -51,7 +51,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Guess:
+class ShownGuess:
     """What a tap says about one step: likeliest symbol, its probability, that of an agreement."""
 
     symbol: int
@@ -60,7 +60,7 @@ class Guess:
 
 
 @dataclass(frozen=True, slots=True)
-class TapView:
+class TapBoard:
     """One eavesdropper as the dashboard sees her.
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
@@ -69,7 +69,7 @@ class TapView:
 
     status: TapStatus
     seen_ns: int
-    guesses: Mapping[int, Guess] = field(default_factory=dict)
+    guesses: Mapping[int, ShownGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
 
@@ -105,8 +105,8 @@ class Board:
     pictured_ns: int = -1
     pictures: Mapping[int, PlantStatus] = field(default_factory=dict)
     automata: Automata | None = None
-    taps: Mapping[str, TapView] = field(default_factory=dict)
-    truths: Mapping[int, Truth] = field(default_factory=dict)
+    taps: Mapping[str, TapBoard] = field(default_factory=dict)
+    truths: Mapping[int, ShownTruth] = field(default_factory=dict)
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
     received: int = 0
@@ -210,7 +210,7 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
         strict=False,
     )
     for k, x, role, symbol, coin in tail:
-        truths[k] = Truth(role, symbol, coin)
+        truths[k] = ShownTruth(role, symbol, coin)
         states[k] = x
     states[status.k] = status.x
     board = _picture(board, status, t_ns)
@@ -268,8 +268,8 @@ def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
         strict=False,
     )
     for k, symbol, probability, agreed in tail:
-        guesses[k] = Guess(symbol, probability, agreed)
-    tap = TapView(
+        guesses[k] = ShownGuess(symbol, probability, agreed)
+    tap = TapBoard(
         status,
         t_ns,
         _newest(guesses, STEPS_KEPT),

@@ -10,11 +10,11 @@ from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
 from protocol.messages import PlantStatus
-from wyner.dashboard.model import Board, TapView
+from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.picture import agreement
 from wyner.dashboard.score import (
     Score,
-    Secrecy,
+    SecrecyScore,
     ranked,
     rate_of,
     secrecy,
@@ -86,7 +86,7 @@ class Panels:
         self.now_ns = now_ns
         self.glyphs = UNICODE if wishes.unicode else ASCII
         self.taps = ranked(board)
-        self.secrecy: Secrecy = secrecy(board, self.taps)
+        self.secrecy: SecrecyScore = secrecy(board, self.taps)
 
     def rule(self, title: str, width: int, *notes: str) -> Text:
         """A titled rule, with the longest of the notes that there is room for."""
@@ -318,7 +318,7 @@ class Panels:
         why = "none by that name" if self.taps else "no tap heard"
         return [Text(f" {why}", style=STYLES["label"]), Text()]
 
-    def filtered(self) -> list[tuple[TapView, Score]]:
+    def filtered(self) -> list[tuple[TapBoard, Score]]:
         """The taps that the filter lets through, strongest first."""
         wanted = self.wishes.filter.lower()
         return [pair for pair in self.taps if wanted in pair[0].status.name.lower()]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from wyner.dashboard.model import Board, TapView
+from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.text import letters
 
 SCORED_AT_LEAST: Final = 8
@@ -44,7 +44,7 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Secrecy:
+class SecrecyScore:
     """Claimed against true secrecy of the keys agreed so far.
 
     Parameters
@@ -72,7 +72,7 @@ class Secrecy:
     scored: int
 
 
-def score(board: Board, tap: TapView) -> Score:
+def score(board: Board, tap: TapBoard) -> Score:
     """Score one tap on the agreed steps that are still held."""
     scored = right = 0
     for k, guess in tap.guesses.items():
@@ -97,11 +97,11 @@ def wilson_lower(right: int, scored: int) -> float:
     return max(0.0, (centre - spread) / (1 + z2 / scored))
 
 
-def ranked(board: Board) -> list[tuple[TapView, Score]]:
+def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
     """The taps, strongest first: a true message, else most of its text, else the best guesses."""
     scored = [(tap, score(board, tap)) for tap in board.taps.values()]
 
-    def strength(pair: tuple[TapView, Score]) -> tuple[bool, int, float, str]:
+    def strength(pair: tuple[TapBoard, Score]) -> tuple[bool, int, float, str]:
         tap, its = pair
         right, total = characters_right(board, tap)
         # In tenths of the text, so that a character right by chance changes no order.
@@ -111,7 +111,7 @@ def ranked(board: Board) -> list[tuple[TapView, Score]]:
     return sorted(scored, key=strength)
 
 
-def secrecy(board: Board, taps: Sequence[tuple[TapView, Score]] | None = None) -> Secrecy:
+def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) -> SecrecyScore:
     """Claimed against true, from all taps; ``taps`` are those of `ranked` where it was called."""
     symbols = board.plant.agreements if board.plant is not None else 0
     transitions = board.plant.transitions if board.plant is not None else 0
@@ -128,9 +128,9 @@ def secrecy(board: Board, taps: Sequence[tuple[TapView, Score]] | None = None) -
             best = (left, tap.status.name, its.scored)
         exceeds |= tap.exact or its.at_least > 1.0 / board.candidates
     if best is None:
-        return Secrecy(claimed, None, "", False, when, 0)
+        return SecrecyScore(claimed, None, "", False, when, 0)
     left_bits, exceeds = symbols * best[0], exceeds and symbols > 0
-    return Secrecy(claimed, left_bits, best[1], exceeds, when, best[2])
+    return SecrecyScore(claimed, left_bits, best[1], exceeds, when, best[2])
 
 
 def course(board: Board, points: int) -> list[tuple[float, float | None]]:
@@ -196,13 +196,13 @@ def truth_for(board: Board, text: str) -> str:
     return best
 
 
-def characters_right(board: Board, tap: TapView) -> tuple[int, int]:
+def characters_right(board: Board, tap: TapBoard) -> tuple[int, int]:
     """How many characters of the tap's message are right, and how many the true message has."""
     truth = truth_for(board, tap.status.message)
     return _right(truth, tap.status.message), len(letters(truth))
 
 
-def model_error(board: Board, tap: TapView) -> float | None:
+def model_error(board: Board, tap: TapBoard) -> float | None:
     """Distance of her [A B] from the plant's, relative, Frobenius norm; None: she has no model."""
     plant, status = board.plant, tap.status
     if plant is None or not status.A or not status.B:

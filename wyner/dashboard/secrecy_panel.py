@@ -7,8 +7,8 @@ from typing import Final
 from rich.cells import cell_len
 from rich.text import Text
 
-from wyner.dashboard.model import Board, TapView
-from wyner.dashboard.score import Score, Secrecy, characters_right, course, model_error
+from wyner.dashboard.model import Board, TapBoard
+from wyner.dashboard.score import Score, SecrecyScore, characters_right, course, model_error
 from wyner.dashboard.text import (
     LABEL,
     STYLES,
@@ -47,10 +47,10 @@ _KEPT_FIRST: Final = (0, 6, 5, 2, 3, 4, 1, 7, 8)
 class _Column:
     title: str
     width: int
-    value: Callable[[TapView, Score], str]
+    value: Callable[[TapBoard, Score], str]
 
 
-def verdict(its: Secrecy, width: int) -> Text:
+def verdict(its: SecrecyScore, width: int) -> Text:
     """Claimed against true in one line, loud where the claim is too high."""
     claimed = f" claimed {its.claimed_bits:.0f} bit  "
     if its.left_bits is None:
@@ -69,7 +69,7 @@ def verdict(its: Secrecy, width: int) -> Text:
     return Text.assemble(claimed, (loud, STYLES["bad"]))
 
 
-def explanation(its: Secrecy, width: int) -> Text:
+def explanation(its: SecrecyScore, width: int) -> Text:
     """What the verdict rests on, in words."""
     when = f"when keys were agreed hides at most {its.when_bits:.0f} bit"
     if its.left_bits is None:
@@ -83,7 +83,7 @@ def explanation(its: Secrecy, width: int) -> Text:
     return Text(f" {text}", style=STYLES["label"])
 
 
-def curves(board: Board, its: Secrecy, width: int, glyphs: Glyphs) -> list[Text]:
+def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:
     """Claimed and true over time, on one scale, each with its last figure; two lines."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
@@ -109,7 +109,7 @@ def curves(board: Board, its: Secrecy, width: int, glyphs: Glyphs) -> list[Text]
 
 
 def table(
-    board: Board, shown: Sequence[tuple[TapView, Score]], width: int, chosen: str = ""
+    board: Board, shown: Sequence[tuple[TapBoard, Score]], width: int, chosen: str = ""
 ) -> list[Text]:
     """A row for each tap, under the columns that the width has room for."""
     columns = _columns(board, width)
@@ -152,19 +152,19 @@ def _columns(board: Board, width: int) -> list[_Column]:
     return [_Column(*_COLUMNS[i], value[_COLUMNS[i][0]]) for i in sorted(kept)]
 
 
-def _message_right(board: Board, tap: TapView) -> str:
+def _message_right(board: Board, tap: TapBoard) -> str:
     right, total = characters_right(board, tap)
     return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
 
 
-def _model_off(board: Board, tap: TapView) -> str:
+def _model_off(board: Board, tap: TapBoard) -> str:
     off = model_error(board, tap)
     if off is None:
         return "-"
     return "0 %" if off == 0 else f"{number(100 * off)} %"
 
 
-def _broke(tap: TapView) -> str:
+def _broke(tap: TapBoard) -> str:
     solved = tap.status.solved_k
     if solved < 0:
         return "exact, unsure" if tap.exact else "not yet"

@@ -22,7 +22,7 @@ from wyner.scoring.summary import in_short
 from wyner.verify import check
 from wyner.verify.clause import Finding
 from wyner.verify.evidence import Evidence, Part, read_evidence
-from wyner.verify.records import Counted, Missed, Told, Walked
+from wyner.verify.records import Missed, Told, TracedTransition, Walked
 
 PAGE: Final = Path("report.html")
 
@@ -45,7 +45,7 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; border-left: 3px solid var
 .FAIL { font-weight: bold; }
 """
 
-Step = Counted | Missed
+Step = TracedTransition | Missed
 
 
 def write_report(run_dir: Path, output: Path | None = None) -> Path:
@@ -105,7 +105,7 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
 class _Recorded:
     """What the page shows of the traces: the plant's steps of its last life, and the messages."""
 
-    steps: list[Counted | Missed] = field(default_factory=list)
+    steps: list[TracedTransition | Missed] = field(default_factory=list)
     payloads: dict[str, list[bytes]] = field(default_factory=dict)
     born_in: str = ""
 
@@ -120,7 +120,7 @@ class _Recorded:
             elif isinstance(item, Missed):
                 self._step(item)
 
-    def _step(self, step: Counted | Missed) -> None:
+    def _step(self, step: TracedTransition | Missed) -> None:
         if step.k == 0 and step.session != self.born_in:
             self.steps, self.born_in = [], step.session
         self.steps.append(step)
@@ -129,7 +129,7 @@ class _Recorded:
 def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     sent, got = recorded.payloads.get("sent", []), recorded.payloads.get("recovered", [])
     steps = recorded.steps
-    transitions = [t for t in steps if isinstance(t, Counted)]
+    transitions = [t for t in steps if isinstance(t, TracedTransition)]
     keys = sum(t.symbol >= 0 for t in transitions)
     symbols = sum(t.message_symbol >= 0 for t in transitions)
     seconds = len(steps) * e.scenario.plant.period_s
@@ -153,7 +153,7 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     T = e.scenario.plant.period_s
     x = [(t.k * T, t.x) for t in steps]
     u = [(t.k * T, t.u or ()) for t in steps]
-    marks = [Mark(t.k * T) for t in steps if isinstance(t, Counted) and t.symbol >= 0]
+    marks = [Mark(t.k * T) for t in steps if isinstance(t, TracedTransition) and t.symbol >= 0]
     states = [Line(f"x{i + 1}", [(at, v[i]) for at, v in x], i) for i in range(e.scenario.n)]
     inputs = [
         Line(f"u{i + 1}", [(at, v[i]) for at, v in u if v], i, steps=True)
@@ -165,7 +165,7 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
 
 
 def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
-    agreed = [t for t in recorded.steps if isinstance(t, Counted) and t.symbol >= 0]
+    agreed = [t for t in recorded.steps if isinstance(t, TracedTransition) and t.symbol >= 0]
     if not agreed:
         yield "<p>No key symbol was agreed.</p>"
         return

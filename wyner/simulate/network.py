@@ -23,7 +23,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
-from protocol.link.session import Transition, rules_of
+from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
@@ -32,14 +32,7 @@ from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
 from protocol.secret.worker import work
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
-from protocol.vectors import Vector
-
-
-class Law(Protocol):
-    """What the simulation needs of a control law."""
-
-    def candidates(self, x: Vector, /) -> tuple[Vector, ...]:
-        """The M candidate inputs at ``x``."""
+from wyner.simulate.single import Law
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +73,8 @@ class History:
     carries.
     """
 
-    plant: dict[tuple[str, int], Transition] = field(default_factory=dict)
-    controller: dict[tuple[str, int], Transition] = field(default_factory=dict)
+    plant: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
+    controller: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     coins: dict[tuple[str, int], int] = field(default_factory=dict)
     offered: list[tuple[int, bool, Offer]] = field(default_factory=list)
     inbox: list[bytes] = field(default_factory=list)
@@ -310,7 +303,7 @@ class Simulation:
 
     def traced(self, event: Event) -> None:
         """Note what a side counted."""
-        if isinstance(event, Transition):
+        if isinstance(event, CountedTransition):
             self.history.controller[event.session, event.j] = event
         elif isinstance(event, Applied):
             t = event.transition

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from wyner.simulate.network import History
 
 
@@ -28,7 +28,7 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
     yield from _out_of_order(history.inbox, payloads, again=history.amnesias > 0)
 
 
-def _counted(t: Transition) -> tuple[object, ...]:
+def _counted(t: CountedTransition) -> tuple[object, ...]:
     return (
         *(t.k, t.x, t.candidates, t.cipher, t.x_next, t.role),
         *(t.symbol, t.key, t.message_symbol, t.p, t.s),

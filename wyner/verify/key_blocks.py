@@ -11,7 +11,7 @@ from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
 from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence, Part
-from wyner.verify.records import BlockStored, Counted, Told, Walked
+from wyner.verify.records import BlockStored, Told, TracedTransition, Walked
 
 FILES: Final[tuple[tuple[Side, str], ...]] = (
     ("controller", str(CONTROLLER_KEYS)),
@@ -87,7 +87,7 @@ class _Blocks:
     stored: dict[tuple[str, int], int] = field(default_factory=dict)
     last_k: dict[str, int] = field(default_factory=dict)
 
-    def transition(self, t: Counted) -> None:
+    def transition(self, t: TracedTransition) -> None:
         before = self.last_k.get(t.session, t.k)
         self.last_k[t.session] = t.k
         number = self.schedule.block_of(t.j)
@@ -114,7 +114,7 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
     ends = {side: _Blocks(e.rules.schedule) for side, _ in e.readers()}
     while (part := (yield)) is not None:
         for side, line in _lines(part):
-            if isinstance(line, Counted):
+            if isinstance(line, TracedTransition):
                 ends[side].transition(line)
             else:
                 ends[side].stored[line.session, line.number] = line.keys
@@ -133,7 +133,7 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
     tally.note = f"{made_in_all} keys made of {len(plant.stored)} blocks at the plant"
 
 
-def _lines(part: Part) -> Iterator[tuple[str, Counted | BlockStored]]:
+def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStored]]:
     for side, items in part.sides():
         for item in items:
             if isinstance(item, Walked):
@@ -193,7 +193,7 @@ def refused_at_zero(e: Evidence, tally: Tally) -> Judging:
             text = f"{seen.where}: a nonce or a tag, and no key is claimed"
             tally.count(empty, seen.session, -1, seen.k, text)
         for side, line in _lines(part):
-            if isinstance(line, Counted):
+            if isinstance(line, TracedTransition):
                 text = f"the {side} counts copies, and no key is claimed"
                 tally.count(not line.counts, line.session, line.j, line.k, text)
     seeded = bool(e.manifest) and e.manifest is not None and e.manifest.get("seed") is not None

@@ -8,7 +8,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import decrypt
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
-from wyner.verify.records import Counted, Walked
+from wyner.verify.records import TracedTransition, Walked
 
 
 def agreement(_e: Evidence, tally: Tally) -> Judging:
@@ -89,7 +89,7 @@ def receiver(e: Evidence, tally: Tally) -> Judging:
         yield from _scheme(e, "plant", tally)
 
 
-_SHARED: Final = tuple(f.name for f in fields(Counted) if f.name not in ("coin", "u"))
+_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in ("coin", "u"))
 _shared: Final = attrgetter(*_SHARED)
 
 
@@ -98,7 +98,7 @@ def in_step(e: Evidence, tally: Tally) -> Judging:
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
     ahead = 0
-    lacking: Counted | None = None  # of this session, at the controller
+    lacking: TracedTransition | None = None  # of this session, at the controller
     while (part := (yield)) is not None:
         for plant, controller in part.pairs:
             if plant is None:

@@ -10,7 +10,7 @@ from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
-from wyner.verify.records import Counted, Missed, Walked
+from wyner.verify.records import Missed, TracedTransition, Walked
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
@@ -31,7 +31,7 @@ def switching(e: Evidence, tally: Tally) -> Judging:
     while (part := (yield)) is not None:
         for item in part.plant:
             if isinstance(item, Walked):
-                step: Counted | Missed = item.t
+                step: TracedTransition | Missed = item.t
             elif isinstance(item, Missed):
                 step = item
             else:
@@ -40,14 +40,14 @@ def switching(e: Evidence, tally: Tally) -> Judging:
                 born_in, place = step.session, 0
                 x, u = start, zero
             x = x or step.x
-            j = step.j if isinstance(step, Counted) else -1
+            j = step.j if isinstance(step, TracedTransition) else -1
             where = (step.session, j, step.k)
             tally.count(step.k == place, *where, f"expected step k = {place}")
             near = all(abs(a - b) <= FOLLOWS for a, b in zip(step.x, x, strict=True))
             if not near and step.k == place:
                 tally.fail(*where, f"begins at x = {list(step.x)}, the last ended at {list(x)}")
             assert step.u is not None
-            if isinstance(step, Counted):
+            if isinstance(step, TracedTransition):
                 assert step.coin is not None
                 if step.candidates[step.coin] != step.u:
                     text = f"applied {step.u}, which is not candidate b_r = {step.coin}"
@@ -79,7 +79,7 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
     while (part := (yield)) is not None:
         for item in part.plant:
             if isinstance(item, Walked):
-                step: Counted | Missed = item.t
+                step: TracedTransition | Missed = item.t
                 assert item.t.coin is not None
                 applied = item.t.candidates[item.t.coin] == item.t.u
                 g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
@@ -93,7 +93,7 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
             largest = max(largest, g)
             inside = g <= 1 + EDGE
             left += not inside
-            j = step.j if isinstance(step, Counted) else -1
+            j = step.j if isinstance(step, TracedTransition) else -1
             text = f"x(k+1) is outside Reach^c of the applied input: gauge {g:.6g}"
             tally.count(inside or leaves, step.session, j, step.k, text)
     tally.note = f"largest gauge {largest:.6f}, alpha {rule.alpha:g}"
@@ -101,7 +101,7 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
         tally.note += f"; the disturbance may leave D_c here, and did in {left} steps"
 
 
-def _gauge(e: Evidence, step: Counted | Missed) -> float:
+def _gauge(e: Evidence, step: TracedTransition | Missed) -> float:
     rule = e.rules.agreement
     centre = predict(rule.A, rule.B, step.x, step.u or ())
     return rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])
@@ -122,7 +122,7 @@ def admissible(e: Evidence, tally: Tally) -> Judging:
     A, B = np.array(e.scenario.A), np.array(e.scenario.B)
     terminal = 0
     while (part := (yield)) is not None:
-        of: dict[int, list[Counted]] = {}
+        of: dict[int, list[TracedTransition]] = {}
         for plant, controller in part.pairs:
             t = (controller or plant).t  # type: ignore[union-attr]
             try:
@@ -151,7 +151,7 @@ def admissible(e: Evidence, tally: Tally) -> Judging:
         tally.note = f"{terminal} of them K x inside T_0"
 
 
-def _judge(tally: Tally, ts: list[Counted], excess: Array, text: str) -> None:
+def _judge(tally: Tally, ts: list[TracedTransition], excess: Array, text: str) -> None:
     """Count candidates by their excess, shape (transitions, M)."""
     tally.counted += excess.size
     for at, number in np.argwhere(~(excess <= EDGE)).tolist():

@@ -12,13 +12,13 @@ from wyner.verify.journals import Kept
 from wyner.verify.records import (
     Again,
     Break,
-    Counted,
     Item,
     Missed,
     Queued,
     Recovered,
     Refused,
     Told,
+    TracedTransition,
     Walked,
 )
 
@@ -30,7 +30,9 @@ def prefix(e: Evidence, tally: Tally) -> Judging:
     """The plant's message symbols are the controller's first ones."""
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
-    lacking: Counted | None = None  # the plant has its symbol, the controller has not counted it
+    lacking: TracedTransition | None = (
+        None  # the plant has its symbol, the controller has not counted it
+    )
     while (part := (yield)) is not None:
         for plant, controller in part.pairs:
             r = plant.t if plant is not None and plant.t.role == "message" else None
@@ -58,7 +60,7 @@ class Whole:
     """A frame that a side's symbols add up to, and the transition that completed it."""
 
     frame: Frame
-    at: Counted
+    at: TracedTransition
 
 
 @dataclass(slots=True)
@@ -100,7 +102,7 @@ class Framing:
             self._reported(item)
         return None
 
-    def _push(self, t: Counted) -> Whole | None:
+    def _push(self, t: TracedTransition) -> Whole | None:
         if t.session != self.session:
             self.session, self.deframer = t.session, Deframer(self.size)
         if t.role != "message" or not 0 <= t.message_symbol < self.size:
@@ -251,7 +253,7 @@ def messages(e: Evidence, tally: Tally) -> Judging:
 def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
     """Walk the keys: each is agreed once and used once at most."""
     sessions = dict.fromkeys(("plant", "controller"), "")
-    unused: dict[str, list[Counted]] = {"plant": [], "controller": []}
+    unused: dict[str, list[TracedTransition]] = {"plant": [], "controller": []}
     while (part := (yield)) is not None:
         for name, items in part.sides():
             for item in items:
@@ -287,7 +289,7 @@ def one_cipher(e: Evidence, tally: Tally) -> Judging:
                     before, after = item
                     unlike = [
                         f
-                        for f in Counted.__dataclass_fields__
+                        for f in TracedTransition.__dataclass_fields__
                         if getattr(before, f) != getattr(after, f)
                     ]
                     text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"

@@ -16,7 +16,7 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Counted:
+class TracedTransition:
     """A transition as one side's trace holds it; ``coin`` and ``u`` are the plant's alone.
 
     A model would take three times the room, and a run has millions.
@@ -136,7 +136,7 @@ EventLine = SessionBegan | Queued | Recovered | Refused | BlockStored | BlockJud
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "plant": {
-        "transition": TypeAdapter(Counted),
+        "transition": TypeAdapter(TracedTransition),
         "missed": TypeAdapter(Missed),
         "interrupted": TypeAdapter(Missed),
         "timing": TypeAdapter(Timing),
@@ -147,7 +147,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "judged": TypeAdapter(BlockJudged),
     },
     "controller": {
-        "transition": TypeAdapter(Counted),
+        "transition": TypeAdapter(TracedTransition),
         "session": TypeAdapter(SessionBegan),
         "sent": TypeAdapter(Queued),
         "delivered": TypeAdapter(Queued),
@@ -168,7 +168,7 @@ class Problem(NamedTuple):
 class Walked(NamedTuple):
     """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
 
-    t: Counted
+    t: TracedTransition
     verdict: Verdict
     carry: Carry
     s: int
@@ -184,8 +184,8 @@ class Told(NamedTuple):
 class Again(NamedTuple):
     """A transition that was written a second time, after a restart."""
 
-    before: Counted
-    after: Counted
+    before: TracedTransition
+    after: TracedTransition
 
 
 class Break(NamedTuple):
@@ -204,7 +204,7 @@ class Shape(NamedTuple):
     m: int
     size: int
 
-    def unlike(self, t: Counted, *, plant: bool) -> str:
+    def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size = self
         if len(t.x) != n:

@@ -15,13 +15,13 @@ from wyner.verify.records import (
     KINDS,
     Again,
     Break,
-    Counted,
     Item,
     Missed,
     Problem,
     SessionBegan,
     Shape,
     Told,
+    TracedTransition,
     Walked,
     payload_of,
     wrong,
@@ -131,7 +131,7 @@ class SideReader:
         self.marks = Segments(path.name)
         self.problems: list[Problem] = []
         self.overwritten = 0
-        self.last: Counted | None = None
+        self.last: TracedTransition | None = None
         self.last_missed: Missed | None = None
         self.transitions: dict[str, int] = {}
         self.announced: set[str] = set()
@@ -232,7 +232,7 @@ class SideReader:
 
     def _transition(self, number: int, raw: bytes) -> Iterator[Item]:
         try:
-            t: Counted = self._kinds["transition"].validate_json(raw)
+            t: TracedTransition = self._kinds["transition"].validate_json(raw)
         except ValidationError as error:
             self.problem(number, f"transition: {wrong(error)}")
             return

@@ -5,7 +5,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from wyner.verify.records import Counted, Missed, Shape
+from wyner.verify.records import Missed, Shape, TracedTransition
 
 NONE: Final = -1
 
@@ -60,7 +60,7 @@ class Steps:
         """The hash of some candidates."""
         return self._of_flat([v for u in candidates for v in u])
 
-    def counted(self, t: Counted, pad: int) -> None:
+    def counted(self, t: TracedTransition, pad: int) -> None:
         """File a transition; ``pad`` is the key under which it carried a symbol, or -1."""
         session = self._at(t.session, t.k)
         if session is None:

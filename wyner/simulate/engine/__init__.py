@@ -8,13 +8,13 @@ alpha, so that one simulation serves every alpha.
 """
 
 from wyner.simulate.engine.draws import Draws, cipher_symbols
-from wyner.simulate.engine.link import Link, Transfer, follow, transfer
+from wyner.simulate.engine.link import LinkCounts, Transfer, follow, transfer
 from wyner.simulate.engine.loop import CHUNK, Runs, SimulationError, chunks, simulate_runs
 
 __all__ = [
     "CHUNK",
     "Draws",
-    "Link",
+    "LinkCounts",
     "Runs",
     "SimulationError",
     "Transfer",

@@ -17,7 +17,7 @@ from wyner.simulate.engine.loop import Runs
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class LinkCounts:
     """What each run's link did at each alpha; every array has shape (alphas, R).
 
     Parameters
@@ -57,11 +57,11 @@ def _count(flags: NDArray[np.bool_]) -> Counts:
     return count
 
 
-def follow(runs: Runs, alphas: Sequence[float]) -> Link:
+def follow(runs: Runs, alphas: Sequence[float]) -> LinkCounts:
     """Count what the link did at each of ``alphas``, from one simulation."""
     agreed, pad, tested = carries(runs, alphas)
     gained = agreed != NO_SYMBOL
-    return Link(
+    return LinkCounts(
         tested=_count(tested),
         agreements=_count(gained),
         message_symbols=_count(pad != NO_SYMBOL),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from tap_service.capture.channel import Ear, View, told
+from tap_service.capture.channel import Channel, View, told
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -101,12 +101,12 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
 
 def heard_by(run: Run, view: View) -> list[Transition]:
     """The transitions that a tap with this view puts together."""
-    ear, transcript = Ear(view), Transcript()
+    channel, transcript = Channel(view), Transcript()
     out: list[Transition] = []
     for message in run.messages:
-        for _, seen in ear.hear(0, message):
+        for _, seen in channel.hear(0, message):
             out += transcript.hear(seen)
-    for _, seen in ear.rest():
+    for _, seen in channel.rest():
         out += transcript.hear(seen)
     return out + transcript.flush()
 
@@ -162,7 +162,7 @@ def measure(task: Task) -> dict[str, object]:
     if task.raw:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]
         exact, messages = float(said.message == text), 1
-    beam = getattr(tap, "beam", None)
+    decoding = getattr(tap, "decoding", None)
     return {
         "task": task.id,
         "version": code_version(*SOURCES),
@@ -181,7 +181,7 @@ def measure(task: Task) -> dict[str, object]:
         "messages": messages,
         "messages_exact": int(exact),
         "whole_claimed": len(said.whole),
-        "list_peak": "" if beam is None else beam.peak,
+        "list_peak": "" if decoding is None else decoding.peak,
         "candidates_left": said.candidates_left,
         "solved_k": said.solved_k,
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
