@@ -42,6 +42,7 @@ class PackedControl(Control):
     """
 
     needs_gain: ClassVar[bool] = False
+    knows_alpha: ClassVar[bool] = True
     alphabet: AlphabetTable = AlphabetTable()
     """How far apart the candidates are kept."""
     costs: tuple[Cost, ...] = (Cost(next_state=1.0),)

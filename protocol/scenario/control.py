@@ -49,6 +49,7 @@ class Control(Part):
     """
 
     needs_gain: ClassVar[bool] = True
+    knows_alpha: ClassVar[bool] = False
     law: str = "sustained"
     """How the candidates are computed."""
     horizon: Annotated[int, Field(ge=1, le=10000)]

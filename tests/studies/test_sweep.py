@@ -659,3 +659,22 @@ def test_wrong_options_are_told_in_a_line(
         "wyner: --jobs: got 0, expected at least 1",
         "wyner: --scheduler: expected together with --executor dask",
     ]
+
+
+def test_a_law_that_knows_alpha_is_simulated_at_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "packed-alphas.toml"
+    path.write_text(
+        'name = "packed-alphas"\nscenario = "packed"\nruns = 4\nsteps = 40\nseed = 7\n'
+        '[[variant]]\nlabel = "short"\nset = { "control.horizon" = 10 }\n'
+        '[grid]\n"secrecy.alpha" = [7.5, 8.0]\n'
+    )
+    points = points_of(load_sweep(path), tmp_path)
+    assert len(groups_of(points)) == 2
+    out = tmp_path / "rows.csv"
+    assert main(["sweep", str(path), "--output", str(out)]) == 0
+    capsys.readouterr()
+    rows = read_rows(out)
+    assert [row["agreements"] for row in rows] == [row["tested"] for row in rows]
+    assert len(rows) == 2

@@ -301,7 +301,8 @@ def groups_of(points: Iterable[Point]) -> list[Group]:
     found: dict[str, Group] = {}
     for point in points:
         substance = _substance(point.scenario)
-        del substance["secrecy"]["alpha"]
+        if not point.scenario.control.knows_alpha:
+            del substance["secrecy"]["alpha"]
         key = canonical([point.scenario.name, point.variant, substance])
         found.setdefault(key, Group([])).points.append(point)
     return list(found.values())

@@ -66,7 +66,9 @@ def run_task(
         What every run sends while they do.
     """
     one = Scenario.model_validate_json(scenario)
-    neutral = one.model_copy(update={"secrecy": one.secrecy.model_copy(update={"alpha": 1.0})})
+    neutral = one
+    if not one.control.knows_alpha:
+        neutral = one.model_copy(update={"secrecy": one.secrecy.model_copy(update={"alpha": 1.0})})
     try:
         law = _law(neutral.model_dump_json(exclude={"description", "source"}))
         simulated = simulate_runs(
