@@ -134,3 +134,12 @@ def test_documents_point_at_what_exists(path: Path) -> None:
         assert (path.parent / target).exists(), target
     for target in re.findall(r"`((?:protocol|wyner|tests|docs|\w+_service)/[\w/.-]+\.\w+)`", text):
         assert (ROOT / target).exists(), target
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *DOCUMENTS], ids=lambda path: path.stem)
+def test_every_link_within_the_project_leads_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        path = link.partition("#")[0]
+        if path and not re.match(r"[a-z]+:", link):
+            assert (page.parent / path).exists(), link

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from wyner.dashboard.text import STYLES, Glyphs, longest, number
 
-INDEX: Final = 3
+INDEX: Final = 4
 """Cells of a candidate's number, at the left of its bar."""
 
 WORDS: Final = 14
