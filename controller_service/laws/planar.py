@@ -12,6 +12,7 @@ are found in two more sorted lists.
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,6 +89,22 @@ class Chain:
         self.q, self.c1, self.c2 = (np.ascontiguousarray(table[:, i]) for i in range(3))
 
 
+class _Table(NamedTuple):
+    """Keys and three columns beside them, as arrays whose items are plain floats.
+
+    Lists of floats and tuples took 25 MiB for 250 sets; the arrays' own memory is read instead.
+    """
+
+    keys: memoryview
+    first: memoryview
+    second: memoryview
+    third: memoryview
+
+
+def _table(*columns: Array) -> _Table:
+    return _Table(*(np.ascontiguousarray(column).data for column in columns))
+
+
 class Planar:
     """Index and candidates of a planar plant with one input."""
 
@@ -120,15 +137,13 @@ class Planar:
         self._lists()
 
     def _lists(self) -> None:
-        """Plain floats for the path of one state."""
+        """Tables for the path of one state."""
         s = self.sectors
-        self._keys = s.keys.tolist()
         self._first = s.first
-        self._facets = list(zip(s.a1.tolist(), s.a2.tolist(), s.b.tolist(), strict=True))
-        self._chains = [
-            (c.keys.tolist(), list(zip(c.q.tolist(), c.c1.tolist(), c.c2.tolist(), strict=True)))
-            for c in (self.upper, self.lower)
-        ]
+        self._facets = _table(s.keys, s.a1, s.a2, s.b)
+        self._upper, self._lower = (
+            _table(c.keys, c.q, c.c1, c.c2) for c in (self.upper, self.lower)
+        )
         self._lines = list(
             zip(self.line1.tolist(), self.line2.tolist(), self.shift.tolist(), strict=True)
         )
@@ -140,15 +155,15 @@ class Planar:
         r = abs(x1) + abs(x2)
         q = x2 / r if r > 0.0 else x2
         p = 2.0 - q if x1 < 0.0 else (4.0 + q if x2 < 0.0 else q)
-        keys, facets = self._keys, self._facets
-        a1, a2, b = facets[bisect_right(keys, p, 0, self._first)]
-        if a1 * x1 + a2 * x2 <= b:
+        keys, a1, a2, b = self._facets
+        at = bisect_right(keys, p, 0, self._first)
+        if a1[at] * x1 + a2[at] * x2 <= b[at]:
             return 0
         low, high = 1, self.N + 1
         while low < high:
             i = (low + high) >> 1
-            a1, a2, b = facets[bisect_right(keys, 4.0 * i + p) + i]
-            if a1 * x1 + a2 * x2 <= b:
+            at = bisect_right(keys, 4.0 * i + p) + i
+            if a1[at] * x1 + a2[at] * x2 <= b[at]:
                 high = i
             else:
                 low = i + 1
@@ -185,12 +200,12 @@ class Planar:
         """Inputs in U that steer x into the tightened target j; empty when low > high."""
         l1, l2, shift = self._lines[j]
         key = (l1 * x1 + l2 * x2) + shift
-        keys, facets = self._chains[0]
-        q, c1, c2 = facets[bisect_right(keys, key) + j]
-        high = q - (c1 * x1 + c2 * x2)
-        keys, facets = self._chains[1]
-        q, c1, c2 = facets[bisect_right(keys, key) + j]
-        low = q - (c1 * x1 + c2 * x2)
+        keys, q, c1, c2 = self._upper
+        at = bisect_right(keys, key) + j
+        high = q[at] - (c1[at] * x1 + c2[at] * x2)
+        keys, q, c1, c2 = self._lower
+        at = bisect_right(keys, key) + j
+        low = q[at] - (c1[at] * x1 + c2[at] * x2)
         return (
             low if low > self.u_min else self.u_min,
             high if high < self.u_max else self.u_max,
