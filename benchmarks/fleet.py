@@ -86,7 +86,7 @@ def _cpu_s(service: Service) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _quantile_ms(counts: list[int], part: float) -> float:
+def quantile_ms(counts: list[int], part: float) -> float:
     """Upper bound of the bucket in which the quantile lies, milliseconds."""
     left = part * sum(counts)
     for bound, count in zip((*LATENCY_BOUNDS_S, float("inf")), counts, strict=True):
@@ -172,8 +172,8 @@ def measure(
     return {
         "missed": after["missed"] - before["missed"],
         "steps": steps,
-        "p50_ms": _quantile_ms(counts, 0.5),
-        "p99_ms": _quantile_ms(counts, 0.99),
+        "p50_ms": quantile_ms(counts, 0.5),
+        "p99_ms": quantile_ms(counts, 0.99),
         "memory_mib": sum(memory.values()),
         "memory": memory,
         "cores": cores,

@@ -76,7 +76,8 @@ def test_the_table_says_what_was_measured_and_whether_the_target_was_reached(
 
 @pytest.mark.integration
 def test_bare_round_trips_carry_any_payload() -> None:
-    assert bare_round(b"there", b"and back", 50) > 0
+    for way in ("channel", "queue"):
+        assert bare_round(b"there", b"and back", 50, way) > 0
 
 
 def test_a_scenario_that_cannot_be_read_is_named(tmp_path: Path) -> None:

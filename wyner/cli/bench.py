@@ -22,6 +22,7 @@ class Benchmark(NamedTuple):
 
 BENCHMARKS: Final = {
     "loop": Benchmark("benchmarks.loop", "the live loop beside bare Zenoh round trips"),
+    "pace": Benchmark("benchmarks.pace", "the highest rate that misses nothing"),
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),

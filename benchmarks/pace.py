@@ -1,0 +1,141 @@
+"""The highest pace that misses nothing, and how long offers take at several rates.
+
+The three services of one loop, on loopback with the tap attached, in real time: each rate is a run
+of its own. A rate holds when none of 10,000 steps is missed, after the first hundred.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.fleet import quantile_ms
+from benchmarks.loop import SCENARIO, running
+from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
+from protocol.runtime.trace import TraceReader
+from protocol.scenario import load_scenario
+
+STEPS: Final = 10_000
+"""Steps in which a rate must not miss any."""
+
+WARM_UP: Final = 100
+"""Steps at the beginning that do not count."""
+
+PROBE_STEPS: Final = 1000
+"""Steps of a first look at a rate."""
+
+RATES_HZ: Final = (20, 50, 100, 150, 200, 300, 400, 500, 700, 1000)
+SHOWN_HZ: Final = {10: 200, 100: 1500, 500: 5000, 1000: 10_000}
+"""Rates whose latencies are shown, with the steps of each run."""
+
+TARGET_HZ: Final = 200
+PATIENCE_S: Final = 60.0
+
+
+def run_at(rate_hz: float, steps: int, scenario: Path = SCENARIO) -> dict[str, Any]:
+    """One run at a rate.
+
+    Returns
+    -------
+    dict
+        ``missed`` after the warm-up, ``steps``, and ``p50_ms``, ``p99_ms``, ``p999_ms`` of the
+        offers (upper bounds of their buckets).
+
+    Raises
+    ------
+    protocol.runtime.process.Failure
+        When a service fails.
+    """
+    factor = rate_hz * load_scenario(scenario).plant.period_s
+    with tempfile.TemporaryDirectory(prefix="wyner-pace-") as name:
+        folder = Path(name)
+        with running(scenario, folder, steps + WARM_UP, pace=f"x{factor:g}") as services:
+            services["plant"].wait(PATIENCE_S + 2 * steps / rate_hz)
+        counts = json.loads((folder / PLANT_STATUS).read_bytes())["latency_counts"]
+        missed = sum(
+            event["event"] == "missed" and event["k"] >= WARM_UP
+            for event in TraceReader(folder / PLANT_TRACE)
+        )
+    return {
+        "rate_hz": rate_hz,
+        "steps": steps,
+        "missed": missed,
+        "p50_ms": quantile_ms(counts, 0.5),
+        "p99_ms": quantile_ms(counts, 0.99),
+        "p999_ms": quantile_ms(counts, 0.999),
+    }
+
+
+def measure(
+    *,
+    steps: int = STEPS,
+    rates: tuple[int, ...] = RATES_HZ,
+    shown: dict[int, int] = SHOWN_HZ,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Find the highest rate that holds, and measure the latencies.
+
+    A first look goes up the rates until one misses a step in twenty; from the one before it the
+    full runs go down until one holds.
+
+    Parameters
+    ----------
+    steps : int
+        Of a full run.
+    rates : tuple of int
+        Tried, in rising order, Hz.
+    shown : dict
+        Steps of a run by rate, for the table of latencies.
+    progress : callable, optional
+        Told in a line how each run went.
+
+    Returns
+    -------
+    dict
+        ``highest_hz`` (0 where no rate holds), ``target_hz``, ``steps``, ``tried`` (full runs),
+        ``latencies`` (one row a rate), as :func:`run_at` has them.
+    """
+    say = progress or (lambda _line: None)
+
+    def run(rate: float, n: int) -> dict[str, Any]:
+        row = run_at(rate, n)
+        say(f"{rate:g} Hz, {n} steps: {row['missed']} missed, p99 <= {row['p99_ms']:g} ms")
+        return row
+
+    reachable = 0
+    for rate in rates:
+        probe = min(PROBE_STEPS, steps)
+        if run(rate, probe)["missed"] > probe / 20:
+            break
+        reachable += 1
+    tried: list[dict[str, Any]] = []
+    for rate in reversed(rates[:reachable]):
+        tried.append(run(rate, steps))
+        if not tried[-1]["missed"]:
+            break
+    holds = [row["rate_hz"] for row in tried if not row["missed"]]
+    return {
+        "highest_hz": max(holds, default=0),
+        "target_hz": TARGET_HZ,
+        "steps": steps,
+        "tried": tried,
+        "latencies": [run(rate, n) for rate, n in shown.items()],
+    }
+
+
+def render(result: dict[str, Any]) -> str:
+    """The result of :func:`measure` for people."""
+    highest = result["highest_hz"]
+    lines = [
+        f"highest rate without a missed step in {result['steps']}: {highest} Hz   (target "
+        f"{result['target_hz']}: {'reached' if highest >= result['target_hz'] else 'MISSED'})"
+    ]
+    lines += [f"  {row['rate_hz']:>5} Hz: {row['missed']} missed" for row in result["tried"]]
+    lines += ["", "tick to offer, at most (ms)        p50     p99   p99.9   missed"]
+    lines += [
+        f"  {row['rate_hz']:>5} Hz                    {row['p50_ms']:>7g} {row['p99_ms']:>7g} "
+        f"{row['p999_ms']:>7g}   {row['missed']} of {row['steps']}"
+        for row in result["latencies"]
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,53 @@
+"""The benchmarks in real time: the shape and the arithmetic of their results, never their speed."""
+
+import math
+
+import pytest
+
+from benchmarks import fleet, pace
+from protocol.messages import LATENCY_BOUNDS_S
+from wyner.cli.main import main
+
+
+def test_a_quantile_is_the_upper_bound_of_its_bucket() -> None:
+    counts = [0] * (len(LATENCY_BOUNDS_S) + 1)
+    counts[0], counts[3], counts[-1] = 90, 9, 1
+    assert fleet.quantile_ms(counts, 0.5) == 1e3 * LATENCY_BOUNDS_S[0]
+    assert fleet.quantile_ms(counts, 0.99) == 1e3 * LATENCY_BOUNDS_S[3]
+    assert math.isinf(fleet.quantile_ms(counts, 0.999))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["loop", "--loops", "3"], "--loops: is for bench fleet"),
+        (["fleet", "--loops", "0"], "--loops: got 0"),
+        (["fleet", "--seconds", "0"], "--seconds: got 0"),
+    ],
+)
+def test_options_of_the_fleets_benchmark(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.integration
+def test_a_small_fleet_is_measured() -> None:
+    result = fleet.measure(loops=2, seconds=1.0)
+    assert result["running"] == 2
+    assert result["steps"] > 0
+    assert 0 <= result["missed"] <= result["steps"]
+    assert result["memory_mib"] == sum(result["memory"].values()) > 0
+    assert result["p50_ms"] <= result["p99_ms"]
+    assert result["tap_expected"] > 0
+    assert "lost at the taps" in fleet.render(result)
+
+
+@pytest.mark.integration
+def test_a_pace_is_measured() -> None:
+    result = pace.measure(steps=50, rates=(20,), shown={50: 20})
+    assert result["highest_hz"] in (0, 20)
+    assert (result["highest_hz"] == 20) == (result["tried"][-1]["missed"] == 0)
+    assert [row["rate_hz"] for row in result["latencies"]] == [50]
+    assert "Hz" in pace.render(result)
