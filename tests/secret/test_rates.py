@@ -1,0 +1,106 @@
+"""What a claim gives in plant time, on the simulated loop; what she holds in a thousand blocks."""
+
+import random
+from collections import Counter
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from protocol.messages import Measurement, Message, Offer
+from protocol.scenario import Keys, Scenario
+from protocol.secret.bound import Assumption
+from protocol.secret.extractor import extract, words
+from protocol.secret.galois import product
+from tap_service.inference.key_solver import bits_held, held
+from wyner.simulate.network import Faults, Side, Simulation
+
+
+def keyed(scenario: Scenario, eps_E: float) -> Scenario:
+    return scenario.model_copy(update={"keys": Keys(eps_E=eps_E)})
+
+
+@pytest.mark.parametrize(
+    ("eps_E", "first_s", "rate", "blocks"), [(0.3, 5.0, 800.0, 6), (0.1, 15.0, 280.0, 5)]
+)
+def test_the_first_key_comes_early_and_the_rate_after_it(
+    eps_E: float, first_s: float, rate: float, blocks: int, sustained: Scenario,
+    sustained_law: CandidateLaw,
+) -> None:  # fmt: skip
+    scenario = keyed(sustained, eps_E)
+    simulation = Simulation(scenario, sustained_law, seed=1, step_s=0.1)
+    schedule = scenario.keys.schedule() if scenario.keys is not None else None
+    assert schedule is not None
+    simulation.run(seconds=0.1 * schedule.begins(blocks) + 1.0)
+    made = simulation.stores["plant"].blocks()
+    assert len(made) == blocks
+    assert {block.state for block in made} == {"confirmed"}
+    assert 0.1 * (1 + made[0].transitions) <= first_s
+    assert made[0].keys >= 1
+    assert 256 * made[-1].keys / (0.1 * made[-1].steps) >= rate
+    assert simulation.stores["controller"].compare() == simulation.stores["plant"].compare()
+
+
+def test_she_holds_nothing_of_a_thousand_blocks_and_one_row_too_many_is_one_row() -> None:
+    generator = random.Random(1)
+    rows = Assumption(0.3).rows(256, 256, 512)
+    least = 512
+    for _ in range(1000):
+        missed = sum(generator.random() < 0.3 for _ in range(512))
+        least = min(least, missed)
+        assert bits_held(rows, missed) == 0
+        assert bits_held(missed + 1, missed) == 256
+    assert rows < least
+    nonces = [generator.randbytes(32) for _ in range(512)]
+    gone = set(generator.sample(range(512), rows))
+    her = held([None if j in gone else n for j, n in enumerate(nonces)], rows + 1)
+    assert her.bits == 256
+    keys = words(extract(nonces, rows + 1))
+    assert (product(her.combinations, keys) == her.values).all()
+
+
+class Listening(Simulation):
+    """Notes of every message what everyone can see of it, beside the state it was sent in."""
+
+    def __init__(self, *args: object, **more: object) -> None:
+        self.seen: list[tuple[str, int, int, int]] = []
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+
+    def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
+        if kind in (Measurement, Offer):
+            message = kind.model_validate_json(payload)
+            assert isinstance(message, Measurement | Offer)
+            named = message.heard if isinstance(message, Offer) else message.applied_copy
+            self.seen.append((kind.topic, message.k, message.copy_number, named))
+        super().send(to, kind, payload)
+
+
+@pytest.mark.slow
+def test_copies_do_not_tell_the_automatons_state(
+    sustained: Scenario, sustained_law: CandidateLaw
+) -> None:
+    """Over 13,000 steps with losses and delays: first copies, repeats, copies named."""
+    faults = Faults(loss=0.05, repeat=0.1, delay_s=0.03)
+    simulation = Listening(
+        keyed(sustained, 0.3), sustained_law, seed=2, payloads=(b"x" * 3000,), faults=faults,
+        step_s=0.1,
+    )  # fmt: skip
+    history = simulation.run(seconds=1300)
+    role = {t.k: t.role for t in history.plant.values()}
+    assert len(role) > 12_000
+    for topic in ("measurement", "offer"):
+        for place in (2, 3):  # the copy's own number, and the partner's copy that it names
+            table = Counter(
+                (str(role[seen[1]]), int(seen[place]))
+                for seen in simulation.seen
+                if seen[0] == topic and seen[1] in role
+            )
+            assert abs(_z(table)) < 4, (topic, place, table)
+
+
+def _z(table: "Counter[tuple[str, int]]") -> float:
+    """Difference of the shares of ones in the two states, in standard deviations."""
+    of = {role: table[role, 0] + table[role, 1] for role in ("test", "message")}
+    total = sum(of.values())
+    p = sum(table[role, 1] for role in of) / total
+    spread = (p * (1 - p) * sum(1 / n for n in of.values())) ** 0.5
+    return float((table["test", 1] / of["test"] - table["message", 1] / of["message"]) / spread)
