@@ -22,8 +22,13 @@ register(
             "ops": Ends((CONTROLLER_OPS,), (PLANT_OPS,)),
         },
         publishes={
-            "field": ("offer",),
-            "ops": ("ops/controller/hello", "ops/controller/status", "ops/reply/send"),
+            "field": ("offer", "sealed"),
+            "ops": (
+                "ops/controller/hello",
+                "ops/controller/status",
+                "ops/reply/send",
+                "ops/reply/seal",
+            ),
         },
         health=look_at_status,
     )

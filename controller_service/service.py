@@ -3,14 +3,17 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from controller_service.endpoint import STATUS_S, ControllerEndpoint
 from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
+from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
+from protocol.runtime.beside import Beside
 from protocol.runtime.bus import Bus
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet import Fleet, FleetLoop
@@ -29,6 +32,8 @@ from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.opening import open_keeper
+from protocol.secret.sealed_book import SealedBook
+from protocol.secret.store import KeyStore
 from protocol.streams import CIPHER, symbols
 
 
@@ -122,6 +127,11 @@ class ControllerService:
         self.sender = self.endpoint.sender
         self._host = Host(field, ops, stopping, clock)
         self._host.add(config.loop, self.endpoint, files, log)
+        self._beside: AbstractContextManager[object] = nullcontext()
+        if files.keeper is not None:
+            store = KeyStore(config.run_dir / CONTROLLER_KEYS, "controller")
+            book = SealedBook(store)
+            self._beside = Beside(SealingEnd(book, clock()), store, config.loop, field, ops, log)
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(
@@ -134,7 +144,8 @@ class ControllerService:
 
     def run(self) -> int:
         """Answer until stopped; returns the exit code."""
-        return self._host.run()
+        with self._beside:
+            return self._host.run()
 
 
 def run_controller(

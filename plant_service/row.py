@@ -10,7 +10,10 @@ register(
         package="plant_service",
         command="plant_service.command",
         ends={"field": Ends((PLANT_FIELD,)), "ops": Ends((PLANT_OPS,))},
-        publishes={"field": ("measurement",), "ops": ("ops/plant/hello", "ops/plant/status")},
+        publishes={
+            "field": ("measurement",),
+            "ops": ("ops/plant/hello", "ops/plant/status", "ops/plant/receipt"),
+        },
         health=look_at_status,
     )
 )

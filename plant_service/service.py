@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import Pacing
+from protocol.link.sealing import OpeningEnd
+from protocol.runtime.beside import Beside
 from protocol.runtime.bus import Bus
 from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
@@ -32,6 +35,8 @@ from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.opening import open_keeper
+from protocol.secret.sealed_book import SealedBook
+from protocol.secret.store import KeyStore
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
 
@@ -143,6 +148,11 @@ class PlantService:
         self.trace = files.trace
         self._host = Host(field, ops, stopping, clock)
         self._host.add(config.loop, self.endpoint, files, log)
+        self._beside: AbstractContextManager[object] = nullcontext()
+        if files.keeper is not None:
+            store = KeyStore(config.run_dir / PLANT_KEYS, "plant")
+            book = SealedBook(store)
+            self._beside = Beside(OpeningEnd(book), store, config.loop, field, ops, log)
         record = self.endpoint.plant.receiver.record
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
@@ -164,7 +174,8 @@ class PlantService:
             the run's folder keeps it there.
         """
         try:
-            return self._host.run()
+            with self._beside:
+                return self._host.run()
         except PlantError as error:
             write_atomically(self._safe_state, f"{error}\n".encode())
             raise

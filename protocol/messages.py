@@ -86,6 +86,22 @@ class Offer(Message):
     tag: Tag = ""
 
 
+class Sealed(Message):
+    """Controller to plant: a message under a one-time pad, with its one-time tag.
+
+    It is sent at the operator's wish and beside the loop, so it tells nothing of the scheme. Its
+    keys are named by their ids and used for nothing else, before or after.
+    """
+
+    topic: ClassVar[str] = "sealed"
+    id: Identifier
+    key_ids: Annotated[tuple[Identifier, ...], Field(min_length=1, max_length=4096)]
+    cipher: bytes
+    tag: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
+
+    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
+
+
 # --- ops: controller, plant, dashboard, operator -------------------------------------------------
 
 
@@ -144,6 +160,33 @@ LATENCY_BOUNDS_S: Final = (
     *(0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.2, 0.5, 1.0),
 )
 """Upper bounds of a status's counts of latencies, seconds."""
+
+
+class SealCommand(Message):
+    """An operator's message to be sent sealed; the same ``id`` is taken once."""
+
+    topic: ClassVar[str] = "ops/command/seal"
+    id: Identifier
+    payload: bytes
+
+    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
+
+
+class SealReply(Message):
+    """The controller's answer to a `SealCommand`, each time that it comes."""
+
+    topic: ClassVar[str] = "ops/reply/seal"
+    id: Identifier
+    accepted: bool
+    delivered: bool
+    detail: str = ""
+
+
+class SealedReceipt(Message):
+    """The plant's acknowledgement of a `Sealed`, each time that it comes."""
+
+    topic: ClassVar[str] = "ops/plant/receipt"
+    id: Identifier
 
 
 class PlantStatus(Message):
@@ -285,12 +328,15 @@ class TapStatus(Message):
     tail_agreed: FiniteVector = ()
 
 
-FIELD: tuple[type[Message], ...] = (Measurement, Offer)
+FIELD: tuple[type[Message], ...] = (Measurement, Offer, Sealed)
 OPS: tuple[type[Message], ...] = (
     PlantHello,
     ControllerHello,
     SendCommand,
     SendReply,
+    SealCommand,
+    SealReply,
+    SealedReceipt,
     PlantStatus,
     ControllerStatus,
 )

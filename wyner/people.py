@@ -15,6 +15,6 @@ register(
     Service(
         name="operator",
         ends={"ops": Ends((), (CONTROLLER_OPS,))},
-        publishes={"ops": ("ops/command/send",)},
+        publishes={"ops": ("ops/command/send", "ops/command/seal")},
     )
 )

@@ -19,7 +19,8 @@ from typing import Final, NamedTuple
 
 from protocol.link.endpoint import Actions, Endpoint, Notice
 from protocol.link.perform import perform
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import FIELD as FIELD_MESSAGES
+from protocol.messages import Message
 from protocol.runtime.bus import Bus, Channel, ChannelClosed
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.ports import Files, LoopPorts
@@ -43,7 +44,7 @@ BACKLOG: Final = 256
 """Messages that may wait in order. Where more do, the newest of each loop takes its first's place:
 an answer to an older one would come too late, and so would every answer after it."""
 
-FIELD: Final = frozenset({Measurement, Offer})
+FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on ops."""
 
 

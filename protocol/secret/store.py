@@ -194,16 +194,20 @@ class KeyStore(StoreFile):
         KeysRefused
             When nobody gets this store's keys.
         """
-        self._check_refused()
         with self.transaction() as db:
-            rows = db.execute(
-                "SELECT place, id, body FROM key WHERE own = 1 AND state = 'confirmed' "
-                "ORDER BY place LIMIT ?",
-                (number,),
-            ).fetchall()
-            if len(rows) < number:
-                raise TooFewKeys(number, len(rows))
-            self._bury(db, [place for place, _, _ in rows], who)
+            return self.take(db, number, who)
+
+    def take(self, db: sqlite3.Connection, number: int, who: str) -> tuple[Key, ...]:
+        """What :meth:`deliver` does, within a transaction that has more to write."""
+        self._check_refused()
+        rows = db.execute(
+            "SELECT place, id, body FROM key WHERE own = 1 AND state = 'confirmed' "
+            "ORDER BY place LIMIT ?",
+            (number,),
+        ).fetchall()
+        if len(rows) < number:
+            raise TooFewKeys(number, len(rows))
+        self._bury(db, [place for place, _, _ in rows], who)
         return tuple(Key(name, bytes(body)) for _, name, body in rows)
 
     def deliver_named(self, ids: Sequence[str], who: str = "") -> tuple[Key, ...]:
@@ -226,22 +230,26 @@ class KeyStore(StoreFile):
         KeysRefused
             When nobody gets this store's keys.
         """
+        with self.transaction() as db:
+            return self.take_named(db, ids, who)
+
+    def take_named(self, db: sqlite3.Connection, ids: Sequence[str], who: str) -> tuple[Key, ...]:
+        """What :meth:`deliver_named` does, within a transaction that has more to write."""
         self._check_refused()
         wanted = list(dict.fromkeys(ids))
         found: dict[str, tuple[int, bytes]] = {}
-        with self.transaction() as db:
-            for name in wanted:
-                row = db.execute(
-                    "SELECT place, body FROM key WHERE id = ? AND own = 0 "
-                    "AND state IN ('stored', 'confirmed')",
-                    (name,),
-                ).fetchone()
-                if row is not None:
-                    found[name] = (row[0], bytes(row[1]))
-            missing = [name for name in wanted if name not in found]
-            if missing:
-                raise UnknownKeys(missing)
-            self._bury(db, [place for place, _ in found.values()], who)
+        for name in wanted:
+            row = db.execute(
+                "SELECT place, body FROM key WHERE id = ? AND own = 0 "
+                "AND state IN ('stored', 'confirmed')",
+                (name,),
+            ).fetchone()
+            if row is not None:
+                found[name] = (row[0], bytes(row[1]))
+        missing = [name for name in wanted if name not in found]
+        if missing:
+            raise UnknownKeys(missing)
+        self._bury(db, [place for place, _ in found.values()], who)
         return tuple(Key(name, body) for name, (_, body) in found.items())
 
     def _check_refused(self) -> None:

@@ -29,6 +29,11 @@ CREATE INDEX IF NOT EXISTS key_block ON key (block);
 CREATE TABLE IF NOT EXISTS pad (
     place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
     used_for TEXT, body BLOB, UNIQUE (side, origin));
+CREATE TABLE IF NOT EXISTS sealed (
+    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, digest BLOB NOT NULL, state TEXT NOT NULL,
+    payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT);
+CREATE TABLE IF NOT EXISTS opened (
+    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL);
 """
 
 

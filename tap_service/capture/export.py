@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.messages import FIELD, Measurement, Offer
+from protocol.messages import Measurement, Offer
 from protocol.runtime.process import needs
 from protocol.topics import key_of
 from tap_service.capture.recording import CaptureReader, first_part, parts_of
@@ -130,7 +130,7 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
         writer: Any = Writer(file)
         writer.start(profile="", library="wyner")
         channels: dict[str, int] = {}
-        for kind in FIELD:
+        for kind in (Measurement, Offer):
             schema = writer.register_schema(
                 name=kind.__name__,
                 encoding="jsonschema",

@@ -15,6 +15,7 @@ COMMANDS: Final = {
     "up": "run controller, plant and tap on this machine and watch them",
     "dashboard": "watch a running system",
     "send": "hand a running controller a message to deliver",
+    "unsealed": "show the sealed messages that a plant has opened",
     "design": "compute and show a scenario's sets, gains and expected rate",
     "capacity": "show how many symbols a scenario's inputs can carry, over alpha",
     "fit": "identify a plant, calibrate D_c and certify it with fresh sessions",

@@ -3,15 +3,20 @@
 import argparse
 import queue
 import time
-from typing import Final
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
 
-from protocol.messages import SendCommand, SendReply
+from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
 from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.options import message_of
-from protocol.runtime.process import Failure, UsageError, new_id
+from protocol.runtime.process import DONE, Failure, UsageError, new_id
+from protocol.secret.sealed import keys_needed
 from protocol.topics import key_of
 from wyner.cli.options import add_run_argument, joined
+
+if TYPE_CHECKING:
+    from protocol.runtime.bus import Bus
 
 REPEAT_S: Final = 0.1
 
@@ -22,6 +27,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("text", nargs="?", metavar="TEXT", help="the message")
     parser.add_argument("--file", metavar="F", help="a file that holds the message")
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
+    parser.add_argument(
+        "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
+    )
     parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="seconds to wait")
     add_run_argument(parser)
     add_endpoint_arguments(parser, "operator")
@@ -41,8 +49,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--timeout: got {args.timeout}, expected more than 0")
     payload = message_of(args.text, args.file)
     assert payload is not None
+    kind = SealCommand if args.sealed else SendCommand
     try:
-        command = SendCommand(id=args.id or new_id(), payload=payload)
+        command = kind(id=args.id or new_id(), payload=payload)
     except ValidationError:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
@@ -50,32 +59,50 @@ def run(args: argparse.Namespace) -> int:
     joined(args, "operator")
     loop = loop_of(args)
     ends = endpoints_of(args, "operator", "ops")
-    answers: Inbox[bytes] = Inbox()
+    said = "no answer"
     try:
         with open_bus(ends) as ops:
-            ops.subscribe(
-                key_of(SendReply, loop), lambda _key, reply, _t_ns: answers.put(reply, len(reply))
-            )
-            publisher = ops.publisher(key_of(SendCommand, loop))
-            until = time.monotonic() + args.timeout
-            while time.monotonic() < until:
-                publisher.put(command.wire())
-                try:
-                    reply = SendReply.model_validate_json(answers.get(timeout=REPEAT_S))
-                except (queue.Empty, ValidationError):
-                    continue
-                if reply.id != command.id:
-                    continue
+            for reply in _answers(ops, loop, command, time.monotonic() + args.timeout):
                 if not reply.accepted:
                     raise Failure(reply.detail)
-                print(
-                    f"queued as {reply.id}: {len(payload)} bytes, {reply.queued} not delivered yet"
-                )
-                return 0
+                if isinstance(reply, SendReply):
+                    told = f"{len(payload)} bytes, {reply.queued} not delivered yet"
+                    print(f"queued as {reply.id}: {told}")
+                    return DONE
+                if reply.delivered:
+                    told = f"{len(payload)} bytes under {keys_needed(len(payload))} keys"
+                    print(f"delivered as {reply.id}: {told}")
+                    return DONE
+                said = reply.detail
     except TransportError as error:
         raise UsageError(str(error)) from None
+    if said != "no answer":
+        raise Failure(f"{command.id}: not acknowledged within {args.timeout:g} s; {said}")
     at = ", ".join((*ends.connect, *ends.listen))
+    start = "wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
-        "start one (wyner up), or say where it is (--connect ops=tcp/HOST:PORT, --loop ID)"
+        f"start one ({start}), or say where it is (--connect ops=tcp/HOST:PORT, --loop ID)"
     )
+
+
+def _answers(
+    ops: "Bus", loop: str, command: SendCommand | SealCommand, until: float
+) -> "Iterator[SendReply | SealReply]":
+    """Say the command again and again; each answer to it."""
+    from pydantic import ValidationError
+
+    kind: type[SendReply | SealReply]
+    kind = SealReply if isinstance(command, SealCommand) else SendReply
+    answers: Inbox[bytes] = Inbox()
+    ops.subscribe(key_of(kind, loop), lambda _key, reply, _t_ns: answers.put(reply, len(reply)))
+    publisher = ops.publisher(key_of(type(command), loop))
+    while time.monotonic() < until:
+        publisher.put(command.wire())
+        try:
+            reply = kind.model_validate_json(answers.get(timeout=REPEAT_S))
+        except (queue.Empty, ValidationError):
+            continue
+        if reply.id == command.id:
+            yield reply
+            time.sleep(REPEAT_S)

@@ -1,0 +1,41 @@
+"""``wyner unsealed``: the sealed messages that a plant has opened."""
+
+import argparse
+import base64
+import json
+from pathlib import Path
+
+from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.run_folder import PLANT_KEYS
+from protocol.text import readable
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "unsealed",
+        help="show the sealed messages that a plant has opened",
+        description="Show what came by `wyner send --sealed`, in order: identifier and text.",
+    )
+    parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the plant's run folder")
+    parser.add_argument("--json", action="store_true", help="one JSON array, payloads in base64")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the store."""
+    from protocol.secret.records import StoreError
+    from protocol.secret.sealed_book import SealedBook
+    from protocol.secret.store import KeyStore
+
+    try:
+        with KeyStore(args.run_dir / PLANT_KEYS, "plant") as store:
+            opened = SealedBook(store).opened()
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+    if args.json:
+        print(json.dumps([{"id": i, "payload": base64.b64encode(p).decode()} for i, p in opened]))
+    else:
+        for identifier, payload in opened:
+            print(f"{identifier}  {readable(payload)}")
+    return DONE
