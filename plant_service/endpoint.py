@@ -313,6 +313,7 @@ class PlantEndpoint:
             # Its step was missed. (An answer to a repeated measurement, whose step was made, is
             # not late; nor is it late twice.)
             self._latest_late_k = offer.k
+            pacing.answered_late()
             if self._news is not None:
                 self._news.late += 1
         if what != "current" or pacing.waiting:

@@ -42,6 +42,7 @@ class Pacing:
         self._deadline = now_s + (step_s or 0.0)
         self._repeat_at = now_s
         self._waiting = False
+        self._once = False
         self.late_s = 0.0
         self.overruns = 0
 
@@ -98,11 +99,19 @@ class Pacing:
         """Whether to publish the measurement now; if so, the next time is a repeat interval on."""
         if self._waiting or now_s < self._repeat_at:
             return False
-        self._repeat_at = now_s + self._repeat_s
+        self._repeat_at = inf if self._once else now_s + self._repeat_s
         return True
+
+    def answered_late(self) -> None:
+        """An offer came after its step: the controller has too much to do, and not too little.
+
+        Until one comes in time a step's measurement goes out once: repeats would keep it late.
+        """
+        self._once = self._step_s is not None
 
     def applied(self) -> None:
         """This step's offer was applied: the next measurement is due at once, or at the tick."""
+        self._once = False
         if self._step_s is None:
             self._repeat_at = 0.0
         else:

@@ -40,9 +40,13 @@ CAPACITY: Final = 8192
 AT_ONCE: Final = 16
 """Messages or wakes in a row before the other thread has its turn."""
 
+TURN_S: Final = 0.002
+"""The same in seconds: after a turn the newest messages are looked at again."""
+
 BACKLOG: Final = 256
-"""Messages that may wait in order. Where more do, the newest of each loop takes its first's place:
-an answer to an older one would come too late, and so would every answer after it."""
+"""Messages of a single loop that may wait in order; of a fleet as many as there are loops. Where
+more do, the newest of each loop takes its first's place: an answer to an older one would come too
+late, and so would every answer after it."""
 
 FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on ops."""
@@ -208,11 +212,14 @@ class Host:
         try:
             while True:
                 waiting.extend(channel.receive(wait=not waiting))
-                if len(waiting) > BACKLOG:  # too much to do: of each loop only the newest counts
+                if len(waiting) > (len(self._loops) if self._fleet else BACKLOG):
                     waiting = deque(dict(waiting).items())
                 with self._turns:
+                    until = self._clock() + TURN_S
                     for _ in range(min(len(waiting), AT_ONCE)):
                         self._hear(*waiting.popleft())
+                        if self._clock() >= until:
+                            break
         except ChannelClosed:
             pass
         except BaseException as error:

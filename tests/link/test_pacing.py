@@ -86,6 +86,20 @@ def test_without_a_controller_only_ticks_are_due(step_s: float | None) -> None:
     assert pacing.due_at(running=True, measuring=False) == (inf if step_s is None else 1.0)
 
 
+def test_after_a_late_answer_a_measurement_goes_out_once_a_step_until_one_comes_in_time() -> None:
+    pacing = running()
+    pacing.answered_late()
+    for step in range(1, 4):
+        now = float(step)
+        assert pacing.tick(now, running=True) == "missed"
+        assert pacing.measurement_due(now)
+        assert not pacing.measurement_due(now + 0.9)
+        assert pacing.due_at(running=True, measuring=True) == now + 1
+    pacing.applied()
+    assert pacing.tick(4.0, running=True) == "ended"
+    assert [pacing.measurement_due(4.0), pacing.measurement_due(4.25)] == [True, True]
+
+
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.95])
 def test_in_a_fleet_ticks_keep_their_phase_whatever_happens(phase: float) -> None:
     pacing = Pacing(0.1, 4, 12.345, phase)

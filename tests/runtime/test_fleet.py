@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -173,3 +174,51 @@ def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_
     with hosts.running("x20"):
         hosts.wait(lambda: hosts.delivered("one"))
     assert hosts.status("two") is None
+
+
+class Slow:
+    """A law that takes its time, as long as it is told to."""
+
+    def __init__(self, law: CandidateLaw) -> None:
+        self.seconds = 0.0
+        self._law = law
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._law, name)
+
+    def candidates(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+        time.sleep(self.seconds)
+        return self._law.candidates(x)
+
+
+@pytest.mark.slow
+def test_twice_too_much_is_missed_evenly_and_nothing_is_missed_afterwards(
+    sustained_law: CandidateLaw, tmp_path: Path
+) -> None:
+    """Ten loops at 20 Hz ask a controller that can answer a hundred times a second."""
+    law = Slow(sustained_law)
+    hosts = Hosts(lambda: numbered(10, "sustained", seed=1), cast("CandidateLaw", law), tmp_path)
+    names = list(hosts.fleet().loops)
+
+    def counts() -> list[tuple[int, int]]:
+        found = [hosts.status(name) for name in names]
+        return [(s.transitions, s.missed) for s in found if s is not None]
+
+    with hosts.running("x2"):
+        hosts.wait(lambda: len(counts()) == 10 and all(made > 5 for made, _ in counts()))
+        law.seconds = 0.01
+        time.sleep(1.0)
+        before = counts()
+        time.sleep(2.0)
+        after = counts()
+        made = [b[0] - a[0] for a, b in zip(before, after, strict=True)]
+        missed = [b[1] - a[1] for a, b in zip(before, after, strict=True)]
+
+        assert sum(missed) > 0, "there was no overload"
+        assert sum(made) > 0.15 * (sum(made) + sum(missed)), "it collapsed"
+        assert min(made) > 0.2 * sum(made) / len(made), "one loop starved"
+        law.seconds = 0.0
+        time.sleep(2.0)
+        calm = counts()
+        time.sleep(1.0)
+        assert [missed for _, missed in counts()] == [missed for _, missed in calm]
