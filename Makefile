@@ -8,7 +8,7 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-controller test-plant test-tap test-wyner test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test test-fast test-compose test-pythons lint docs figures bench lock clean help
+.PHONY: demo dev test test-fast test-compose test-pythons lint docs figures bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
@@ -23,6 +23,7 @@ help:
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make paper         paper/paper.pdf from its text and the project's data"
 	@echo "make bench         every benchmark, beside its reference"
+	@echo "make campaign      try to break exactly once, for hours (docs/reliability.md)"
 	@echo "make lock          pin the dependencies anew, with hashes"
 
 $(VENV)/bin/python:
@@ -84,6 +85,15 @@ figures: $(STAMPS)/dev
 
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper
+# Hours, and resumable: stop it with Ctrl-C, and it goes on where it was. See docs/reliability.md.
+CAMPAIGN := $(BIN)/python -m tests.campaigns
+campaign: $(STAMPS)/dev
+	$(CAMPAIGN).exhaustive --scheme switched --deadline 0.1 --warm --seconds 7200 --resume
+	$(CAMPAIGN).exhaustive --scheme pipelined --deadline 0.1 --warm --seconds 7200 --resume
+	$(CAMPAIGN).schedules
+	$(CAMPAIGN).fuzz
+	$(CAMPAIGN).kills
+	WYNER_MUTANTS=all $(BIN)/pytest tests/verify/test_mutants.py
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

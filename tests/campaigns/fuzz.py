@@ -1,0 +1,170 @@
+"""Messages that nobody should send: ``python -m tests.campaigns.fuzz --count 1000000``.
+
+Structured and raw, small and up to 16 MB, to every program that hears a bus. Nothing may raise, no
+memory may stay, and the loop goes on as if nothing had come.
+"""
+
+import argparse
+import json
+import random
+import resource
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from protocol.link.endpoint import Outgoing
+from protocol.link.events import Applied, Event
+from protocol.link.perform import perform
+from protocol.link.session import Transition
+from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
+from protocol.runtime.inbox import Inbox
+from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.world import World, quiet
+from tests.support.line_ends import ToldPorts
+from wyner.studies.grid import code_version
+
+NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
+TEXTS = ("", "x" * 5000, "\x1b[31m", "\u202e", "0" * 16, "../../etc")
+LARGEST = 2**24
+
+
+def payloads(seed: int, heard: list[bytes]) -> Iterator[bytes]:
+    """For ever: messages that were heard, changed; and bytes that are none."""
+    draw = random.Random(seed)
+    while True:
+        kind = draw.random()
+        if kind < 0.1 or not heard:
+            yield draw.randbytes(draw.choice((0, 1, 7, 100, 2000)))
+        elif kind < 0.2:
+            raw = bytearray(draw.choice(heard))
+            for _ in range(draw.randint(1, 4)):
+                raw[draw.randrange(len(raw))] = draw.randrange(256)
+            yield bytes(raw)
+        elif kind < 0.3:
+            raw = bytearray(draw.choice(heard))
+            yield bytes(raw[: draw.randrange(len(raw) + 1)])
+        elif kind < 0.3001:
+            yield b"[" * draw.choice((1000, LARGEST))
+        else:
+            yield _altered(draw, json.loads(draw.choice(heard)))
+
+
+def _altered(draw: random.Random, message: dict[str, object]) -> bytes:
+    field = draw.choice(list(message))
+    what = draw.randrange(5)
+    if what == 0:
+        del message[field]
+    elif what == 1:
+        message[field] = draw.choice(NUMBERS)
+    elif what == 2:
+        message[field] = draw.choice(TEXTS)
+    elif what == 3:
+        value = [draw.choice(NUMBERS) for _ in range(draw.choice((0, 1, 2, 300)))]
+        message[field] = draw.choice((value, [value], [value] * 2))
+    else:
+        message[draw.choice(TEXTS)] = message[field]
+    return json.dumps(message).encode()
+
+
+def megabytes() -> float:
+    """The most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+HEARS: dict[str, tuple[type[Message], ...]] = {
+    "controller": (Measurement, PlantHello, SendCommand),
+    "plant": (Offer, ControllerHello),
+}
+
+
+def fuzz(side: str, count: int, seed: int, until: float = float("inf")) -> int:
+    """Send ``count`` messages to one end of a link that runs; how many were sent.
+
+    Every 5000 messages the rest of the link is let on, and must deliver.
+
+    Raises
+    ------
+    AssertionError
+        When the link does not go on.
+    """
+    draw = random.Random(seed + 1)
+    inbox: Inbox[tuple[type[Message], bytes]] = Inbox()
+    world, heard = _running()
+    for number, payload in enumerate(payloads(seed, heard), start=1):
+        kind = draw.choice(HEARS[side])
+        inbox.put((kind, payload), len(payload))
+        over = number >= count or time.monotonic() > until
+        if len(inbox) == 50 or over:
+            while inbox:
+                _hear(world, side, *inbox.get(0.0))
+        if number % 5000 == 0 or over:
+            assert world.goes_on(1000), f"after {number} messages the link does not go on"
+            world, fresh = _running()
+            heard[:] = fresh
+        if over:
+            break
+    return number
+
+
+class _Forged(World):
+    """A world that does not judge: a forger on the bus may break what the network cannot."""
+
+    def _controller_said(self, message: Outgoing) -> None:
+        self._remember(self.to_plant, message)
+
+    def _plant_said(self, message: Outgoing) -> None:
+        self._remember(self.to_controller, message)
+
+    def _counted(self, event: Event) -> None:
+        if isinstance(event, Applied):
+            self.got[event.transition.session, event.transition.j] = event.transition
+        elif isinstance(event, Transition):
+            self.sent[event.session, event.j] = event
+
+    def _in_order(self) -> None:
+        pass
+
+
+def _running() -> tuple[World, list[bytes]]:
+    """A link under way, and what was heard on it."""
+    world = _Forged("switched", 0.1)
+    world.warm_up()
+    heard = [m.payload for m in (*world.to_plant, *world.to_controller)]
+    return world, [*heard, SendCommand(id="a", payload=b"x" * 9).wire()]
+
+
+def _hear(world: World, side: str, kind: type[Message], payload: bytes) -> None:
+    world.now += 1e-5
+    if side == "controller":
+        ours = ToldPorts(world.controller_journal, _ignore, _ignore, quiet)
+        perform(world.controller.receive(kind, payload, world.now), world.controller, ours)
+    else:
+        theirs = ToldPorts(world.plant_journal, _ignore, _ignore, quiet)
+        perform(world.plant.receive(kind, payload, world.now), world.plant, theirs)
+
+
+def _ignore(_what: object) -> None:
+    pass
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Fuzz both ends; the memory must stay where it was."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=1_000_000, help="messages to each end")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="for each end")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=Path("campaign-fuzz.json"))
+    args = parser.parse_args(argv)
+    told: dict[str, object] = {"version": code_version()}
+    for side in HEARS:
+        before = megabytes()
+        count = fuzz(side, args.count, args.seed, time.monotonic() + args.seconds)
+        told[side] = {"messages": count, "grown_mb": round(megabytes() - before, 1)}
+        print(f"{side}: {told[side]}", file=sys.stderr)
+    write_atomically(args.results, json.dumps(told, indent=1).encode())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

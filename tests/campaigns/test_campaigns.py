@@ -1,0 +1,36 @@
+"""Short forms of the campaigns: enough to know that they work, and to see what breaks at once."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.campaigns import exhaustive, fuzz, kills, schedules
+
+
+def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    for count in (20, 40):
+        assert schedules.main(["--count", str(count), "--results", str(results)]) == 0
+        assert json.loads(results.read_text())["schedules"] == count
+
+
+@pytest.mark.parametrize("side", ["controller", "plant"])
+def test_fuzzed_messages_stop_no_end(side: str) -> None:
+    assert fuzz.fuzz(side, 3000, seed=1) == 3000
+
+
+def test_an_exploration_says_how_far_it_came(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    command = ["--scheme", "pipelined", "--deepest", "4", "--results", str(results), "--resume"]
+    assert exhaustive.main(command) == 0
+    (told,) = json.loads(results.read_text()).values()
+    assert (told["depth"], told["complete"]) == (4, True)
+    assert told["states"] > 50
+
+
+@pytest.mark.slow
+def test_a_run_whose_services_are_killed_delivers_once_and_passes(tmp_path: Path) -> None:
+    killed, _, wrong = kills.one_run(3, tmp_path, kills=4)
+    assert wrong == []
+    assert killed > 0
