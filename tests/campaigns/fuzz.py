@@ -16,7 +16,7 @@ from pathlib import Path
 from protocol.link.endpoint import Outgoing
 from protocol.link.events import Applied, Event
 from protocol.link.perform import perform
-from protocol.link.session import Transition
+from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.run_folder import write_atomically
@@ -119,7 +119,7 @@ class _Forged(World):
     def _counted(self, event: Event) -> None:
         if isinstance(event, Applied):
             self.got[event.transition.session, event.transition.j] = event.transition
-        elif isinstance(event, Transition):
+        elif isinstance(event, CountedTransition):
             self.sent[event.session, event.j] = event
 
     def _in_order(self) -> None:

@@ -17,7 +17,7 @@ from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Notice, Outgoing
 from protocol.link.events import Applied, Event, FrameRefused
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
-from protocol.link.session import Rules, Transition
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.schemes.pipelined import Pipelined
@@ -114,8 +114,8 @@ class World:
     forgot: bool = False
     to_plant: list[Outgoing] = field(default_factory=list)
     to_controller: list[Outgoing] = field(default_factory=list)
-    sent: dict[tuple[str, int], Transition] = field(default_factory=dict)
-    got: dict[tuple[str, int], Transition] = field(default_factory=dict)
+    sent: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
+    got: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     ciphers: dict[tuple[str, int], int] = field(default_factory=dict)
     received: list[bytes] = field(default_factory=list)
     answered: dict[tuple[str, int], Outgoing] = field(default_factory=dict)
@@ -187,7 +187,7 @@ class World:
         if isinstance(event, FrameRefused):
             raise Broken("a frame was refused")
         mine = event.transition if isinstance(event, Applied) else event
-        if not isinstance(mine, Transition):
+        if not isinstance(mine, CountedTransition):
             return
         ours, theirs = (
             (self.got, self.sent) if isinstance(event, Applied) else (self.sent, self.got)
