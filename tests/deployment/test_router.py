@@ -136,6 +136,29 @@ def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs:
 
 
 @pytest.mark.integration
+def test_a_guarded_router_tells_what_it_denied(certs: Path) -> None:
+    endpoint = free_endpoints(1)[0].replace("tcp/", "tls/")
+    options = ["--tls", f"field={certs / 'router'}", "--guard", "field"]
+    command = wyner("router", "--listen", f"field={endpoint}", *options)
+    router = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert router.stderr is not None
+        assert "guarded by certificate" in router.stderr.readline()
+        with clients(certs, endpoint, "tap") as buses:
+            publisher = buses["tap"].publisher(key_of(Offer, "loop"))
+            for _ in range(5):
+                publisher.put(b"forged")
+                time.sleep(0.05)
+            assert "denied: tap may not put on wyner/v1/loop/offer" in router.stderr.readline()
+        router.send_signal(signal.SIGTERM)
+        out, _ = router.communicate(timeout=10)
+        assert router.returncode == 0
+        assert out == "", "Zenoh's own log stays behind"
+    finally:
+        router.kill()
+        router.wait()
+
+
 def test_buses_of_one_router_process_do_not_mix() -> None:
     field, ops = free_endpoints(2)
     command = wyner("router", "--listen", f"field={field}", "--listen", f"ops={ops}")

@@ -1,11 +1,16 @@
 """``wyner router``: a Zenoh router for one or several buses, with access control where asked."""
 
 import argparse
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+import os
+import re
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Final
 
-from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+from protocol.runtime.process import DONE, RateLimitedLog, UsageError, logger, stop_on_signals
 from protocol.runtime.services import BUSES
 
 
@@ -101,7 +106,7 @@ def check_guards(
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import TlsFiles, open_router
+    from protocol.runtime.zenoh_bus import TlsFiles, log_access, open_router
     from wyner.deployment.access import access_control
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
@@ -109,6 +114,9 @@ def run(args: argparse.Namespace) -> int:
     log = logger("router")
     try:
         with stop_on_signals() as stopping, ExitStack() as stack:
+            if args.guard:
+                stack.enter_context(denials_told(RateLimitedLog(log)))
+                log_access()
             for bus, endpoints in listens.items():
                 tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
                 rules = access_control(bus) if bus in args.guard else None
@@ -124,3 +132,42 @@ def run(args: argparse.Namespace) -> int:
     except TransportError as error:
         raise UsageError(str(error)) from None
     return DONE
+
+
+_DENIED: Final = re.compile(
+    r"CertCommonName\((?P<name>[^)]*)\).* is unauthorized to (?P<what>Put|Delete) \(ingress\) on "
+    r"(?P<key>\S+)"
+)
+
+
+def denied(line: str) -> str:
+    """What a line of Zenoh's log says of a message that was not let in; empty if nothing."""
+    found = _DENIED.search(line)
+    if found is None:
+        return ""
+    return f"denied: {found['name']} may not {found['what'].lower()} on {found['key']}"
+
+
+@contextmanager
+def denials_told(complaints: RateLimitedLog) -> Iterator[None]:
+    """Read Zenoh's log, which it writes to standard output, and tell what was denied."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(writing)
+
+    def read() -> None:
+        with open(reading, encoding="utf-8", errors="replace") as lines:  # noqa: PTH123
+            for line in lines:
+                if told := denied(line):
+                    complaints.add(told)
+
+    thread = threading.Thread(target=read, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)  # the pipe's last end closes, and the thread ends
+        os.close(kept)
+        thread.join(1.0)
