@@ -110,6 +110,7 @@ class PlantTelemetry:
             pictured_x_next=pictured.x_next if pictured else (),
             pictured_gauges=pictured.verdict.gauges if pictured else (),
             pictured_symbol=pictured.symbol if pictured else -1,
+            pictured_inside=pictured.verdict.inside if pictured else 0,
             tail_k=tuple(t.k for t in tail),
             tail_x=tuple(t.x for t in tail),
             tail_role=tuple(t.role for t in tail),

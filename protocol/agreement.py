@@ -102,11 +102,13 @@ class Verdict(NamedTuple):
     """What the test says of one transition.
 
     ``gauges`` holds g(x_next - c_i) for each candidate; ``symbol`` is the key symbol, or
-    :data:`NO_SYMBOL` where x_next is outside Diff.
+    :data:`NO_SYMBOL` where x_next is outside Diff. ``inside`` counts the candidates that the
+    defender finds possible: with 1 and no symbol, one is impossible for the eavesdropper.
     """
 
     gauges: Vector
     symbol: int
+    inside: int = 0
 
     @property
     def agreed(self) -> bool:
@@ -157,4 +159,4 @@ class AgreementRule:
                 possible = False
         if inside != 1 or not possible:
             symbol = NO_SYMBOL
-        return Verdict(tuple(gauges), symbol)
+        return Verdict(tuple(gauges), symbol, inside)

@@ -199,7 +199,8 @@ class PlantStatus(Message):
     ``outside`` counts transitions whose disturbance left D_c and ``unexplained`` those that no
     candidate explains; ``sampled_late_s`` and ``actuated_after_s`` are median, 99th percentile and
     largest of the last steps, empty in lock-step.
-    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4. ``message_k`` is
+    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
+    ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
     ``latency_counts`` says how long offers took, from a step's first measurement to its offer: one
     count for each bound of `LATENCY_BOUNDS_S`, not cumulative, and one for all above.
@@ -252,6 +253,7 @@ class PlantStatus(Message):
     pictured_x_next: FiniteVector = ()
     pictured_gauges: FiniteVector = ()
     pictured_symbol: Annotated[int, Field(ge=-1)] = -1
+    pictured_inside: Count = 0
     tail_k: tuple[int, ...] = ()
     tail_x: tuple[FiniteVector, ...] = ()
     tail_role: tuple[Literal["test", "message"], ...] = ()

@@ -92,6 +92,7 @@ class Rehearsal:
                     "pictured_x_next": x_next,
                     "pictured_gauges": verdict.gauges,
                     "pictured_symbol": verdict.symbol,
+                    "pictured_inside": verdict.inside,
                 }
             if pad != NO_SYMBOL:
                 p += 1

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import PlantStatus
 from tools.rehearsal import Rehearsal
 from wyner.dashboard.plane import Axes, axes_of, draw, outline, verdict
@@ -135,20 +136,24 @@ def test_before_the_first_step_the_picture_is_blank() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gauges", "symbol", "words"),
+    ("gauges", "words"),
     [
-        ((0.5, 3.0), 0, "KEY 0: only input 0 explains it"),
-        ((3.0, 0.5), 1, "KEY 1: only input 1 explains it"),
-        ((0.5, 0.9), -1, "2 inputs explain it"),
-        ((1.5, 2.0), -1, "no input explains it"),
-        ((0.5, 9.0), -1, "outside a D_e"),
+        ((0.5, 3.0), "KEY 0: only input 0 explains it"),
+        ((3.0, 0.5), "KEY 1: only input 1 explains it"),
+        ((3.0, 1.0 + 5e-10), "KEY 1: only input 1 explains it"),  # inside, to rounding
+        ((0.5, 0.9), "2 inputs explain it"),
+        ((0.9, 1.0 + 5e-10), "2 inputs explain it"),
+        ((1.5, 2.0), "no input explains it"),
+        ((0.5, 9.0), "outside a D_e"),
     ],
 )
-def test_the_verdict_says_why(gauges: tuple[float, ...], symbol: int, words: str) -> None:
-    status = statuses()[-1].model_copy(
-        update={"pictured_gauges": gauges, "pictured_symbol": symbol}
-    )
-    assert words in verdict(status)
+def test_the_verdict_says_why(gauges: tuple[float, ...], words: str) -> None:
+    """The reason is the agreement test's own: the screen derives none."""
+    rule = AgreementRule(((1.0,),), ((1.0,),), Gauge(half_widths=(1.0,)), alpha=8.0)
+    said = rule.verdict((0.0,), tuple((g,) for g in gauges), (0.0,))
+    assert said.gauges == gauges
+    update = {"pictured_symbol": said.symbol, "pictured_inside": said.inside}
+    assert words in verdict(statuses()[-1].model_copy(update=update))
 
 
 def marks(status: PlantStatus) -> str:

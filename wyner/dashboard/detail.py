@@ -82,6 +82,8 @@ def _tap(board: Board, tap: TapBoard, its: Score, width: int, glyphs: Glyphs) ->
     right, total = characters_right(board, tap)
     sure = f"first sure of a message at step {status.solved_k}" if status.solved_k >= 0 else ""
     heard = f"{count(status.steps)} steps, {count(status.lost)} of them with holes"
+    if status.dropped:
+        heard += f"; {count(status.dropped)} messages lost by the tap itself"
     follows = f"{count(status.behind)} steps behind"
     if status.candidates_left:
         follows += f", follows {count(status.candidates_left)} readings of what was sent"

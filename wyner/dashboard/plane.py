@@ -75,11 +75,10 @@ def _reach(H: Matrix, h: Vector, axis: int) -> float:
 
 def verdict(status: PlantStatus) -> str:
     """What the agreement test said of the pictured step, in words (equation 20)."""
-    gauges = status.pictured_gauges
     symbol = status.pictured_symbol
     if symbol >= 0:
         return f"KEY {symbol}: only input {symbol} explains it"
-    inside = sum(g <= 1 for g in gauges)
+    inside = status.pictured_inside
     if inside == 0:
         return "no key: no input explains it"
     if inside > 1:
