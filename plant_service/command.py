@@ -3,7 +3,13 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.endpoints import add_endpoint_arguments, buses_of, fleet_of, loop_of
+from protocol.runtime.endpoints import (
+    add_endpoint_arguments,
+    add_metrics_argument,
+    buses_of,
+    fleet_of,
+    loop_of,
+)
 from protocol.runtime.options import add_fleet_arguments, at_least, pace_of, run_dir_of
 from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import PLANT_SAFE
@@ -32,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
     add_fleet_arguments(parser)
+    add_metrics_argument(parser)
     add_endpoint_arguments(parser, "plant")
 
 

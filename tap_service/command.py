@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
-    from protocol.runtime.endpoints import add_endpoint_arguments
+    from protocol.runtime.endpoints import add_endpoint_arguments, add_metrics_argument
     from protocol.runtime.options import add_fleet_arguments
 
     parser.add_argument(
@@ -96,6 +97,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="seconds for the heavy eavesdroppers' last thoughts at the end (default 20)",
     )
     add_fleet_arguments(parser)
+    add_metrics_argument(parser)
     add_endpoint_arguments(parser, "tap")
 
 
@@ -215,7 +217,7 @@ def run_told(
     from pydantic import ValidationError
 
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of
+    from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of, noted
     from protocol.runtime.options import alone_in, run_dir_of
     from protocol.runtime.process import UsageError
     from tap_service.capture.recording import Limits
@@ -271,9 +273,9 @@ def run_told(
                 config_in_fleet(loop)
                 break
             with alone_in(run_dir_of(args.run_dir) / "tap"):
-                return run_taps(fleet, config_in_fleet, field, intel)
+                return run_taps(fleet, config_in_fleet, field, intel, partial(noted, args))
         config = config_of(told, loop_of(args), Path(args.run_dir))
         with alone_in(run_dir_of(args.run_dir) / "tap"):
-            return run_tap(config)
+            return run_tap(config, note=partial(noted, args))
     except (KnowledgeError, TransportError) as error:
         raise UsageError(str(error)) from None

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import Measurement, Offer
@@ -23,7 +23,7 @@ from protocol.runtime.process import (
     stop_on_signals,
 )
 from protocol.topics import every_loop
-from tap_service.service import GATHER_S, NICENESS, TapConfig, TapService
+from tap_service.service import GATHER_S, NICENESS, Note, TapConfig, TapService
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
@@ -138,6 +138,7 @@ def run_taps(
     config_of: Callable[[FleetLoop], TapConfig],
     field: "Endpoints",
     intel: "Endpoints",
+    note: Note = nullcontext,
 ) -> int:
     """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.
 
@@ -151,7 +152,7 @@ def run_taps(
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
         field_bus = stack.enter_context(open_bus(field))
-        intel_bus = stack.enter_context(open_bus(intel))
+        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel))))
         taps = TapFleet(fleet, config_of)
         taps.attach(field_bus, intel_bus)
         os.nice(NICENESS)

@@ -13,7 +13,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from dataclasses import field as default
 from multiprocessing import resource_tracker
@@ -148,7 +148,13 @@ def eighth(limits: Limits) -> Limits:
     )
 
 
-def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
+Note = Callable[["Bus"], AbstractContextManager["Bus"]]
+"""What else is done with the bus that statuses are published on, such as metrics."""
+
+
+def run_tap(
+    config: TapConfig, stopping: threading.Event | None = None, note: Note = nullcontext
+) -> int:
     """Run until SIGTERM or SIGINT, or until ``stopping`` is set.
 
     Raises
@@ -165,7 +171,7 @@ def run_tap(config: TapConfig, stopping: threading.Event | None = None) -> int:
         if stopping is None:
             stopping = stack.enter_context(stop_on_signals())
         field_bus = stack.enter_context(open_bus(config.field))
-        intel_bus = stack.enter_context(open_bus(config.intel))
+        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
         service = TapService(config)
         stack.callback(service.close)
         service.attach(field_bus, intel_bus)

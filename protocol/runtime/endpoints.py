@@ -51,6 +51,13 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
     )
 
 
+def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--metrics``."""
+    parser.add_argument(
+        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/fleet.md)"
+    )
+
+
 def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
     pairs = []
     for value in values:
@@ -102,6 +109,25 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints
 
 
 @contextmanager
+def noted(args: argparse.Namespace, bus: "Bus") -> "Iterator[Bus]":
+    """The bus on which statuses are published; with ``--metrics`` Prometheus is answered too.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be.
+    """
+    if args.metrics is None:
+        yield bus
+        return
+    from protocol.runtime.metrics import Board, NotedBus, served
+
+    board: Board = {}
+    with served(args.metrics, board):
+        yield NotedBus(bus, board)
+
+
+@contextmanager
 def buses_of(
     args: argparse.Namespace, service: str
 ) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
@@ -122,7 +148,8 @@ def buses_of(
             open_bus(endpoints_of(args, service, "ops")) as ops,
         ):
             freeze_startup()
-            yield stopping, field, ops
+            with noted(args, ops) as ops_or_noted:
+                yield stopping, field, ops_or_noted
     except TransportError as error:
         raise UsageError(str(error)) from None
 

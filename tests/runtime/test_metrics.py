@@ -1,0 +1,76 @@
+"""Metrics: what Prometheus is told is what the newest statuses say."""
+
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.service import ControllerConfig, open_controller
+from plant_service.service import PlantConfig, open_plant
+from protocol.messages import ControllerStatus, PlantStatus
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.metrics import Board, NotedBus, served
+from protocol.runtime.process import Pace, UsageError
+from protocol.scenario import Scenario
+from protocol.topics import key_of
+
+pytest.importorskip("prometheus_client")
+
+
+def read(port: int) -> dict[str, float]:
+    """The samples at a port, by their line's first word."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:
+        lines = answer.read().decode().splitlines()
+    samples = (line.rpartition(" ") for line in lines if not line.startswith("#"))
+    return {name: float(value) for name, _, value in samples}
+
+
+def test_every_loop_is_told_of_by_its_newest_status(
+    sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path
+) -> None:
+    board: Board = {}
+    bus = NotedBus(MemoryBus(MemoryHub()), board)
+    for loop in ("a", "b"):
+        plant, files = open_plant(
+            PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime")), 0.0
+        )
+        files.close()
+        status = plant.status(0.0).model_copy(
+            update={"k": 70, "missed": 3, "latency_counts": (5, 2, *[0] * 17, 1)}
+        )
+        put = bus.publisher(key_of(PlantStatus, loop)).put
+        put(status.model_copy(update={"k": 1}).wire())
+        put(status.wire())
+    config = ControllerConfig(sustained, sustained_law, tmp_path / "a", "a")
+    controller, files = open_controller(config)
+    files.close()
+    told = controller.status().model_copy(update={"delivered": 2})
+    bus.publisher(key_of(ControllerStatus, "a")).put(told.wire())
+    with served("127.0.0.1:0", board) as port:
+        samples = read(port)
+    of = '{eavesdropper="",loop="%s",service="plant"}'
+    for loop in ("a", "b"):
+        assert samples["wyner_steps_total" + of % loop] == 70
+        assert samples["wyner_missed_steps_total" + of % loop] == 3
+        bucket = 'wyner_offer_latency_seconds_bucket{le="%s",loop="' + loop + '"}'
+        assert samples[bucket % "0.0005"] == 5
+        assert samples[bucket % "0.001"] == 7
+        assert samples[bucket % "+Inf"] == 8
+    delivered = 'wyner_messages_delivered_total{eavesdropper="",loop="a",service="controller"}'
+    assert samples[delivered] == 2
+
+
+@pytest.mark.parametrize("address", ["", "9100", "127.0.0.1:x", "127.0.0.1:70000"])
+def test_an_address_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(UsageError, match="expected HOST:PORT"), served(address, {}):
+        pass
+
+
+def test_an_address_in_use_is_told() -> None:
+    with (
+        served("127.0.0.1:0", {}) as port,
+        pytest.raises(UsageError, match=f"--metrics: 127.0.0.1:{port}: "),
+        served(f"127.0.0.1:{port}", {}),
+    ):
+        pass
