@@ -10,10 +10,17 @@ from protocol.messages import PlantStatus
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import Board, TapBoard, reduce_all
-from wyner.dashboard.score import characters_right, score, secrecy, truth_for
+from wyner.dashboard.score import (
+    characters_right,
+    rate_of,
+    score,
+    secrecy,
+    time_left_s,
+    truth_for,
+)
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, letters, percent
+from wyner.dashboard.text import component, duration, letters, number, percent
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
@@ -55,8 +62,12 @@ def progress(board: Board) -> str:
         f"x ({', '.join(component(v) for v in plant.x)})",
         f"keys {plant.agreements}",
         f"missed {plant.missed}",
+        f"{number(rate_of(board))} bit/s",
         f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
     ]
+    left = time_left_s(board)
+    if left is not None:
+        parts.append(f"{duration(left)} to go")
     its = secrecy(board)
     if its.strongest:
         tap = board.taps[its.strongest]

@@ -45,7 +45,8 @@ def _first_agreement(board: Board) -> Moment | None:
 
 def _first_message_symbol(board: Board) -> Moment | None:
     steps = [k for k, truth in board.truths.items() if truth.role == "message"]
-    if not steps:
+    agreed = any(shown.pictured_symbol >= 0 for shown in board.pictures.values())
+    if not steps or not agreed:
         return None
     return Moment(
         f"The first ciphertext under a key, at step {min(steps)}",
