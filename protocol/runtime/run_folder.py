@@ -66,6 +66,16 @@ def make_folder(folder: Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
 
 
+def loops_below(folder: Path) -> list[Path]:
+    """The folders of a fleet's loops, by name; none where ``folder`` is a single run's."""
+    if (folder / SCENARIO).exists():
+        return []
+    try:
+        return sorted(path.parent for path in folder.glob(f"*/{SCENARIO}"))
+    except OSError:
+        return []
+
+
 def refuse_irregular(path: Path) -> None:
     """Leave what is no regular file alone; a path where nothing is passes.
 

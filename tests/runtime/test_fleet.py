@@ -1,5 +1,6 @@
 """Fleets: their files, loops that come and go, loops that fail alone, and too many of them."""
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -128,12 +129,16 @@ class Hosts:
 
 
 def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
-    sustained_law: CandidateLaw, tmp_path: Path
+    sustained_law: CandidateLaw, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     hosts = Hosts(lambda: numbered(3, "sustained", "hi", seed=1), sustained_law, tmp_path)
     names = list(hosts.fleet().loops)
     with hosts.running("x20"):
         hosts.wait(lambda: all(map(hosts.delivered, names)))
+        assert main(["health", "--service", "plant", "--run-dir", str(tmp_path)]) == 0
+        assert "plant advances on all 3 loops" in capsys.readouterr().out
+    assert main(["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "1"]) == 1
+    assert "3 of 3 loops do not advance" in capsys.readouterr().err
     sessions = set()
     for name in names:
         trace = read_trace(tmp_path / name / PLANT_TRACE)
@@ -143,8 +148,21 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
         assert status is not None
         assert len(status.latency_counts) == len(LATENCY_BOUNDS_S) + 1
         assert sum(status.latency_counts) > 0
-        assert main(["check", str(tmp_path / name)]) == 0
     assert len(sessions) == 3
+    capsys.readouterr()
+    assert main(["check", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines[:3]] == names
+    assert lines[3:] == ["3 of 3 loops PASS"]
+    assert main(["check", "--json", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["passed"]
+    assert [loop["failed"] for loop in told["loops"]] == [0, 0, 0]
+    # one loop's plant traces a transition that never was: that loop fails, and no other
+    path = tmp_path / names[1] / PLANT_TRACE
+    path.write_bytes(path.read_bytes().replace(b'"coin":1', b'"coin":0'))
+    assert main(["check", str(tmp_path)]) == 1
+    assert "2 of 3 loops PASS" in capsys.readouterr().out
 
 
 def test_loops_come_and_go_while_the_hosts_run(sustained_law: CandidateLaw, tmp_path: Path) -> None:

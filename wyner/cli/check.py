@@ -2,8 +2,9 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocol.runtime.process import DONE, FAILED, UsageError
 from protocol.text import printable
@@ -22,41 +23,82 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
         "one does, 2 when there is no run.",
     )
-    parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
+    parser.add_argument(
+        "run_dir", type=Path, metavar="RUN_DIR", help="the run's folder, or a fleet's"
+    )
     parser.add_argument("--json", action="store_true", help="print one object for machines")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, judge, print."""
+    """Read, judge, print; of a fleet every loop."""
+    from protocol.runtime.run_folder import loops_below
+
+    loops = loops_below(args.run_dir)
+    if not loops:
+        findings = findings_of(args.run_dir)
+        if args.json:
+            print(json.dumps(summary_of(args.run_dir, findings), ensure_ascii=False))
+        else:
+            for finding in findings:
+                print("\n".join(printable(line) for line in lines_of(finding)))
+            print(counted(findings))
+        return FAILED if any(f.result == "FAIL" for f in findings) else DONE
+    summaries: list[dict[str, Any]] = []
+    for folder in loops:
+        findings = findings_of(folder)
+        summaries.append(summary_of(folder, findings))
+        if not args.json:
+            print(f"{folder.name}: {counted(findings)}")
+            for finding in findings:
+                if finding.result == "FAIL":
+                    print("\n".join(printable(f"  {line}") for line in lines_of(finding)))
+    failed = sum(not summary["passed"] for summary in summaries)
+    if args.json:
+        whole = {"run_dir": str(args.run_dir), "passed": not failed, "loops": summaries}
+        print(json.dumps(whole, ensure_ascii=False))
+    else:
+        print(f"{len(loops) - failed} of {len(loops)} loops PASS")
+    return FAILED if failed else DONE
+
+
+def findings_of(folder: Path) -> "list[Finding]":
+    """What each clause says of a run.
+
+    Raises
+    ------
+    UsageError
+        When there is no run that can be read.
+    """
     from protocol.runtime.trace import TraceError
     from protocol.scenario import ScenarioError
     from wyner.verify import check
     from wyner.verify.evidence import read_evidence
 
     try:
-        evidence = read_evidence(args.run_dir)
+        return list(check(read_evidence(folder)))
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     except (TraceError, OSError) as error:
         raise UsageError(str(error)) from None
-    findings = check(evidence)
+
+
+def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
+    """The findings of a run, for machines."""
     failed = sum(f.result == "FAIL" for f in findings)
-    if args.json:
-        summary = {
-            "run_dir": str(args.run_dir),
-            "passed": not failed,
-            "failed": failed,
-            "skipped": sum(f.result == "SKIP" for f in findings),
-            "clauses": [f.as_json() for f in findings],
-        }
-        print(json.dumps(summary, ensure_ascii=False))
-    else:
-        for finding in findings:
-            print("\n".join(printable(line) for line in lines_of(finding)))
-        results = [f.result for f in findings]
-        print(", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP")))
-    return FAILED if failed else DONE
+    return {
+        "run_dir": str(folder),
+        "passed": not failed,
+        "failed": failed,
+        "skipped": sum(f.result == "SKIP" for f in findings),
+        "clauses": [f.as_json() for f in findings],
+    }
+
+
+def counted(findings: "Sequence[Finding]") -> str:
+    """How many findings there are of each kind."""
+    results = [f.result for f in findings]
+    return ", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
 
 
 def lines_of(finding: "Finding") -> list[str]:

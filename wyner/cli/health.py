@@ -8,11 +8,13 @@ import argparse
 import socket
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from protocol.runtime.process import DONE, Failure, UsageError
-from protocol.runtime.run_folder import HEALTH
+from protocol.runtime.run_folder import HEALTH, loops_below
 from protocol.runtime.services import SERVICES, Look
+from protocol.text import printable
 
 MAX_AGE_S = 5.0
 """A report older than this was written by a service that is frozen or gone; it writes one each
@@ -104,11 +106,36 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--service: expected --run-dir D as well")
     look = SERVICES[args.service].health
     assert look is not None
+    loops = loops_below(args.run_dir)
+    if loops:
+        return _fleet(args, look, loops)
     seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
     told = told_by(args.run_dir / args.service)
     if told.startswith("bad"):
         raise Failure(told.removeprefix("bad: "))
     print(f"{args.service} advances: {seen.text}")
+    return DONE
+
+
+def _fleet(args: argparse.Namespace, look: Callable[[Path, float], Look], loops: list[Path]) -> int:
+    """Look at every loop of a fleet, at all of them while one waits."""
+
+    def one(loop: Path) -> str:
+        folder = loop / args.service
+        try:
+            advances(lambda: look(folder, time.time()), args.within)
+        except Failure as error:
+            return f"{loop.name}: {error}"
+        told = told_by(folder)
+        return f"{loop.name}: {told.removeprefix('bad: ')}" if told.startswith("bad") else ""
+
+    with ThreadPoolExecutor(max_workers=32) as threads:
+        wrong = [text for text in threads.map(one, loops) if text]
+    for text in wrong:
+        print(printable(text))
+    if wrong:
+        raise Failure(f"{len(wrong)} of {len(loops)} loops do not advance")
+    print(f"{args.service} advances on all {len(loops)} loops")
     return DONE
 
 
