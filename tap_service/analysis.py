@@ -19,7 +19,8 @@ from protocol.knowledge import Knowledge
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.recording import CaptureError, CaptureReader, Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
-from tap_service.eavesdroppers import Guess, named
+from tap_service.eavesdroppers import Guess
+from tap_service.guests import guarded
 from tap_service.status import Listener, belief_record, guess_line, status_of
 
 SLICE_S: Final = 0.05
@@ -90,7 +91,7 @@ def listeners_of(names: Iterable[str], knowledge: dict[str, Knowledge]) -> list[
     KnowledgeError
         When one cannot be found or is not told enough.
     """
-    return [Listener.of(named(name), knowledge[name]) for name in names]
+    return [Listener.of(guarded(name), knowledge[name]) for name in names]
 
 
 def analyse(assignment: Assignment, pipe: Connection) -> None:

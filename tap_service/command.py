@@ -221,8 +221,9 @@ def run_told(
     from protocol.runtime.options import alone_in, run_dir_of
     from protocol.runtime.process import UsageError
     from tap_service.capture.recording import Limits
-    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError, named
+    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
     from tap_service.fleet import run_taps
+    from tap_service.guests import guarded
     from tap_service.service import FINISH_S, TapConfig, run_tap
 
     bounds = {
@@ -263,7 +264,7 @@ def run_told(
         told_here = told if told_of is None else told_of(loop)
         config = config_of(told_here, loop.id, Path(args.run_dir) / loop.id)
         for name in config.names:
-            if named(name).heavy:
+            if guarded(name).heavy:
                 raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
         return config
 

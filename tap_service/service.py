@@ -49,7 +49,8 @@ from tap_service.analysis import Assignment, Listeners, analyse, listeners_of
 from tap_service.capture.channel import Channel, View, told
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError, named
+from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
+from tap_service.guests import guarded
 from tap_service.status import belief_record, beliefs_json, status_of
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class TapConfig:
             if self.oracle_knowledge is None:
                 raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
-        return told(self.knowledge, named(name), self.view)
+        return told(self.knowledge, guarded(name), self.view)
 
     def header(self) -> dict[str, Any]:
         """The public part of what a recording's header says."""
@@ -191,8 +192,8 @@ class TapService:
         self.log: logging.Logger = logger("tap")
         self._config = config
         knowledge = {name: config.knowledge_of(name) for name in config.names}
-        light = [name for name in config.names if not named(name).heavy]
-        heavy = tuple(name for name in config.names if named(name).heavy)
+        light = [name for name in config.names if not guarded(name).heavy]
+        heavy = tuple(name for name in config.names if guarded(name).heavy)
         listeners = listeners_of(light, knowledge)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
         header = config.header()

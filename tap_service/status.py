@@ -15,7 +15,7 @@ from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
 from protocol.text import readable
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, GuestError, KnowledgeError
 
 TAIL: Final = 32
 """Transitions that a status shows."""
@@ -121,6 +121,8 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
+    if isinstance(error, GuestError):
+        return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 

@@ -188,13 +188,13 @@ def _design(scenario: "Scenario") -> None:
 def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
     """The eavesdroppers asked for, or the scenario's; each one is there, before anything starts."""
     from tap_service.command import find_each, names_of
-    from tap_service.eavesdroppers import named
+    from tap_service.guests import guarded
 
     asked = args.eavesdropper
     names = scenario.tap.eavesdroppers if asked is None else names_of([asked])
     if asked is not None and not names:
         raise UsageError(f"--eavesdropper: got {asked!r}, expected at least one name")
-    find_each(names, named, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
+    find_each(names, guarded, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
     return names
 
 

@@ -10,7 +10,8 @@ from protocol.messages import TapStatus
 from tap_service.capture.channel import View, told
 from tap_service.capture.recording import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError, named
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
+from tap_service.guests import guarded
 from tap_service.status import Listener, status_of
 from wyner.scoring.score import Said, Step
 
@@ -63,7 +64,7 @@ class Replay:
         self.knowledge = knowledge or heard
         self.listeners: list[Listener] = []
         for name in names:
-            kind = named(name)
+            kind = guarded(name)
             if name == ORACLE:
                 if oracle_knowledge is None:
                     raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")

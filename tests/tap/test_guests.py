@@ -1,0 +1,118 @@
+"""A guest's code stays a guest: whatever she does, she stops herself alone."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from tap_service import guests
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import KnowledgeError
+from tap_service.guests import guarded
+from tap_service.status import Listener
+from tests.support.small_run import law_of
+
+KNOWLEDGE = law_of("sustained")[0].knowledge()
+
+GUEST = """
+import os, sys, time
+from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
+{before}
+class Mine(Eavesdropper):
+    name = "mine"
+    def observe(self, transition):
+        if transition.k == 2:
+            {act}
+        return Guess(transition.k, (0.25, 0.75), 1.0)
+    def belief(self):
+        return Belief(message=b"hm", whole=(b"a", b"b"), whole_count=2, symbols=((1, 0), (2, 1)))
+"""
+
+
+def step(k: int) -> Transition:
+    return Transition("0" * 16, k, (0.1, 0.2), ((0.0,), (1.0,)), 1, (0.3, 0.4))
+
+
+def guest(tmp_path: Path, act: str = "pass", before: str = "") -> str:
+    path = tmp_path / "mine.py"
+    path.write_text(GUEST.format(act=act, before=before))
+    return f"{path}:Mine"
+
+
+def test_she_guesses_and_believes_as_in_the_taps_own_process(tmp_path: Path) -> None:
+    listener = Listener.of(guarded(guest(tmp_path, 'print("hello" * 100000)')), KNOWLEDGE)
+    guesses = [listener.observe(step(k)) for k in range(5)]
+    assert [g and (g.k, g.symbol, g.best) for g in guesses] == [
+        (k, (0.25, 0.75), 1) for k in range(5)
+    ]
+    belief = listener.belief()
+    assert (belief.message, belief.whole, belief.symbols) == (
+        *(b"hm", (b"a", b"b"), ((1, 0), (2, 1))),
+    )
+    assert listener.review() == []
+    assert listener.failed == ""
+
+
+@pytest.mark.parametrize(
+    ("act", "why"),
+    [
+        ("sys.exit(0)", "her process ended"),
+        ("os._exit(3)", "her process ended"),
+        ("raise ValueError('no\\nidea')", "ValueError: no idea"),
+        ("return 'nothing of the kind'", "TypeError: expected a Guess"),
+        ("x = bytearray(8 << 30)", "MemoryError"),
+        ("[os.close(fd) for fd in range(3, 20)]", ""),
+        ("time.sleep(60)", "too slow"),
+        ("while True: pass", "too slow"),
+    ],
+)
+def test_what_she_does_stops_her_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str, why: str
+) -> None:
+    monkeypatch.setattr(guests, "LIGHT_S", 0.7)
+    listener = Listener.of(guarded(guest(tmp_path, act)), KNOWLEDGE)
+    guesses = [listener.observe(step(k)) for k in range(4)]
+    assert [g is not None for g in guesses] == [True, True, False, False]
+    assert listener.failed.startswith("step 2: ")
+    assert why in listener.failed
+    assert listener.belief().message == b""
+
+
+def test_what_she_started_ends_with_her(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guests, "LIGHT_S", 0.7)
+    note = tmp_path / "pid"
+    forking = (
+        f"child = os.fork(); child and open({str(note)!r}, 'w').write(str(child)); time.sleep(60)"
+    )
+    listener = Listener.of(guarded(guest(tmp_path, forking)), KNOWLEDGE)
+    for k in range(3):
+        listener.observe(step(k))
+    assert "too slow" in listener.failed
+    child = int(note.read_text())
+    until = time.monotonic() + 5
+    while Path(f"/proc/{child}/stat").exists() and time.monotonic() < until:
+        if Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+            break
+        time.sleep(0.02)
+    else:
+        assert not Path(f"/proc/{child}/stat").exists()
+    assert os.getpid() != child
+
+
+@pytest.mark.parametrize(
+    ("before", "why"),
+    [
+        ("sys.exit(1)", "cannot be loaded: her process ended"),
+        ("raise RuntimeError('no')", "no"),
+        ("time.sleep(60)", "cannot be loaded: too slow"),
+    ],
+)
+def test_one_that_cannot_be_loaded_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str, why: str
+) -> None:
+    monkeypatch.setattr(guests, "START_S", 3.0)
+    with pytest.raises(KnowledgeError) as error:
+        guarded(guest(tmp_path, before=before))
+    assert why in str(error.value)
+    assert "\n" not in str(error.value)
