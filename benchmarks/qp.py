@@ -5,6 +5,7 @@ seed. A violation is by how much A x + B u leaves the target or u leaves U, in t
 """
 
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -67,6 +68,7 @@ def measure(
         rng = np.random.default_rng(SEED)
         at = result["plants"][scenario.name] = {}
         for index in sorted({min(i, design.horizon) for i in indices}):
+            print(f"  {name}, index {index} ...", file=sys.stderr, flush=True)
             X = states_in(design, index, states, rng)
             solvers, rows = _solvers(scenario, design, index - 1)
             entry: dict[str, Any] = {"rows": rows, "states": len(X), "solvers": {}}

@@ -225,7 +225,11 @@ def render(r: dict[str, Any]) -> str:
     start = r["start"]
     lines.append(
         f"initial state {start['state']}: "
-        + (f"index {start['index']}" if "index" in start else start["outside"])
+        + (
+            f"index {start['index']}"
+            if "index" in start
+            else f"{start['outside']}; start nearer to the origin, or enlarge control.horizon"
+        )
     )
     lines += safety_lines(r)
     rate = r["rate"]

@@ -182,7 +182,9 @@ def _design(scenario: "Scenario") -> None:
     try:
         law.index(scenario.initial_state)
     except LookupError as error:
-        raise UsageError(f"plant.initial_state: {error}") from None
+        raise UsageError(
+            f"plant.initial_state: {error}; start nearer to the origin, or enlarge control.horizon"
+        ) from None
 
 
 def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
