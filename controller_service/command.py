@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
+    parser.add_argument(
+        "--model-folder",
+        metavar="D",
+        help="where the file of defender.model is (default: the scenario's own folder)",
+    )
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
     add_endpoint_arguments(parser, "controller")
@@ -43,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from controller_service.sets.design import SynthesisError
     from protocol.scenario import Scenario
     from protocol.scenario.files import keep_scenario, scenario_of
+    from protocol.shipped import scenario_file_of
 
     at_least("--seed", args.seed, 0)
 
@@ -68,6 +74,9 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
+        folder=scenario_file_of(args.scenario).parent
+        if args.model_folder is None
+        else Path(args.model_folder),
     )
     with buses_of(args, "controller") as (stopping, field, ops):
         keep_scenario(config.run_dir, args.scenario)

@@ -10,6 +10,7 @@ from pathlib import Path
 from controller_service.endpoint import STATUS_S, ControllerEndpoint
 from controller_service.laws.base import CandidateLaw
 from controller_service.telemetry import ControllerTelemetry
+from protocol.link.model import load_model
 from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
@@ -29,6 +30,7 @@ from protocol.runtime.run_folder import (
     CONTROLLER_TRACE,
 )
 from protocol.runtime.trace import TraceWriter
+from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.opening import open_keeper
@@ -43,7 +45,7 @@ class ControllerConfig:
 
     ``message`` is queued once in a journal's life, however often the service is started with it;
     ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
-    are signed.
+    are signed; ``folder`` is where the file of a nonlinear f_c is looked for.
     """
 
     scenario: Scenario
@@ -53,6 +55,7 @@ class ControllerConfig:
     message: bytes | None = None
     seed: int | None = None
     secret: Path | None = None
+    folder: Path = Path()
 
 
 def open_controller(
@@ -79,12 +82,16 @@ def open_controller(
         keeper = open_keeper(
             config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed, config.secret
         )
-    except JournalError as error:
+        predict = load_model(scenario, config.folder)
+    except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
     trace = TraceWriter(config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity())
     rules, fresh = rules_of(scenario), symbols(config.seed, CIPHER)
     endpoint = ControllerEndpoint(
-        Sender(rules, config.law.candidates, journal, fresh, new_id(), record, step, raws),
+        Sender(
+            *(rules, config.law.candidates, journal, fresh, new_id(), record, step, raws),
+            predict=predict,
+        ),
         journal,
         scenario.plant.period_s,
         message=config.message,

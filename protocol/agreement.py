@@ -5,7 +5,7 @@ on what both ends hold, in plain Python floats, in a fixed order of operations: 
 multiply-add, no order left to a library. The key is what this function returns, on both sides.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from operator import sub
 from typing import Final, NamedTuple
@@ -143,13 +143,17 @@ class AgreementRule:
         self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
     ) -> Verdict:
         """Evaluate the test for x(k) = ``x``, the offered inputs and x(k+1) = ``x_next``."""
+        A, B = self.A, self.B
+        return self.verdict_at([predict(A, B, x, u) for u in candidates], x_next)
+
+    def verdict_at(self, centres: Iterable[Sequence[float]], x_next: Sequence[float]) -> Verdict:
+        """Evaluate it for centres c_i = f_c(x(k), u_i) that are given."""
         gauges = []
         symbol = NO_SYMBOL
         inside = 0
         possible = True
-        A, B, gauge, alpha = self.A, self.B, self.gauge, self.alpha
-        for i, u in enumerate(candidates):
-            centre = predict(A, B, x, u)
+        gauge, alpha = self.gauge, self.alpha
+        for i, centre in enumerate(centres):
             g = gauge(tuple(map(sub, x_next, centre)))
             gauges.append(g)
             if g <= INSIDE:

@@ -362,7 +362,8 @@ def run(
         When the plant cannot be opened.
     """
     s = system if isinstance(system, System) else design(system)
-    if plant is None and s.scenario.plant.kind == "linear":
+    linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
+    if plant is None and linear:
         record = simulate_runs(
             s.scenario, s.law, seed=seed, runs=range(runs), steps=steps, record=True
         )
@@ -374,6 +375,7 @@ def run(
             seed=seed,
             runs=range(runs),
             steps=steps,
+            folder=Path(folder),
         )
     return Simulated(s, seed, record, transfer(record, payloads=[message] if message else []))
 

@@ -5,7 +5,7 @@ ends. What most people write is one call, ``step``; :class:`Simulated` makes the
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from protocol.runtime.process import Failure
 from protocol.vectors import Vector
@@ -78,6 +78,22 @@ class Displaceable(Protocol):
 
     def displace(self, d: Vector) -> Vector:
         """Add ``d`` to the state, in physical units; the reading after it."""
+
+
+def stepped(plant: Any, name: str) -> Stepped:
+    """``plant``, once it has both methods of :class:`Stepped`.
+
+    Raises
+    ------
+    PlantError
+    """
+    for method in ("reset", "step"):
+        if not callable(getattr(plant, method, None)):
+            raise PlantError(
+                f"{name}: has no method {method}, expected reset(seed) and step(u, period_s)"
+            )
+    found: Stepped = plant
+    return found
 
 
 class Simulated:

@@ -9,10 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from plant_service.adapters.base import PlantAdapter, PlantError, Simulated, Stepped
+from plant_service.adapters.base import PlantAdapter, PlantError, Simulated, Stepped, stepped
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
+from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import PLANTS, Plant, Scenario
 from protocol.scenario.parts import Positive
 from protocol.vectors import FiniteMatrix, FiniteVector
@@ -61,7 +62,7 @@ class OdePlant(ModelledElsewhere):
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:
         """The plant at the reading ``start``."""
         from plant_service.adapters.ode import Ode
-        from plant_service.adapters.python_object import load_attribute
+        from protocol.runtime.user_code import load_attribute
 
         function = load_attribute(self.object, folder)
         if not callable(function):
@@ -83,7 +84,7 @@ class PythonPlant(ModelledElsewhere):
 
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as it stands."""
-        from plant_service.adapters.python_object import load_attribute, made
+        from protocol.runtime.user_code import load_attribute, made
 
         plant = made(load_attribute(self.object, folder), self.object)
         return _adapted(plant, self.object, self.period_s)
@@ -190,7 +191,7 @@ def open_plant(
             adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
         else:
             adapter = _adapted(own, type(own).__name__, plant.period_s)
-    except PlantError as error:
+    except (PlantError, UserCodeError) as error:
         raise PlantError(f"plant: {error}") from error.__cause__
     settle_s = getattr(plant, "settle_s", None)
     operated = Operated(
@@ -214,8 +215,6 @@ def _adapted(plant: Any, name: str, period_s: float) -> PlantAdapter:
     if all(callable(getattr(plant, method, None)) for method in ("start", "apply", "sample")):
         found: PlantAdapter = plant
         return found
-    from plant_service.adapters.python_object import stepped
-
     return Simulated(stepped(plant, name), period_s)
 
 

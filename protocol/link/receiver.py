@@ -280,6 +280,8 @@ class Receiver:
             raise ValueError(f"offer.candidates: expected {rules.inputs} inputs in each")
         if not all(map(rules.admissible, offer.candidates)):
             raise ValueError("offer.candidates: expected inputs in U")
+        if wrong := rules.foreign_centres(offer.centres):
+            raise ValueError(wrong)
         if offer.cipher >= rules.size:
             raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
         if offer.session != self.record.session:
@@ -295,7 +297,7 @@ class Receiver:
         report = self.moved(offer, x_next)
         self._anyone = False
         scheme = self.rules.scheme
-        verdict = self.rules.agreement.verdict(record.x, offer.candidates, x_next)
+        verdict = self.rules.judge(record.x, offer.candidates, offer.centres, x_next)
         after, (agreed, pad) = scheme.advance(record.state, verdict.symbol)
         recovered = decrypt(offer.cipher, pad, scheme.alphabet)
         carried = pad != NO_SYMBOL
@@ -331,6 +333,7 @@ class Receiver:
             s=after[0],
             tested=scheme.tests(record.state),
             counts=0 if raw is None else raw.counts,
+            centres=offer.centres,
         )
         self.record = record._replace(
             k=record.k + 1,

@@ -27,6 +27,10 @@ not the journal: a newest step that the plant never made was answered. A network
 back fewer."""
 
 
+Predict = Callable[[Vector, Vector], Vector]
+"""A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
+
+
 class Outbox(Protocol):
     """The queue of messages to deliver, in order, numbered from 0."""
 
@@ -143,6 +147,8 @@ class Sender:
     raws : iterable of Raw
         Rows of key blocks that are not settled, as read back.
     nonces : NonceSource
+    predict : callable, optional
+        f_c, where it is not linear.
     """
 
     def __init__(
@@ -156,12 +162,14 @@ class Sender:
         step: tuple[Measurement, Offer] | None = None,
         raws: Iterable[Raw] = (),
         nonces: NonceSource = fresh_nonce,
+        predict: Predict | None = None,
     ) -> None:
         self.rules = rules
         record = record or SenderRecord()
         self.record = record._replace(state=rules.scheme.restore(record.state))
         self.instance = instance
         self._propose = propose
+        self._predict = predict
         self._outbox = outbox
         self._fresh = fresh
         self._plant: str | None = None
@@ -276,6 +284,7 @@ class Sender:
             counted = self._count(measurement)
         try:
             candidates = self._propose(measurement.x)
+            centres = self._centres(measurement.x, candidates)
         except LookupError as error:
             self._answer = Answer(measurement, counted, None)
             return self.settle()._replace(save=True, refusal=str(error))
@@ -284,6 +293,7 @@ class Sender:
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
+            centres=centres,
             cipher=record.cipher if counted is None else counted.following.cipher,
             nonce=self.keying.nonce(),
             heard=measurement.copy_number,
@@ -292,6 +302,13 @@ class Sender:
         )
         self._answer = Answer(measurement, counted, offer)
         return SenderEffects(append=True, offer=offer)
+
+    def _centres(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        """f_c(x, u_i) where f_c is not linear; raises LookupError where it has no answer."""
+        if not self.rules.predicted:
+            return ()
+        assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
+        return tuple([self._predict(x, u) for u in candidates])
 
     @property
     def unsettled(self) -> bool:
@@ -340,6 +357,7 @@ class Sender:
             s=counted.after[0],
             tested=self.rules.scheme.tests(before.state),
             counts=0 if raw is None else raw.counts,
+            centres=applied.centres,
         )
         self.record = said._replace(
             state=counted.after,
@@ -381,7 +399,7 @@ class Sender:
         offer = record.offer
         if offer is None or measurement.applied_k == record.applied_k:
             return None
-        verdict = self.rules.agreement.verdict(record.x, offer.candidates, measurement.x_after)
+        verdict = self.rules.judge(record.x, offer.candidates, offer.centres, measurement.x_after)
         after, carry = self.rules.scheme.advance(record.state, verdict.symbol)
         delivered = None
         message, offset = record.message, record.offset

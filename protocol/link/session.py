@@ -58,6 +58,8 @@ class Rules:
         The gauge of U, the admissible inputs.
     schedule : Schedule, optional
         Of key blocks; without one no keys are made.
+    predicted : bool
+        f_c is not linear: its predictions travel with the offer.
     """
 
     agreement: AgreementRule
@@ -67,11 +69,28 @@ class Rules:
     fingerprint: str
     inputs_gauge: Gauge
     schedule: Schedule | None = None
+    predicted: bool = False
 
     @property
     def size(self) -> int:
         """M, the number of candidates and of symbols."""
         return self.scheme.alphabet
+
+    def judge(
+        self, x: Vector, candidates: tuple[Vector, ...], centres: tuple[Vector, ...], x_next: Vector
+    ) -> Verdict:
+        """The verdict of a transition: on the offer's predictions, or on A x + B u."""
+        if self.predicted:
+            return self.agreement.verdict_at(centres, x_next)
+        return self.agreement.verdict(x, candidates, x_next)
+
+    def foreign_centres(self, centres: tuple[Vector, ...]) -> str:
+        """What is wrong with an offer's predictions; nothing where they are as the rules say."""
+        if not self.predicted:
+            return "offer.centres: expected none, as f_c is linear" if centres else ""
+        if len(centres) != self.size or any(len(c) != self.states for c in centres):
+            return f"offer.centres: expected {self.size} predictions of {self.states} states"
+        return ""
 
     def admissible(self, u: Vector) -> bool:
         """Whether ``u`` is in U, to rounding."""
@@ -95,6 +114,7 @@ def rules_of(scenario: Scenario) -> Rules:
         fingerprint=scenario.fingerprint(),
         inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
         schedule=None if scenario.keys is None else scenario.keys.schedule(),
+        predicted=scenario.defender.model is not None,
     )
 
 
@@ -105,7 +125,8 @@ class CountedTransition(NamedTuple):
     symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
     -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
     afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
-    1 the offer's, 2 that of the measurement it answers, 3 both.
+    1 the offer's, 2 that of the measurement it answers, 3 both. ``centres`` are the offer's
+    predictions, of an f_c that is not linear.
     """
 
     session: str
@@ -124,10 +145,11 @@ class CountedTransition(NamedTuple):
     s: int
     tested: bool
     counts: int = 0
+    centres: tuple[Vector, ...] = ()
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
-        return {
+        event = {
             "event": "transition",
             "session": self.session,
             "j": self.j,
@@ -145,3 +167,6 @@ class CountedTransition(NamedTuple):
             "s": self.s,
             "counts": self.counts,
         }
+        if self.centres:
+            event["centres"] = self.centres
+        return event

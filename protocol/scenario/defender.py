@@ -39,6 +39,8 @@ class Defender(Part):
     """State matrix of the identified model; the plant's own where not given."""
     B: FiniteMatrix | None = None
     """Input matrix of the identified model; the plant's own where not given."""
+    model: str | None = None
+    """A nonlinear f_c: the function predict(x, u), as 'file.py:predict'; A and B linearise it."""
     disturbance: ConvexSet
     """D_c, which both ends know and she does not: it decides what a key is."""
     calibration: Calibration | None = None

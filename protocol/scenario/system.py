@@ -159,6 +159,7 @@ class Scenario(Part):
                 "period_s": self.plant.period_s,
                 "initial_state": self.initial_state,
                 "fallback": self.link.fallback,
+                **({} if self.defender.model is None else {"model": self.defender.model}),
             }
         )
 
@@ -169,9 +170,12 @@ class Scenario(Part):
         """
         scheme = SCHEMES[self.secrecy.scheme]
         keys = {} if self.keys is None else {"keys": self.keys.shared()}
+        # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
+        f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
         return _digest(
             {
                 **keys,
+                **f_c,
                 "rules": RULES_VERSION,
                 "scheme": (scheme.name, scheme.version),
                 "A": self.A,

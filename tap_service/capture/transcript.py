@@ -53,6 +53,8 @@ class Transition:
         Whether this is the first of its session, for certain.
     gap : bool
         Whether transitions right before this one were missed altogether.
+    centres : tuple of tuple of float, shape (M, n), optional
+        The offer's predictions; empty where f_c is linear.
     """
 
     session: str
@@ -64,6 +66,7 @@ class Transition:
     applied: bool = True
     start: bool = False
     gap: bool = False
+    centres: tuple[Vector, ...] = ()
 
     @property
     def whole(self) -> bool:
@@ -100,7 +103,7 @@ class Transcript:
         self.jumped = 0
         self._session = ""
         self._ended: deque[str] = deque(maxlen=ENDED_SESSIONS)
-        self._speaks = {Measurement: False, Offer: False}
+        self._speaks: dict[type[Measurement | Offer], bool] = {Measurement: False, Offer: False}
         self._begin("")
 
     def _begin(self, session: str) -> None:
@@ -185,6 +188,7 @@ class Transcript:
                     applied=after is not None,
                     start=self._start,
                     gap=self._gap,
+                    centres=() if offer is None else offer.centres,
                 )
             )
             self._start = self._gap = False

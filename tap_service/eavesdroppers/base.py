@@ -194,12 +194,15 @@ class Model:
         return cls(k.A, k.B, Gauge.from_rows(k.disturbance_H, k.disturbance_h))
 
     def gauges(
-        self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        centres: Sequence[Sequence[float]] = (),
     ) -> list[float]:
-        """g(x_next - c_i) for each candidate, in units of D_e."""
+        """g(x_next - c_i) for each candidate, in units of D_e; c_i as offered, if it was."""
         gauges = []
-        for u in candidates:
-            centre = predict(self.A, self.B, x, u)
+        for centre in centres or [predict(self.A, self.B, x, u) for u in candidates]:
             gauges.append(self.gauge([a - b for a, b in zip(x_next, centre, strict=True)]))
         return gauges
 

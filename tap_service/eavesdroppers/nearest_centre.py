@@ -46,7 +46,7 @@ class NearestCentre(Eavesdropper):
         if t.x is None or t.candidates is None or t.x_next is None:
             self._follower.step(t.k, NO_SYMBOL, t.cipher)
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
         nearest = min(gauges)
         ties = gauges.count(nearest)
         self._largest = max(self._largest, nearest)

@@ -46,7 +46,10 @@ class Oracle(Eavesdropper):
         if t.x is None or t.candidates is None or t.x_next is None:
             self._follower.step(t.k, NO_SYMBOL, t.cipher)
             return Guess(t.k, self._even, 0.5)
-        verdict = self._rule.verdict(t.x, t.candidates, t.x_next)
+        if t.centres:
+            verdict = self._rule.verdict_at(t.centres, t.x_next)
+        else:
+            verdict = self._rule.verdict(t.x, t.candidates, t.x_next)
         agreed = verdict.agreed and self._follower.tests
         self._follower.step(t.k, verdict.symbol, t.cipher)
         symbol = verdict.gauges.index(min(verdict.gauges))

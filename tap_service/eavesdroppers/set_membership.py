@@ -42,7 +42,7 @@ class SetMembership(Eavesdropper):
         if t.x is None or t.candidates is None or t.x_next is None:
             self._follower.step(t.k, NO_SYMBOL, t.cipher)
             return Guess(t.k, self._even, 0.5)
-        possible = [g <= 1.0 for g in self._model.gauges(t.x, t.candidates, t.x_next)]
+        possible = [g <= 1.0 for g in self._model.gauges(t.x, t.candidates, t.x_next, t.centres)]
         count = sum(possible)
         if count == len(possible):
             symbol = self._coin.randrange(self.size)

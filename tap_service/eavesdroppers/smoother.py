@@ -107,7 +107,7 @@ class Smoother(Eavesdropper):
             self._let_go(KEPT // 2)
         if t.x is None or t.candidates is None or t.x_next is None:
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
         return Guess(t.k, nearest(gauges), 0.5 if max(gauges) <= 1.0 else 0.0)
 
     def decode(self) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from plant_service.adapters import PlantError
+from plant_service.adapters.base import stepped
 from plant_service.adapters.ode import Ode, runge_kutta_step
-from plant_service.adapters.python_object import load_attribute, made, stepped
+from protocol.runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
 
 
@@ -87,7 +88,7 @@ def test_code_is_found_beside_the_scenario_and_by_module_name(tmp_path: Path) ->
 def test_code_that_cannot_be_used_is_named(tmp_path: Path, name: str, says: str) -> None:
     (tmp_path / "mine.py").write_text(CODE)
     (tmp_path / "bad.py").write_text("def")
-    with pytest.raises(PlantError, match=says):
+    with pytest.raises((PlantError, UserCodeError), match=says):
         stepped(made(load_attribute(name, tmp_path), name), name)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from plant_service.adapters.python_object import stepped
+from plant_service.adapters.base import stepped
 from protocol.registry import load_file
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES

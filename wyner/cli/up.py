@@ -264,6 +264,7 @@ def _children(
                 *seed,
                 *secrets.get("controller", ()),
                 *("--scenario", str(scenario_file), "--message-file", str(message_file)),
+                *("--model-folder", str(scenario_file_of(args.scenario).parent.resolve())),
                 *("--listen", f"field={controller_field}", "--connect", f"field={plant_field}"),
                 *("--connect", f"field={tap_field}"),
                 *("--listen", f"ops={controller_ops}", "--connect", f"ops={plant_ops}"),

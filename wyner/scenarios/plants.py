@@ -19,6 +19,14 @@ def pendulum(t: float, x: Sequence[float], u: Sequence[float]) -> Vector:  # noq
     return (x[1], G_OVER_L * sin(x[0]) - DAMPING * x[1] + TORQUE * u[0])
 
 
+def predict_pendulum(x: Vector, u: Vector) -> Vector:
+    """A nonlinear f_c of the pendulum: its state 0.1 s on, by two Runge-Kutta steps."""
+    from plant_service.adapters.ode import runge_kutta_step
+
+    middle = runge_kutta_step(pendulum, 0.0, x, u, 0.05)
+    return runge_kutta_step(pendulum, 0.05, middle, u, 0.05)
+
+
 VISCOUS = 0.5
 COULOMB = 0.5
 SMOOTHING = 0.1

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
+from pathlib import Path
 from typing import Final, Literal, Protocol
 
 from controller_service.endpoint import ControllerEndpoint
@@ -19,6 +20,7 @@ from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
 from protocol.link.events import Applied, Event, Missed
+from protocol.link.model import load_model
 from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.receiver import ReceiverRecord
@@ -190,6 +192,7 @@ class Simulation:
         self._scenario = scenario
         self._law = law
         self._seed, self._run = seed, run
+        self._predict = load_model(scenario, Path())
         self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
         self._step_s = step_s
@@ -332,6 +335,7 @@ class Simulation:
             record,
             self._queue.step(),
             self._queue.raws(None if record is None else record.session),
+            predict=self._predict,
         )
         return ControllerEndpoint(self._sender, self._queue, self._scenario.plant.period_s)
 

@@ -6,6 +6,7 @@ run here, there and on the network.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL
+from protocol.link.model import load_model
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
@@ -36,6 +38,7 @@ def simulate_plant(
     seed: int,
     runs: range,
     steps: int,
+    folder: Path = Path(),
 ) -> Runs:
     """Simulate ``runs`` of a plant, with a record.
 
@@ -50,6 +53,8 @@ def simulate_plant(
     runs : range
         Numbers of the runs, each with its own streams.
     steps : int
+    folder : Path
+        Where the file of a nonlinear f_c is looked for.
 
     Raises
     ------
@@ -62,7 +67,7 @@ def simulate_plant(
     R = len(runs)
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
-    verdict_of = rules_of(scenario).agreement.verdict
+    judge, predict = rules_of(scenario).judge, load_model(scenario, folder)
     coin = np.empty((steps, R), dtype=symbol_type(M))
     symbol = np.empty((steps, R), dtype=symbol_type(M))
     xs = np.empty((steps + 1, n, R))
@@ -78,13 +83,14 @@ def simulate_plant(
             for k in range(steps):
                 try:
                     candidates = law.candidates(x)
+                    centres = () if predict is None else tuple([predict(x, u) for u in candidates])
                     b = coins.symbol(k, M)
                     d = None if width == 0 else disturbance(spec, k, noise.at(k))
                     plant.apply(candidates[b], d if spec.enters == "input" else None)
                     x_next = plant.sample(d if in_state else None)
                 except (LookupError, PlantError) as error:
                     raise SimulationError(f"run {run}, step {k}: {error}") from None
-                verdict = verdict_of(x, candidates, x_next)
+                verdict = judge(x, candidates, centres, x_next)
                 inside = [i for i, g in enumerate(verdict.gauges) if g <= INSIDE]
                 coin[k, place] = b
                 symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL

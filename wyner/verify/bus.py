@@ -22,7 +22,7 @@ PUBLIC: Final[dict[str, frozenset[str]]] = {
         | {"copy_number", "nonce", "applied_copy", "block", "tag"}
     ),
     "offer": frozenset(
-        {"v", "session", "k", "candidates", "cipher"}
+        {"v", "session", "k", "candidates", "cipher", "centres"}
         | {"copy_number", "nonce", "heard", "block", "tag"}
     ),
 }
@@ -136,7 +136,7 @@ def _unlike_offer(e: Evidence, m: dict[str, Any], step: Applied | None) -> list[
     if step is None or step.j == NO_SYMBOL:
         return []  # it was not applied
     unlike = []
-    if e.steps.of_candidates(m["candidates"]) != step.candidates:
+    if e.steps.of_candidates(m["candidates"], m["centres"]) != step.candidates:
         unlike.append("candidates")
     if m["cipher"] != step.cipher:
         unlike.append("cipher")
@@ -194,6 +194,7 @@ def public_fields(e: Evidence, tally: Tally) -> Judging:
             else:
                 fits = len(message.candidates) == size and message.cipher < size
                 fits = fits and all(len(u) == m for u in message.candidates)
+                fits = fits and not e.rules.foreign_centres(message.centres)
             text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
             if e.scenario.keys is None and fits:
                 idle = [

@@ -85,8 +85,8 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
                 g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
             elif isinstance(item, Missed):
                 step = item
-                if step.interrupted:
-                    continue  # what was applied, and for how long, is not known
+                if step.interrupted or e.rules.predicted:
+                    continue  # what was applied is not known, or where it leads nobody predicted
                 g = _gauge(e, step)
             else:
                 continue

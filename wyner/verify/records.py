@@ -38,6 +38,7 @@ class TracedTransition:
     p: int
     s: int
     counts: int
+    centres: tuple[Vector, ...] = ()
     coin: int | None = None
     u: Vector | None = None
 

@@ -236,7 +236,8 @@ class SideReader:
         except ValidationError as error:
             self.problem(number, f"transition: {wrong(error)}")
             return
-        if unlike := self._shape.unlike(t, plant=self.side == "plant"):
+        unlike = self._shape.unlike(t, plant=self.side == "plant")
+        if unlike := unlike or self._rules.foreign_centres(t.centres).removeprefix("offer."):
             self.problem(number, f"transition: {unlike}")
             return
         if number:
@@ -258,7 +259,7 @@ class SideReader:
         if t.session not in self.transitions:
             self._state = rules.scheme.initial
         self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
-        verdict = rules.agreement.verdict(t.x, t.candidates, t.x_next)
+        verdict = rules.judge(t.x, t.candidates, t.centres, t.x_next)
         self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
         yield Walked(t, verdict, carry, self._state[0])
 

@@ -56,9 +56,12 @@ class Steps:
         self.of_state: Callable[[Sequence[float]], int] = _hasher(shape.n)
         self._of_flat = _hasher(shape.size * shape.m)
 
-    def of_candidates(self, candidates: Sequence[Sequence[float]]) -> int:
-        """The hash of some candidates."""
-        return self._of_flat([v for u in candidates for v in u])
+    def of_candidates(
+        self, candidates: Sequence[Sequence[float]], centres: Sequence[Sequence[float]] = ()
+    ) -> int:
+        """The hash of some candidates, and of the predictions offered with them."""
+        found = self._of_flat([v for u in candidates for v in u])
+        return hash((found, *map(tuple, centres))) if centres else found
 
     def counted(self, t: TracedTransition, pad: int) -> None:
         """File a transition; ``pad`` is the key under which it carried a symbol, or -1."""
@@ -69,7 +72,7 @@ class Steps:
         session.cipher.append(t.cipher)
         session.pad.append(pad)
         session.x.append(self.of_state(t.x))
-        session.candidates.append(self.of_candidates(t.candidates))
+        session.candidates.append(self.of_candidates(t.candidates, t.centres))
         session.x_next.append(self.of_state(t.x_next))
         session.newest = t.k
 

@@ -101,6 +101,8 @@ class _Loop:
                 f"plant.kind: got {plant.kind!r}, expected 'linear' with a disturbance of the "
                 "state: the engine steps nothing else"
             )
+        if scenario.defender.model is not None:
+            raise SimulationError("defender.model: expected none, as the engine's f_c is linear")
         self.true_A: Matrix
         self.true_B: Matrix
         self.true_A, self.true_B = scenario.plant_model

@@ -1,15 +1,20 @@
 """Code that a scenario names: ``module:attribute`` or ``file.py:attribute``.
 
-Only the plant's process loads it, and it runs with that process's rights.
+A plant's is loaded by the plant's process alone, a model's by the controller's; it runs with that
+process's rights.
 """
 
 import importlib
 import importlib.util
 import sys
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from plant_service.adapters.base import PlantError, Stepped
+from protocol.runtime.process import Failure
+
+
+class UserCodeError(Failure):
+    """Code that is not there, or cannot be loaded; one line."""
 
 
 def load_attribute(name: str, folder: Path) -> Any:
@@ -24,33 +29,35 @@ def load_attribute(name: str, folder: Path) -> Any:
 
     Raises
     ------
-    PlantError
+    UserCodeError
         When there is no such file, module or attribute, or loading it fails.
     """
     where, colon, attribute = name.rpartition(":")
     if not colon or not where or not attribute:
-        raise PlantError(f"got {name!r}, expected 'file.py:attribute' or 'module:attribute'")
+        raise UserCodeError(f"got {name!r}, expected 'file.py:attribute' or 'module:attribute'")
     try:
         module = (
             _load_file(folder / where) if where.endswith(".py") else importlib.import_module(where)
         )
     except FileNotFoundError:
-        raise PlantError(f"{folder / where}: no such file") from None
+        raise UserCodeError(f"{folder / where}: no such file") from None
     except ModuleNotFoundError as error:
-        raise PlantError(f"{where}: {error}") from None
+        raise UserCodeError(f"{where}: {error}") from None
     except Exception as error:
-        raise PlantError(f"{where}: cannot be loaded: {type(error).__name__}: {error}") from error
+        raise UserCodeError(
+            f"{where}: cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
     try:
         return getattr(module, attribute)
     except AttributeError:
-        raise PlantError(f"{where}: has no {attribute!r}") from None
+        raise UserCodeError(f"{where}: has no {attribute!r}") from None
 
 
 def _load_file(path: Path) -> Any:
     if not path.is_file():
         raise FileNotFoundError(path)
     resolved = path.resolve()
-    spec = importlib.util.spec_from_file_location(f"wyner_plant_{resolved.stem}", resolved)
+    spec = importlib.util.spec_from_file_location(f"wyner_user_{resolved.stem}", resolved)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -64,26 +71,11 @@ def made(found: Any, name: str) -> Any:
 
     Raises
     ------
-    PlantError
+    UserCodeError
     """
     if not isinstance(found, type):
         return found
     try:
         return found()
     except Exception as error:
-        raise PlantError(f"{name}: {type(error).__name__}: {error}") from error
-
-
-def stepped(plant: Any, name: str) -> Stepped:
-    """``plant``, once it has both methods of :class:`Stepped`.
-
-    Raises
-    ------
-    PlantError
-    """
-    for method in ("reset", "step"):
-        if not callable(getattr(plant, method, None)):
-            raise PlantError(
-                f"{name}: has no method {method}, expected reset(seed) and step(u, period_s)"
-            )
-    return cast(Stepped, plant)
+        raise UserCodeError(f"{name}: {type(error).__name__}: {error}") from error

@@ -1,0 +1,158 @@
+"""A nonlinear f_c: its predictions travel with the offer, and both ends test against those."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.link.model import ModelError, load_model
+from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.session import rules_of
+from protocol.messages import Offer
+from protocol.runtime.user_code import UserCodeError
+from protocol.scenario import Scenario
+from wyner.api import System, design, eavesdrop, run, vary
+from wyner.simulate.engine import SimulationError, simulate_runs
+from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.safety import violations
+
+MODEL = "wyner.scenarios.plants:predict_pendulum"
+FAR = {
+    "plant.initial_state": [0.6, -0.5],
+    "control.disturbance.half_widths": [0.008, 0.06],
+    "control.horizon": 40,
+}
+"""So far from upright that the tangent model is wrong by more than D_c."""
+
+
+@pytest.fixture(scope="module")
+def linear() -> System:
+    return design(vary(design("pendulum").scenario, FAR))
+
+
+@pytest.fixture(scope="module")
+def nonlinear(linear: System) -> System:
+    scenario = vary(linear.scenario, {"defender.model": MODEL})
+    return System(scenario, linear.design, linear.law)
+
+
+def applied(runs: Any) -> Any:
+    return np.take_along_axis(runs.gauges, runs.coin[:, :, None].astype(np.intp), axis=2)
+
+
+def test_what_the_tangent_model_gets_wrong_the_model_gets_right(
+    linear: System, nonlinear: System
+) -> None:
+    wrong, right = (run(s, steps=60, runs=4, seed=1) for s in (linear, nonlinear))
+    assert applied(wrong).max() > 1.2
+    assert applied(right).max() <= 1.0
+    tested = (right.message_symbol < 0).sum()
+    assert (right.key >= 0).sum() == tested
+
+
+def test_both_ends_keep_step_over_a_bad_network(nonlinear: System) -> None:
+    payloads = (b"one", b"two")
+    faults = Faults(loss=0.2, repeat=0.1, delay_s=0.05, crash=0.005, until_s=100.0)
+    world = Simulation(nonlinear.scenario, nonlinear.law, seed=2, payloads=payloads, faults=faults)
+    history = world.run(seconds=900, until=lambda: len(world.history.delivered) == 2)
+    assert list(violations(history, payloads)) == []
+    assert history.inbox == list(payloads)
+    t = next(iter(history.plant.values()))
+    assert len(t.centres) == 4
+    assert t.as_event()["centres"] == t.centres
+    assert all(offer.centres for _, _, offer in history.offered)
+
+
+def test_only_who_shares_the_rule_shares_the_fingerprint(linear: System, nonlinear: System) -> None:
+    assert linear.scenario.fingerprint() != nonlinear.scenario.fingerprint()
+    assert "centres" not in _first(linear)
+    assert "centres" in _first(nonlinear)
+
+
+def _first(system: System) -> dict[str, Any]:
+    world = Simulation(system.scenario, system.law, seed=2)
+    world.run(steps=2)
+    return next(iter(world.history.plant.values())).as_event()
+
+
+def receiver(scenario: Scenario) -> Receiver:
+    record = ReceiverRecord("1" * 16, 0, (0.1, 0.0), (0.0,))
+    return Receiver(rules_of(scenario), "2" * 16, record)
+
+
+@pytest.mark.parametrize(
+    ("model", "centres", "says"),
+    [
+        (False, ((0.0, 0.0),) * 4, "offer.centres: expected none, as f_c is linear"),
+        (True, (), "offer.centres: expected 4 predictions of 2 states"),
+        (True, ((0.0,),) * 4, "offer.centres: expected 4 predictions of 2 states"),
+    ],
+)
+def test_predictions_of_another_kind_are_garbage(
+    model: bool, centres: Any, says: str, linear: System, nonlinear: System
+) -> None:
+    end = receiver((nonlinear if model else linear).scenario)
+    offer = Offer(session="1" * 16, k=0, candidates=((0.0,),) * 4, cipher=0, centres=centres)
+    with pytest.raises(ValueError, match=says):
+        end.check(offer)
+
+
+def test_eavesdroppers_hear_the_predictions(nonlinear: System) -> None:
+    runs = run(nonlinear, steps=120, seed=3, message=b"far")
+    (tap,) = eavesdrop(runs, ["nearest-centre"])
+    assert tap.agreements > 50
+
+
+def test_the_engine_refuses_a_nonlinear_model(nonlinear: System) -> None:
+    s = nonlinear.scenario
+    data = s.model_dump(exclude_none=True)
+    with pytest.raises(SimulationError, match=r"defender.model|plant.kind"):
+        simulate_runs(s, nonlinear.law, seed=1, runs=range(1), steps=2)
+    assert data["defender"]["model"] == MODEL
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("predict = 3", "expected a function of x and u"),
+        ("", "has no 'predict'"),
+    ],
+)
+def test_a_model_that_is_none_is_named(
+    code: str, says: str, nonlinear: System, tmp_path: Path
+) -> None:
+    (tmp_path / "model.py").write_text(code)
+    scenario = vary(nonlinear.scenario, {"defender.model": "model.py:predict"})
+    with pytest.raises(UserCodeError, match=f"^defender.model: .*{says}"):
+        load_model(scenario, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("return (1.0,)", r"got \[1.0\], expected 2 finite numbers"),
+        ("return (float('nan'), 0.0)", "expected 2 finite numbers"),
+        ("raise RuntimeError('too far')", "RuntimeError: too far"),
+    ],
+)
+def test_a_model_without_an_answer_offers_nothing(
+    code: str, says: str, nonlinear: System, tmp_path: Path
+) -> None:
+    (tmp_path / "model.py").write_text(f"def predict(x, u):\n    {code}\n")
+    scenario = vary(nonlinear.scenario, {"defender.model": "model.py:predict"})
+    predict = load_model(scenario, tmp_path)
+    assert predict is not None
+    with pytest.raises(ModelError, match=says):
+        predict((0.1, 0.0), (0.0,))
+
+
+def test_the_trace_is_judged_by_the_predictions_in_it(nonlinear: System, tmp_path: Path) -> None:
+    """A change of a prediction in the trace fails the check that is made of it."""
+    rules = rules_of(nonlinear.scenario)
+    event = _first(nonlinear)
+    verdict = rules.judge(event["x"], event["candidates"], event["centres"], event["x_next"])
+    assert verdict.gauges == event["gauges"]
+    moved = tuple((c[0] + 0.1, c[1]) for c in event["centres"])
+    other = rules.judge(event["x"], event["candidates"], moved, event["x_next"])
+    assert other.gauges != event["gauges"]
