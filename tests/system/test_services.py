@@ -347,7 +347,7 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
     for event in read_trace(system.run_dir / PLANT_TRACE).of("transition"):
         offers[state].add(tuple(json.loads(seen[event["k"]])))
         state = event["s"]
-    fields = ("v", "session", "k", "candidates", "cipher")
+    fields = ("v", "session", "k", "candidates", "cipher", "centres")
     assert offers[1] == offers[2] == {(*fields, "copy_number", "nonce", "heard", "block", "tag")}
 
 
