@@ -34,7 +34,7 @@ from protocol.runtime.run_folder import (
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
-from protocol.secret.opening import open_keeper
+from protocol.secret.opening import open_keeper, refusal
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import COIN, noise, symbols
@@ -87,6 +87,8 @@ def open_plant(
         keeper = open_keeper(
             config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
         )
+        if scenario.keys is not None:
+            news.keys_refused = refusal(scenario, config.seed) or ""
         for payload in journal.inbox(1):
             news.last_message = readable(payload)
         step_s = config.pace.step_s(scenario.plant.period_s)

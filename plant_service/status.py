@@ -40,6 +40,8 @@ class PlantTelemetry:
         self.tail: deque[Step] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
         self.watch = Watch(scenario.defender.calibration)
+        self.keys_claim = "" if scenario.keys is None else scenario.keys.assumption().sentence()
+        self.keys_refused = ""
         self._scenario = scenario
         self._pace = pace
         self._seeded = seeded
@@ -104,6 +106,11 @@ class PlantTelemetry:
             sampled_late_s=self.punctuality.sampled_late_s,
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
+            keys_made=receiver.keying.made,
+            keys_of_block=receiver.keying.last[0],
+            key_block_steps=receiver.keying.last[1],
+            keys_claim=self.keys_claim,
+            keys_refused=receiver.keying.broken or self.keys_refused,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=pictured.x if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),

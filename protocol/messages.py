@@ -201,6 +201,9 @@ class PlantStatus(Message):
     ``outside`` counts transitions whose disturbance left D_c and ``unexplained`` those that no
     candidate explains; ``sampled_late_s`` and ``actuated_after_s`` are median, 99th percentile and
     largest of the last steps, empty in lock-step.
+    ``keys_made`` counts keys of confirmed blocks in this process's life, ``keys_of_block`` those of
+    the last one and ``key_block_steps`` its steps; ``keys_claim`` says under which claim they are
+    secret, ``keys_refused`` why nobody gets them. Both are empty where no keys are made.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
     ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
@@ -249,6 +252,11 @@ class PlantStatus(Message):
     sampled_late_s: FiniteVector = ()
     actuated_after_s: FiniteVector = ()
     overruns: Count = 0
+    keys_made: Count = 0
+    keys_of_block: Count = 0
+    key_block_steps: Count = 0
+    keys_claim: str = ""
+    keys_refused: str = ""
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()

@@ -26,6 +26,9 @@ class Keying:
         self.schedule = schedule
         self.blocks: Blocks | None = None
         self.broken = ""
+        self.made = 0
+        self.last = (0, 0)
+        """Keys and steps of the last block confirmed."""
         self._fresh = fresh
 
     @property
@@ -112,6 +115,9 @@ class Keying:
             judged = self.blocks.stored(done)
         elif self.blocks is not None and isinstance(done, Judged):
             self.blocks.judged(done.session, done.number)
+            if done.what == "confirmed" and self.schedule is not None:
+                self.made += done.keys
+                self.last = (done.keys, self.schedule.length(done.number))
         return self.tasks(judged)
 
     def settled(self) -> tuple[range, ...]:

@@ -18,6 +18,7 @@ class Judged(NamedTuple):
     session: str
     number: int
     what: str
+    keys: int
 
 
 class Broken(NamedTuple):

@@ -21,7 +21,9 @@ def work(keeper: Keeper, task: Task) -> Done:
         if isinstance(task, Closed):
             return keeper.keep(task)
         keeper.judge(task.session, task.judgement)
-        return Judged(task.session, task.judgement.number, task.judgement.what)
+        number = task.judgement.number
+        row = keeper.store.block_tag(task.session, number)
+        return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
     except StoreError as error:
         return Broken(str(error))
 

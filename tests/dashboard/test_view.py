@@ -696,3 +696,17 @@ def test_a_symbol_has_one_character_up_to_thirty_six() -> None:
     assert [symbol_of(v, 16) for v in (0, 9, 10, 15)] == ["0", "9", "a", "f"]
     assert symbol_of(35, 36) == "z"
     assert symbol_of(200, 256) == "c8"
+
+
+def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
+    board = board_after(700)
+    assert "distilled" not in shown(board, 120, 40)
+    claim = "secret only from a tap that misses at least 0.3 of copies 0"
+    made = with_plant(board, keys_made=63, keys_of_block=48, key_block_steps=176, keys_claim=claim)
+    for height in (24, 40):
+        assert f"63 keys, 698 bit/s; {claim}" in shown(made, 120, height)
+    assert "63 keys, 698 bit/s" in shown(made, 60, 16)
+    seeded = with_plant(made, keys_refused="seed 3: predictable")
+    assert "63 keys, 698 bit/s; refused: seed 3" in shown(seeded, 120, 40)
+    none = with_plant(board, keys_claim=claim, keys_refused="eps_E = 0: nothing is claimed")
+    assert "none: eps_E = 0: nothing is claimed" in shown(none, 120, 40)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from wyner.scoring.keys import KeyAudit
     from wyner.scoring.score import RunScore
 
 
@@ -70,11 +71,51 @@ def run(args: argparse.Namespace) -> int:
             raise Failure(needs("--figure", "matplotlib")) from None
         except OSError as error:
             raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
+    audits = _audits([Path(text) for text in args.run_dirs])
     if args.json:
-        print(json.dumps(reporting.as_json(report)))
+        keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
+        print(json.dumps({**reporting.as_json(report), "keys": keys}))
         return DONE
     _print(report, color=sys.stdout.isatty())
+    for name, audit in audits.items():
+        _print_keys(name, audit, color=sys.stdout.isatty())
     return DONE
+
+
+def _audits(run_dirs: "list[Path]") -> "dict[str, KeyAudit]":
+    """What the tap of each run that makes keys holds of them."""
+    from protocol.runtime.run_folder import SCENARIO
+    from protocol.scenario import ScenarioError, load_scenario
+    from wyner.scoring.keys import audit_keys
+
+    audits = {}
+    for run_dir in run_dirs:
+        try:
+            audit = audit_keys(run_dir, load_scenario(run_dir / SCENARIO))
+        except ScenarioError:
+            continue
+        if audit is not None:
+            audits[run_dir.name] = audit
+    return audits
+
+
+def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
+    """A row for each key block, and what must be told in red."""
+    from os import environ
+
+    from wyner.scoring.keys import key_lines
+
+    print(f"\nkey blocks of {name}")
+    if audit.blocks:
+        print("block  transitions  lost  rows  keys  she missed  she holds, bit")
+    for block in audit.blocks:
+        print(
+            f"{block.number:5}  {block.transitions:11}  {block.lost:4}  {block.rows:4}  "
+            f"{block.keys:4}  {block.missed:10}  {block.held_bits if block.keys else 0:14}"
+        )
+    for line in key_lines(audit.as_json()):
+        red = color and "WARNING" in line and "NO_COLOR" not in environ
+        print(f"\x1b[31m{line}\x1b[0m" if red else line)
 
 
 def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":

@@ -83,6 +83,21 @@ def explanation(its: SecrecyScore, width: int) -> Text:
     return Text(f" {text}", style=STYLES["label"])
 
 
+def distilled(board: Board, width: int) -> Text | None:
+    """Keys made of nonces, and the claim they rest on; None where the scenario makes none."""
+    plant = board.plant
+    if plant is None or not (plant.keys_claim or plant.keys_refused):
+        return None
+    if plant.keys_refused and not plant.keys_made:
+        text = longest(width - LABEL - 1, f"none: {plant.keys_refused}", "none")
+        return row("distilled", Text(text, style=STYLES["bad"]))
+    seconds = plant.key_block_steps * plant.period_s
+    rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
+    made = f"{plant.keys_made} keys, {rate:.0f} bit/s"
+    claim = "refused: " + plant.keys_refused if plant.keys_refused else drawn(plant.keys_claim)
+    return row("distilled", Text(longest(width - LABEL - 1, f"{made}; {claim}", made)))
+
+
 def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:
     """Claimed and true over time, on one scale, each with its last figure; two lines."""
     claimed = f" {its.claimed_bits:.0f} bit"

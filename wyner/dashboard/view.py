@@ -13,7 +13,7 @@ from wyner.dashboard import keymap
 from wyner.dashboard.detail import detail
 from wyner.dashboard.model import Board
 from wyner.dashboard.panels import Panels, Wishes
-from wyner.dashboard.secrecy_panel import curves, explanation, table, verdict
+from wyner.dashboard.secrecy_panel import curves, distilled, explanation, table, verdict
 from wyner.dashboard.text import count, drawn, fit, in_ascii, longest, number, row
 
 __all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "Wishes", "screen"]
@@ -113,6 +113,7 @@ class _Page(Panels):
     def _needed(self, shown: set[str]) -> int:
         rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
         rows += len(self.wishes.caption)
+        rows += distilled(self.board, self.width) is not None
         rows += self._top_rows(shown)
         rows += 5 if "message" in shown else 0
         rows += 2 if "taps" in shown else 0
@@ -256,6 +257,8 @@ class _Page(Panels):
             note = f"the strongest {rows} of {len(shown)} taps"
         lines = [self.rule("Secrecy", self.width, note)]
         lines += curves(self.board, self.secrecy, self.width, self.glyphs)
+        if (made := distilled(self.board, self.width)) is not None:
+            lines.append(made)
         if with_table:
             lines += table(self.board, shown[:rows], self.width, self.wishes.tap)
         if explained:

@@ -34,7 +34,7 @@ class AuditedBlock(NamedTuple):
     """A key block beside what the tap heard of it.
 
     ``missed`` counts copies that counted and that she did not hear; ``held_bits`` is what she can
-    compute of the block's rows.
+    compute of the block's rows. ``lost`` is L, the copies that did not count.
     """
 
     session: str
@@ -48,6 +48,7 @@ class AuditedBlock(NamedTuple):
     held_bits: int
     confirmed: bool
     last_k: int
+    lost: int
 
 
 @dataclass(slots=True)
@@ -171,8 +172,10 @@ class KeyAudit:
             found.append("the two stores differ")
         return tuple(found)
 
-    def as_json(self) -> dict[str, Any]:
-        """The object ``keys`` of ``wyner up --json``."""
+    def as_json(self, *, blocks: bool = False) -> dict[str, Any]:
+        """The object ``keys`` of ``wyner up --json``; with ``blocks``, each of them instead of how
+        many there are.
+        """
         made = [block for block in self.blocks if block.keys and block.confirmed]
         last = made[-1] if made else None
         return {
@@ -185,7 +188,7 @@ class KeyAudit:
             "same_at_both_ends": self.same,
             "held_by_tap_bits": None if self.rate is None else self.held_bits,
             "refused": self.refused,
-            "blocks": len(self.blocks),
+            "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
             "missed_by_tap": None if self.rate is None else self.rate.missed / self.rate.copies,
             "assumption": self.sentence,
             "warnings": list(self.warnings),
@@ -264,6 +267,7 @@ def _audited(
         held_bits=bits_held(rows, missed) if rows >= 2 else 0,
         confirmed=at in walk.confirmed,
         last_k=block.last_k,
+        lost=a.copies * block.steps - len(block.copies),
     )
 
 
