@@ -8,7 +8,7 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-controller test-plant test-tap test-wyner test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test test-fast test-compose test-pythons lint docs figures bench campaign lock clean help
+.PHONY: demo dev test test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
@@ -17,6 +17,8 @@ help:
 	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, wyner, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
+	@echo "make coverage      branch coverage of each room; protocol/ at 95 % or more"
+	@echo "make mutants       how many broken programs the tests notice: hours, or a sample"
 	@echo "make dev           $(VENV) with all that the tests need"
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documents and the API reference as a site, in build/docs"
@@ -75,6 +77,23 @@ $(ROOM_TARGETS): test-%: $(STAMPS)/dev
 
 test-pythons: $(STAMPS)/dev
 	deploy/other-pythons
+
+# Lines and branches that the tests reach, room by room.
+coverage: $(STAMPS)/dev
+	$(BIN)/pip install --quiet --disable-pip-version-check "coverage>=7.10"
+	@mkdir -p build/coverage
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/coverage combine --quiet
+	@for room in protocol/schemes protocol/link protocol/secret protocol/runtime protocol/scenario \
+	  controller_service plant_service tap_service wyner; do \
+	  printf '%s %s %%\n' $$room $$($(BIN)/coverage report --format=total --precision=1 --include "$$room/*"); done
+	$(BIN)/coverage report --format=total --include "protocol/*" --fail-under 95
+
+# Broken programs that no test notices. All of them take hours; SAMPLE=100 tries so many of each room.
+mutants: $(STAMPS)/dev
+	$(BIN)/pip install --quiet --disable-pip-version-check "mutmut>=3.8"
+	$(if $(SAMPLE),$(BIN)/python -m tools.mutants --sample $(SAMPLE),$(BIN)/mutmut run; $(BIN)/python -m tools.mutants)
 
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev

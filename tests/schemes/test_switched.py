@@ -152,3 +152,11 @@ def test_many_runs_are_so_many_single_ones(rows: list[list[int]]) -> None:
             state, carry = scheme.advance(state, verdict)
             assert (many.agreed[j][at], many.pad[j][at]) == carry
             assert many.tested[j][at] == tested
+
+
+def test_the_largest_symbols_of_a_byte_are_kept_apart_from_none() -> None:
+    """Keys from 64 on have the bit below the sign set."""
+    verdicts = np.array([[126], [5], [64], [NO_SYMBOL], [3], [4]], dtype=np.int8)
+    many = Switched(127).advance_many(verdicts)
+    assert many.agreed[:, 0].tolist() == [126, NO_SYMBOL, 64, NO_SYMBOL, 3, NO_SYMBOL]
+    assert many.pad[:, 0].tolist() == [NO_SYMBOL, 126, NO_SYMBOL, 64, NO_SYMBOL, 3]
