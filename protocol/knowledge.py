@@ -4,9 +4,17 @@ The tap imports this and never :mod:`protocol.scenario`, so that nothing in it c
 message or a key. Every optional field left out is something she does not know.
 """
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from protocol.vectors import Matrix, Vector
+
+Direction = Literal["both", "measurements", "offers"]
+Loss = Annotated[float, Field(ge=0, le=1)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Delay = Annotated[int, Field(ge=0, le=100_000)]
+"""What the knobs of a tap's view may be, wherever they are set."""
 
 
 class PolicyCost(BaseModel):

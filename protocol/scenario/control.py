@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from protocol.knowledge import Policy, PolicyCost
-from protocol.scenario.parts import NotNegative, Part, Positive, check_matrix, shape, shape_problem
+from protocol.knowledge import NotNegative, Policy, PolicyCost
+from protocol.scenario.parts import Part, Positive, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.vectors import FiniteMatrix

@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from protocol.vectors import FiniteMatrix
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Part(BaseModel):

@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, field_validator
 
-from protocol.scenario.parts import NotNegative, Part, Positive, check_matrix, shape, shape_problem
+from protocol.knowledge import NotNegative
+from protocol.scenario.parts import Part, Positive, check_matrix, shape, shape_problem
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 

@@ -7,11 +7,10 @@ capture's header says which.
 import random
 from collections import deque
 from collections.abc import Iterator
-from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
-from protocol.knowledge import Knowledge
+from protocol.knowledge import Delay, Direction, Knowledge, Loss, NotNegative
 from protocol.messages import Measurement, Offer
 from protocol.vectors import Matrix, Vector
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -40,12 +39,12 @@ class View(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    view: Literal["both", "measurements", "offers"] = "both"
-    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
-    noise: Annotated[float, Field(ge=0)] = 0.0
-    quantise: Annotated[float, Field(ge=0)] = 0.0
-    delay: Annotated[int, Field(ge=0, le=100_000)] = 0
-    model_error: Annotated[float, Field(ge=0)] = 0.0
+    view: Direction = "both"
+    loss: Loss = 0.0
+    noise: NotNegative = 0.0
+    quantise: NotNegative = 0.0
+    delay: Delay = 0
+    model_error: NotNegative = 0.0
     seed: int = 0
 
     @property

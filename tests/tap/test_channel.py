@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from protocol.knowledge import Knowledge, Policy
 from protocol.messages import Measurement, Offer
+from protocol.scenario import TapView
 from tap_service.capture.channel import Channel, View, told
 from tap_service.eavesdroppers import named
 
@@ -115,3 +116,12 @@ def test_the_learner_is_told_nothing_unless_wrongly() -> None:
 def test_wrong_knobs_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         View.model_validate(bad)
+
+
+@pytest.mark.parametrize("knob", ["view", "loss", "noise", "quantise", "delay", "model_error"])
+def test_a_knob_has_the_same_bounds_in_a_scenario_and_at_the_tap(knob: str) -> None:
+    ours = View.model_json_schema()["properties"][knob]
+    theirs = TapView.model_json_schema()["properties"][knob]
+    for words in ("title", "description"):
+        ours.pop(words, None), theirs.pop(words, None)
+    assert ours == theirs
