@@ -46,7 +46,7 @@ $(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
 	@mkdir -p $(STAMPS) && touch $@ $(STAMPS)/runtime
 
 demo: $(STAMPS)/runtime
-	$(BIN)/wyner up --scenario sustained --pace x10 --until-delivered
+	$(BIN)/wyner demo
 
 dev: $(STAMPS)/dev
 

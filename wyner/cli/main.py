@@ -13,6 +13,7 @@ from protocol.runtime.services import SERVICES
 
 COMMANDS: Final = {
     "up": "run controller, plant and tap on this machine and watch them",
+    "demo": "the whole story in three short runs: read, sealed, and the control",
     "dashboard": "watch a running system",
     "send": "hand a running controller a message to deliver",
     "unsealed": "show the sealed messages that a plant has opened",

@@ -5,8 +5,9 @@ import json
 import signal
 import sys
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
@@ -28,6 +29,7 @@ from protocol.shipped import scenario_file_of
 from protocol.topics import DEFAULT_LOOP, key_of
 
 if TYPE_CHECKING:
+    from protocol.runtime.bus import Bus
     from protocol.scenario import Scenario
     from wyner.deployment.running import RunningLoop
     from wyner.deployment.supervisor import Supervisor
@@ -74,12 +76,60 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Start, watch, stop, sum up."""
+    from wyner.scoring.summary import render
+
+    outcome = conduct(args)
+    summary = outcome.summary
+    print(json.dumps(summary, ensure_ascii=False) if args.json else render(summary))
+    if outcome.failure is not None:
+        raise outcome.failure
+    if outcome.interrupted:
+        return INTERRUPTED
+    if args.until_delivered and not summary["delivered"]:
+        return FAILED
+    # keys were asked for, and under the scenario's claim there cannot be any
+    return FAILED if outcome.scenario.keys is not None and outcome.scenario.keys.refusal() else DONE
+
+
+class Outcome(NamedTuple):
+    """What a run came to, and how it ended."""
+
+    scenario: "Scenario"
+    summary: dict[str, Any]
+    failure: Failure | None
+    interrupted: bool
+
+
+Errand = Callable[[], bool]
+"""Something to be done beside a run, a little at each call; True once it is done."""
+
+
+def conduct(
+    args: argparse.Namespace,
+    errand: "Callable[[Bus], Errand] | None" = None,
+    closing: Callable[[dict[str, Any]], Sequence[str]] | None = None,
+    *,
+    stays: bool = True,
+) -> Outcome:
+    """Run the three services, watch them, stop them and sum up.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The command's options.
+    errand : callable, optional
+        Takes the ops bus; the run is not over before what it gives is.
+    closing : callable, optional
+        Lines for the last screen, from the summary; the verdict's if not given.
+    stays : bool, optional
+        Whether a last screen stays until a key is pressed.
+    """
     from protocol.runtime.zenoh_bus import ZenohBus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
-    from wyner.scoring.summary import render, summarise, verdict_lines
+    from wyner.scoring.summary import summarise, verdict_lines
 
     for option, least in (("steps", 1), ("seed", 0)):
         value = getattr(args, option)
@@ -101,12 +151,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
 
-    def conclude() -> list[str]:
+    def conclude() -> Sequence[str]:
         """Stop the services and sum up: once, and the tap's last thoughts are part of it."""
         if not summary:
             supervisor.stop()
             summary.update(summarise(run_dir, payload))
-        return verdict_lines(summary)
+        return (closing or verdict_lines)(summary)
 
     watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)
     screen = not args.headless and not args.json and has_screen()
@@ -123,17 +173,23 @@ def run(args: argparse.Namespace) -> int:
             ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(ops, intel_bus, DEFAULT_LOOP)
+            done: Errand = (lambda: True) if errand is None else errand(ops)
+
+            def over() -> bool:
+                finished = done()  # asked each time: it goes on while it is asked
+                return watching.over() and finished
+
             if screen:
                 ending = run_dashboard(
                     source,
-                    until=watching.over,
+                    until=over,
                     run_dir=run_dir,
                     story=args.story,
-                    conclude=conclude,
+                    conclude=conclude if stays else None,
                 )
             else:
                 out = sys.stderr if args.json else sys.stdout
-                ending = run_headless(source, until=watching.over, out=out, story=args.story)
+                ending = run_headless(source, until=over, out=out, story=args.story)
     except Failure as error:
         failure = error
     except KeyboardInterrupt:
@@ -143,18 +199,7 @@ def run(args: argparse.Namespace) -> int:
     write_atomically(
         run_dir / SUMMARY, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n"
     )
-    if args.json:
-        print(json.dumps(summary, ensure_ascii=False))
-    else:
-        print(render(summary))
-    if failure is not None:
-        raise failure
-    if ending is Ending.INTERRUPTED:
-        return INTERRUPTED
-    if args.until_delivered and not summary["delivered"]:
-        return FAILED
-    # keys were asked for, and under the scenario's claim there cannot be any
-    return FAILED if scenario.keys is not None and scenario.keys.refusal() else DONE
+    return Outcome(scenario, summary, failure, ending is Ending.INTERRUPTED)
 
 
 def _take_signals() -> None:

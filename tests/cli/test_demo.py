@@ -1,0 +1,27 @@
+"""``wyner demo``: three runs, three lines, and an exit code that means them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from wyner.cli.main import main
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--json", "--run-dir", str(tmp_path / "demo")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["as_it_must"]
+    assert [line.split()[1] for line in told["verdict"]] == ["Spoken:", "Sealed:", "Control:"]
+    spoken, sealed, control = (told["runs"][name] for name in ("spoken", "sealed", "control"))
+    # at the limit of the channel, and she has it at the very step at which the plant has it
+    assert spoken["bits_per_second"] > 15
+    assert spoken["taps"]["nearest-centre"]["solved_k"] == spoken["delivered_k"] > 0
+    assert spoken["keys"] is None
+    assert sealed["keys"]["made"] > 0
+    assert sealed["keys"]["held_by_tap_bits"] == 0
+    assert sealed["keys"]["same_at_both_ends"]
+    assert control["keys"]["made"] == 0
+    assert "eps_E" in control["keys"]["refused"]

@@ -1,0 +1,190 @@
+"""``wyner demo``: the whole story in three short runs on one screen.
+
+The paper's channel at its limit, read by the tap as it is spoken; a sealed message under distilled
+keys beside a tap that misses three messages of ten; and the control, a tap that hears all.
+"""
+
+import argparse
+import json
+import queue
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.messages import SealCommand, SealReply
+from protocol.runtime.bus import Bus
+from protocol.runtime.inbox import Inbox
+from protocol.runtime.options import run_dir_of
+from protocol.runtime.process import DONE, FAILED, INTERRUPTED, new_id
+from protocol.secret.sealed import keys_needed
+from protocol.shipped import SCENARIOS
+from protocol.topics import DEFAULT_LOOP, key_of
+from wyner.cli.up import Errand, Outcome, conduct
+
+SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
+SEALED: Final = "The old mill, at nine."
+PACE: Final = "x4"
+"""Fast enough for a minute in all, slow enough to be read."""
+
+KEYS_PACE: Final = "x10"
+REPEAT_S: Final = 0.2
+
+MOST_STEPS: Final = 2000
+"""A run that did not come to its point by then ends all the same."""
+
+DEAF: Final = "loss = 0.3"
+CLAIM: Final = "eps_E = 0.3"
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the subcommand."""
+    parser = subparsers.add_parser("demo", help="the whole story in three short runs")
+    parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
+    parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
+    parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Three runs, a line of verdict each; 0 if each came out as it must."""
+    folder = run_dir_of(args.run_dir)
+    lines: list[str] = []
+    acts = (("spoken", _spoken), ("sealed", _sealed), ("control", _control))
+    summaries: dict[str, Any] = {}
+    good = True
+    for name, act in acts:
+        outcome, line, as_it_must = act(args, folder / name, lines)
+        lines.append(line)
+        summaries[name] = outcome.summary
+        good = good and as_it_must
+        if outcome.failure is not None:
+            raise outcome.failure
+        if outcome.interrupted:
+            return INTERRUPTED
+    if args.json:
+        print(json.dumps({"verdict": lines, "as_it_must": good, "runs": summaries}))
+    else:
+        print("\n".join(lines))
+    return DONE if good else FAILED
+
+
+def _options(
+    args: argparse.Namespace, scenario: str, folder: Path, pace: str
+) -> argparse.Namespace:
+    """The options of ``wyner up`` for one of the runs."""
+    if not args.json:
+        print(f"{folder.name}: scenario {Path(scenario).stem}", file=sys.stderr)
+    return argparse.Namespace(
+        scenario=scenario,
+        message=SPOKEN,
+        message_file=None,
+        pace=pace,
+        steps=MOST_STEPS,
+        until_delivered=True,
+        eavesdropper=None,
+        story=False,
+        headless=args.headless,
+        json=args.json,
+        run_dir=str(folder),
+        secret=True,
+        seed=None,
+    )
+
+
+Act = tuple[Outcome, str, bool]
+
+
+def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> Act:
+    """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
+    options = _options(args, "packed", folder, PACE)
+    options.secret = False
+    outcome = conduct(options, stays=False)
+    summary = outcome.summary
+    had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
+    first = min((k for k in had if k >= 0), default=-1)
+    line = (
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed secret. The plant had the "
+        f"message at step {summary['delivered_k']}, she at step {first}."
+        if had
+        else "1. Spoken:  she has not got the message, and should have."
+    )
+    return outcome, line, bool(summary["delivered"] and had)
+
+
+def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> Act:
+    """Keys from what the tap misses, and a message under a one-time pad of them."""
+    payload = SEALED.encode()
+    errands: list[SealedMessage] = []
+
+    def begin(ops: Bus) -> Errand:
+        errands.append(SealedMessage(ops, payload))
+        return errands[0]
+
+    outcome = conduct(_options(args, "keys", folder, KEYS_PACE), begin, stays=False)
+    keys = outcome.summary["keys"] or {}
+    made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
+    sent = bool(errands and errands[0].delivered)
+    told = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
+    line = (
+        f"2. Sealed:  {told} reached the plant. She misses 3 messages of 10 and holds {held} bits."
+        if sent
+        else f"2. Sealed:  the message did not reach the plant ({made} keys made)."
+    )
+    return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
+
+
+def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> Act:
+    """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
+    text = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
+    for piece in (DEAF, CLAIM):
+        if piece not in text:
+            raise ValueError(f"keys.toml: expected {piece!r}")
+        text = text.replace(piece, piece.replace("0.3", "0.0"))
+
+    def line_of(summary: dict[str, Any]) -> str:
+        keys = summary["keys"] or {}
+        made = keys.get("made", 0)
+        if made:
+            return f"3. Control: {made} keys beside a tap that hears all: that must not be."
+        return "3. Control: a tap that hears all (eps_E = 0): no key."
+
+    with tempfile.TemporaryDirectory() as where:
+        scenario = Path(where) / "wired-tap.toml"
+        scenario.write_text(text, encoding="utf-8")
+        options = _options(args, str(scenario), folder, PACE)
+        outcome = conduct(options, closing=lambda summary: [*before, line_of(summary)])
+    made = (outcome.summary["keys"] or {}).get("made", 0)
+    return outcome, line_of(outcome.summary), made == 0
+
+
+class SealedMessage:
+    """Asks the controller again and again to deliver one message sealed, until it has."""
+
+    def __init__(self, ops: Bus, payload: bytes) -> None:
+        self.delivered = False
+        self._command = SealCommand(id=new_id(), payload=payload).wire()
+        self._id = SealCommand.model_validate_json(self._command).id
+        self._answers: Inbox[bytes] = Inbox()
+        self._publisher = ops.publisher(key_of(SealCommand, DEFAULT_LOOP))
+        self._due = 0.0
+        ops.subscribe(
+            key_of(SealReply, DEFAULT_LOOP),
+            lambda _key, reply, _t_ns: self._answers.put(reply, len(reply)),
+        )
+
+    def __call__(self) -> bool:
+        """Ask if it is time to, hear what was answered; whether it is delivered."""
+        now = time.monotonic()
+        if not self.delivered and now >= self._due:
+            self._due = now + REPEAT_S
+            self._publisher.put(self._command)
+        while True:
+            try:
+                reply = SealReply.model_validate_json(self._answers.get(timeout=0.0))
+            except queue.Empty:
+                return self.delivered
+            if reply.id == self._id:
+                self.delivered = self.delivered or reply.delivered
