@@ -169,7 +169,8 @@ class Smoother(Eavesdropper):
             self._steps = self._reader.infer(kept)
             return self._reader.width or _among(self._reader.support)
         A, B = np.array(self._model.A), np.array(self._model.B)
-        if self._law is not None and all(t.candidates is None for t in kept):
+        told = self._law is not None and not self._law.shared
+        if told and self._law is not None and all(t.candidates is None for t in kept):
             self._steps = infer_from_measurements(A, B, self._shape, self._law, kept)
             return _among(1.0)
         clear = not self._noise and all(t.whole for t in kept)

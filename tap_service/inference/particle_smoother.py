@@ -212,7 +212,9 @@ class OffersReader:
         """
         assert self._scales is not None
         count = DRAWS * self._count
-        items = [] if t.candidates is None else self._ways.items(np.array(t.candidates))
+        items = []
+        if t.candidates is not None:
+            items = self._ways.items(self._law.solved(np.array(t.candidates)))
         state = None if t.x is None else np.array(t.x)
         heard = bool(items) or state is not None
         ways = self._ways.ways(items, state, centres, Q, self._scales) if heard else []
@@ -338,7 +340,8 @@ class OffersReader:
         offers = [np.array(t.candidates) for t in longest if t.candidates is not None]
         if len(offers) < LEAST:
             return [InferredStep(t, None) for t in transitions]
-        self._ways.spread = max(float(np.concatenate(offers).std()), TINY)
+        solved = np.concatenate([self._law.solved(offer) for offer in offers])
+        self._ways.spread = max(float(solved.std()), TINY)
         if not self._measured(transitions):
             self._learn(longest)
         return [step for run in runs for step in self._inferred(run)]

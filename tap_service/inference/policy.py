@@ -59,18 +59,25 @@ class KnownLaw:
         K, where the law's candidates coincide in T_0.
     facets : tuple of Facets
         From below and from above; empty where they cannot be told.
+    shared : bool
+        Whether one cost makes v and the candidates stand about it at fixed offsets, which the first
+        offer shows; ``free`` is then that cost's alone.
     """
 
     free: Array
     curvature: Array
     together: Array | None
     facets: tuple[Facets, ...]
+    shared: bool = False
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> "KnownLaw | None":
         """What the policy and the model in ``knowledge`` give; None without a usable policy."""
         k = knowledge
-        if k.policy is None or k.A is None or k.B is None or len(k.policy.costs) != k.candidates:
+        if k.policy is None or k.A is None or k.B is None:
+            return None
+        shared = len(k.policy.costs) == 1
+        if not shared and len(k.policy.costs) != k.candidates:
             return None
         A, B = np.array(k.A), np.array(k.B)
         free, curvature = [], []
@@ -86,11 +93,24 @@ class KnownLaw:
         facets: tuple[Facets, ...] = ()
         if gain is not None and k.policy.together:
             together = gain
-        elif gain is not None and B.shape == (2, 1) and k.disturbance_H and k.disturbance_h:
+        elif (
+            not shared
+            and gain is not None
+            and B.shape == (2, 1)
+            and k.disturbance_H
+            and k.disturbance_h
+        ):
             facets = terminal_facets(
                 A, B, gain, np.array(k.disturbance_H), np.array(k.disturbance_h)
             )
-        return cls(np.array(free), np.array(curvature), together, facets)
+        return cls(np.array(free), np.array(curvature), together, facets, shared)
+
+    def solved(self, candidates: Array) -> Array:
+        """What the law's programs answered in an offer, shape (costs, m): v, where it is shared."""
+        if not self.shared:
+            return candidates
+        middle: Array = 0.5 * (candidates.min(axis=0) + candidates.max(axis=0))
+        return middle[None]
 
     def offers(self, x: Array, width: float) -> Array:
         """The candidates in states ``x``, shape (S, n), where D_c is ``width`` times D_e.

@@ -223,3 +223,13 @@ def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bit
     tap = Smoother(knowledge_for(run, Smoother, view))
     scored = score(run.truth, said_about(tap, heard_by(run, view)))
     assert scored.bits.right >= bits * scored.bits.of
+
+
+@pytest.mark.slow
+def test_offers_alone_show_v_and_so_most_keys() -> None:
+    """No state is heard, and one key in four would be chance."""
+    run = study_run(120, 0, name="packed")
+    view = View(view="offers")
+    tap = Smoother(knowledge_for(run, Smoother, view))
+    scored = score(run.truth, said_about(tap, heard_by(run, view)))
+    assert scored.keys_reviewed.right >= 0.5 * scored.keys_reviewed.of
