@@ -201,6 +201,8 @@ class ControllerEndpoint:
         health = b""
         if effects.transition is not None:
             events = (*events, effects.transition)
+            if self._telemetry is not None:
+                self._telemetry.unexplained += effects.transition.verdict.unexplained
         if effects.offer is not None:
             publish.append(Outgoing(Offer, effects.offer.wire()))
         if effects.reply is not None:

@@ -27,12 +27,13 @@ class Messages(Outbox, Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase`` and ``detail`` are the endpoint's to set.
+    ``phase``, ``detail`` and ``unexplained`` are the endpoint's to set.
     """
 
     def __init__(self, scenario: str, law: CandidateLaw, *, seeded: bool) -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
+        self.unexplained = 0
         self._scenario = scenario
         self._law = law
         self._seeded = seeded
@@ -71,4 +72,5 @@ class ControllerTelemetry:
             frame_length=length,
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
+            unexplained=self.unexplained,
         )

@@ -85,7 +85,7 @@ class Watch:
         gauges = t.verdict.gauges
         out = gauges[coin] > INSIDE
         self.outside += out
-        self.unexplained += min(gauges) > INSIDE
+        self.unexplained += t.verdict.unexplained
         c = self._calibration
         if c is None:
             return None

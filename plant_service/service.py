@@ -156,6 +156,9 @@ class PlantService:
             book = SealedBook(store)
             self._beside = Beside(OpeningEnd(book), store, config.loop, field, ops, log)
         record = self.endpoint.plant.receiver.record
+        code = getattr(config.scenario.plant, "object", None)
+        if code is not None:
+            log.info("plant.object: running %s, from %s", code, config.folder.resolve())
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(

@@ -111,6 +111,11 @@ class Verdict(NamedTuple):
     inside: int = 0
 
     @property
+    def unexplained(self) -> bool:
+        """Whether no candidate leads to x_next with d in D_c: its disturbance has left D_c."""
+        return not min(self.gauges) <= INSIDE
+
+    @property
     def agreed(self) -> bool:
         """Whether a key symbol was agreed."""
         return self.symbol != NO_SYMBOL

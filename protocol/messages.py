@@ -277,6 +277,7 @@ class ControllerStatus(Message):
 
     ``sending`` is the text on its way and ``queue`` counts the messages behind it. When all is
     sent, ``sending`` keeps the last one and ``frame_symbols`` equals ``frame_length``.
+    ``unexplained`` counts transitions of this process's life that no candidate explains.
     """
 
     topic: ClassVar[str] = "ops/controller/status"
@@ -300,6 +301,7 @@ class ControllerStatus(Message):
     frame_length: Count
     queue: Count
     delivered: Count
+    unexplained: Count = 0
 
 
 # --- intel: the tap and whoever watches it -------------------------------------------------------

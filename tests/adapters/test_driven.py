@@ -439,3 +439,20 @@ def test_operated_devices_are_told_from_simulations() -> None:
     device: Operated = open_plant(line(), own=Device())
     assert device.device
     assert not open_plant(line(), own=PythonLine()).device
+
+
+def test_both_ends_see_what_no_candidate_explains() -> None:
+    """d is up to four times what D_c allows: the verdict says so, at the plant and elsewhere."""
+    base = load("sustained")
+    widths = [4 * w for w in base.plant.disturbance.half_widths]
+    spec = {"half_widths": widths, "may_leave_defender_set": True}
+    scenario = vary(base, {"plant.disturbance": spec, "secrecy.alpha": 30.0})
+    law = make_law(scenario, synthesise(scenario))
+    world = Simulation(scenario, law, seed=1)
+    world.run(steps=40)
+    plant, controller = world.history.plant, world.history.controller
+    unexplained = {at for at, t in plant.items() if t.verdict.unexplained}
+    assert len(unexplained) > 5
+    assert {at for at in unexplained if at in controller} == {
+        at for at, t in controller.items() if t.verdict.unexplained
+    }
