@@ -17,6 +17,10 @@ WINDOW_S: Final = 10.0
 SILENT_S: Final = 5.0
 """Seconds without a transition after which the loop stands still."""
 
+PAUSE_S: Final = 2.0
+"""Seconds without a transition after which missed steps are not called slowness any more: whether
+the partner is gone will be known at `SILENT_S`."""
+
 MISSED_AT_MOST: Final = 0.2
 """Share of missed steps from which an end does not keep up."""
 
@@ -43,7 +47,7 @@ class Pulse:
 
     _seen: deque[_Seen] = field(default_factory=deque)
     _moved_s: float | None = None
-    _well: bool = True
+    _trouble: str = ""
 
     def beat(self, now_s: float, transitions: int, missed: int) -> Beat:
         """Judge the counts at a monotonic time.
@@ -60,6 +64,8 @@ class Pulse:
             last = None
         if transitions > (last.transitions if last is not None else 0):
             self._moved_s = now_s
+            if self._trouble == "silent":
+                self._seen.clear()  # what was missed meanwhile is no slowness
         self._seen.append(_Seen(now_s, transitions, missed))
         while len(self._seen) > 2 and self._seen[1].at_s <= now_s - WINDOW_S:
             self._seen.popleft()
@@ -69,23 +75,25 @@ class Pulse:
             return Beat("bad: waiting for the other end, no transition yet", "")
         silent_s = now_s - self._moved_s
         if silent_s >= SILENT_S:
+            trouble = "silent"
             why = (
                 f"no transition for {silent_s:.0f} s: the other end is frozen, gone or off the "
                 "network"
             )
-        elif lost > MISSED_AT_MOST * (made + lost):
+        elif lost > MISSED_AT_MOST * (made + lost) and silent_s < PAUSE_S:
+            trouble = "slow"
             why = (
                 f"{100 * lost // (made + lost)} % of the last {made + lost} steps missed: this "
                 "machine or its network is too slow for the pace"
             )
         else:
-            notice = "" if self._well else f"keeps up again, {transitions} transitions"
-            self._well = True
-            share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
-            return Beat(f"ok: {transitions} transitions, {share} missed lately", notice)
-        notice = why if self._well else ""
-        self._well = False
-        return Beat(f"bad: {why}", notice)
+            trouble, why = "", f"keeps up again, {transitions} transitions"
+        notice = why if trouble != self._trouble else ""
+        self._trouble = trouble
+        if trouble:
+            return Beat(f"bad: {why}", notice)
+        share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
+        return Beat(f"ok: {transitions} transitions, {share} missed lately", notice)
 
 
 @dataclass(slots=True)

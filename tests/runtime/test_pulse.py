@@ -43,6 +43,18 @@ def test_a_silent_partner_is_told_once_and_its_return_once() -> None:
     assert len(notices) == 2
 
 
+def test_a_partner_that_freezes_is_not_called_slow() -> None:
+    """Ten steps a second; the other end stops for 30 seconds, and each step of these is missed."""
+    before = [(t, 10 * t, 0) for t in range(1, 21)]
+    frozen = [(20 + t, 200, 10 * t) for t in range(1, 31)]
+    after = [(50 + t, 200 + 10 * t, 300) for t in range(1, 21)]
+    notices = [notice for _, notice in lines([*before, *frozen, *after]) if notice]
+    assert [notice.split(",")[0].split(" for ")[0] for notice in notices] == [
+        "no transition",
+        "keeps up again",
+    ]
+
+
 def test_many_missed_steps_are_no_health() -> None:
     told = lines([(t, 12 * t, 88 * t) for t in range(1, 20)])
     assert told[-1][0].startswith("bad: 88 % of the last ")
