@@ -21,6 +21,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--run-dir", type=Path, metavar="D", help="folder for saved screens (default: this one)"
     )
+    parser.add_argument(
+        "--fleet", action="store_true", help="list all loops (docs/fleet.md); --loop ID opens one"
+    )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "dashboard")
     parser.set_defaults(run=run)
@@ -32,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from protocol.runtime.process import DONE, INTERRUPTED, UsageError, stop_on_signals
     from protocol.runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
+    from wyner.dashboard.fleet import FleetTable, watch
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import listens
@@ -55,6 +59,11 @@ def run(args: argparse.Namespace) -> int:
     ops, intel = (endpoints_of(args, "dashboard", bus) for bus in ("ops", "intel"))
     try:
         with stop_on_signals() as stopping, open_bus(ops) as ops_bus, open_bus(intel) as intel_bus:
+            if args.fleet:
+                table = FleetTable()
+                table.attach(ops_bus, intel_bus)
+                watch(table, stopping.is_set, screen=has_screen() and not args.headless)
+                return INTERRUPTED
             source = BusSource(ops_bus, intel_bus, loop)
             if args.headless or not has_screen():
                 ending = run_headless(source, until=stopping.is_set)

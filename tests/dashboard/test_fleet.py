@@ -1,0 +1,103 @@
+"""The table of a fleet: what it says of each loop, and who comes first."""
+
+from pathlib import Path
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.service import ControllerConfig, open_controller
+from plant_service.service import PlantConfig, open_plant
+from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.process import Pace
+from protocol.scenario import Scenario
+from protocol.topics import key_of
+from wyner.dashboard.fleet import HEADER, SILENT_S, FleetTable, watch
+
+TAP = TapStatus(
+    seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, capture_bytes=1, dropped=0,
+    behind=0, garbage=0, message="hi", whole_messages=1, confidence=0.97, candidates_left=0,
+    solved_k=5,
+)  # fmt: skip
+
+
+class Fleet:
+    """Three loops on hubs in memory, and the table that watches them."""
+
+    def __init__(self, scenario: Scenario, law: CandidateLaw, folder: Path) -> None:
+        ops, intel = MemoryHub(), MemoryHub()
+        self.table = FleetTable()
+        self.table.attach(MemoryBus(ops), MemoryBus(intel))
+        self.ops, self._intel = MemoryBus(ops), MemoryBus(intel)
+        plant, files = open_plant(PlantConfig(scenario, folder, "a", Pace("realtime")), 0.0)
+        files.close()
+        self.plant = plant.status(0.0).model_copy(update={"phase": "running"})
+        config = ControllerConfig(scenario, law, folder, "a")
+        controller, files = open_controller(config)
+        files.close()
+        self.controller = controller.status()
+
+    def say(self, loop: str, status: Message, **changes: object) -> None:
+        bus = self._intel if isinstance(status, TapStatus) else self.ops
+        told = status.model_copy(update=changes)
+        bus.publisher(key_of(type(status), loop)).put(told.wire())
+
+
+@pytest.fixture
+def fleet(sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path) -> Fleet:
+    return Fleet(sustained, sustained_law, tmp_path)
+
+
+def test_who_is_in_trouble_comes_first(fleet: Fleet) -> None:
+    for loop in ("a", "b", "c"):
+        fleet.say(loop, fleet.plant, k=100)
+    fleet.table.take(0.0)
+    fleet.say("a", fleet.plant, k=110)
+    fleet.say("c", fleet.plant, k=110, missed=7)
+    fleet.table.take(SILENT_S + 1)
+    total, header, *rows = fleet.table.lines(SILENT_S + 1)
+    assert total == "2 of 3 loops run, 7 steps missed, 7 of them lately"
+    assert header == HEADER
+    assert [row.split()[:2] for row in rows] == [
+        ["b", "silent"],
+        ["c", "running"],
+        ["a", "running"],
+    ]
+    assert rows[1].split()[2:5] == ["110", "7", "7"]
+
+
+def test_a_claim_stands_beside_the_truth(fleet: Fleet) -> None:
+    for loop, last in (("a", "hi"), ("b", "no"), ("c", "")):
+        fleet.say(loop, fleet.plant, last_message=last)
+        fleet.say(loop, fleet.controller, queue=4)
+        fleet.say(loop, TAP)
+        fleet.say(loop, TAP, name="set-membership", confidence=0.1, message="x")
+    fleet.table.take(1.0)
+    rows = fleet.table.lines(1.0)[2:]
+    claims = [row.partition("nearest-centre is ")[2] for row in rows]
+    assert claims == ["97 % sure, right, 2 lost", "97 % sure, wrong, 2 lost", "97 % sure, 2 lost"]
+    assert all(row.split()[-9 if "right" in row or "wrong" in row else -8] == "4" for row in rows)
+
+
+def test_a_long_table_is_cut_where_the_loops_are_well(fleet: Fleet) -> None:
+    for number in range(20):
+        fleet.say(f"loop-{number:02d}", fleet.plant, missed=number)
+    fleet.table.take(0.0)
+    lines = fleet.table.lines(0.0, most=10)
+    assert len(lines) == 10
+    assert lines[-1] == "... and 13 more that are well or better"
+
+
+def test_garbage_and_terminal_codes_do_no_harm(
+    fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet.ops.publisher(key_of(PlantStatus, "a")).put(b"{")
+    fleet.ops.publisher(key_of(ControllerStatus, "a")).put(b"\xff")
+    fleet.say("a", fleet.plant, k=5)
+    fleet.say("a", TAP, name="\x1b[31mred")
+    looks = iter([False, True])
+    watch(fleet.table, lambda: next(looks), screen=False)
+    said = capsys.readouterr().out
+    assert fleet.table.garbage == 2
+    assert "1 of 1 loops run" in said
+    assert "\x1b" not in said

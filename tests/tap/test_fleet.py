@@ -1,0 +1,90 @@
+"""The taps of a fleet: one subscription, a recording for each loop."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from protocol.messages import Measurement, Offer, TapStatus
+from protocol.runtime.fleet import Fleet, FleetLoop
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.process import UsageError
+from protocol.runtime.run_folder import CAPTURE
+from protocol.runtime.zenoh_bus import Endpoints
+from protocol.scenario import Scenario
+from protocol.topics import key_of
+from tap_service.fleet import TapFleet
+from tap_service.service import TapConfig
+
+
+def captured(folder: Path, loop: str) -> list[tuple[str, int]]:
+    """Topic and step of each message in one loop's recording."""
+    lines = (folder / loop / CAPTURE).read_bytes().splitlines()
+    events = [json.loads(line) for line in lines]
+    return [(e["topic"], e["message"]["k"]) for e in events if e["event"] == "field"]
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.02)
+
+
+def test_each_loop_is_recorded_in_its_own_folder(sustained: Scenario, tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text('[[loop]]\nid = "a"\n[[loop]]\nid = "b"\n[[loop]]\nid = "bad"\n')
+
+    def config_of(loop: FleetLoop) -> TapConfig:
+        if loop.id == "bad":
+            raise UsageError("nothing is known of this one")
+        return TapConfig(
+            run_dir=tmp_path / loop.id,
+            knowledge=sustained.knowledge().model_copy(update={"alpha": None}),
+            field=Endpoints(),
+            intel=Endpoints(),
+            names=("set-membership",),
+            loop=loop.id,
+        )
+
+    field, intel = MemoryHub(), MemoryHub()
+    statuses: dict[str, TapStatus] = {}
+    MemoryBus(intel).subscribe(
+        "**",
+        lambda key, payload, _t: statuses.update(
+            {key.split("/")[2]: TapStatus.model_validate_json(payload)}
+        ),
+    )
+    taps = TapFleet(Fleet.of_file(path), config_of)
+    taps.attach(MemoryBus(field), MemoryBus(intel))
+    stopping = threading.Event()
+    thread = threading.Thread(target=taps.run, args=(stopping,))
+    thread.start()
+    source = MemoryBus(field)
+    put = {
+        (kind, loop): source.publisher(key_of(kind, loop)).put
+        for kind in (Measurement, Offer)
+        for loop in ("a", "b", "bad", "unknown")
+    }
+    n = sustained.n
+    for loop in ("a", "b", "bad", "unknown"):
+        for k in range(3 if loop == "a" else 5):
+            after = (0.0,) * n if k else ()
+            measurement = Measurement(
+                session="1" * 16, k=k, x=(0.0,) * n, applied_k=k - 1, x_after=after
+            )
+            put[Measurement, loop](measurement.wire())
+            offer = Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
+            put[Offer, loop](offer.wire())
+    wait(lambda: statuses.keys() == {"a", "b"} and statuses["b"].mirrored == 10)
+    path.write_text('[[loop]]\nid = "b"\n')
+    wait(lambda: statuses["a"].mirrored == 6)
+    stopping.set()
+    thread.join(10)
+    assert not thread.is_alive()
+    assert captured(tmp_path, "a") == [(t, k) for k in range(3) for t in ("measurement", "offer")]
+    assert len(captured(tmp_path, "b")) == 10
+    assert not (tmp_path / "bad").exists()
+    assert not (tmp_path / "unknown").exists()
+    assert statuses["b"].dropped == 0

@@ -1,0 +1,179 @@
+"""Many loops in one table: the newest status of each, the ones in trouble first."""
+
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from pydantic import ValidationError
+
+from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.text import printable
+from protocol.topics import every_loop
+
+if TYPE_CHECKING:
+    from protocol.runtime.bus import Bus
+
+SILENT_S: Final = 5.0
+"""Seconds after which a loop without a status counts as silent."""
+
+LATELY_S: Final = 10.0
+"""Seconds over which missed steps trouble the order of the table."""
+
+REFRESH_S: Final = 1.0
+PRINT_S: Final = 10.0
+
+HEADER: Final = (
+    f"{'loop':<20} {'state':<10} {'steps':>8} {'missed':>7} {'lately':>7} {'Hz':>6} "
+    f"{'agreed':>7} {'messages':>8} {'queue':>5}  eavesdropper"
+)
+
+
+@dataclass(slots=True)
+class Row:
+    """What is known of one loop."""
+
+    loop: str
+    plant: PlantStatus | None = None
+    controller: ControllerStatus | None = None
+    taps: dict[str, TapStatus] = field(default_factory=dict)
+    heard_s: float = 0.0
+    marks: list[tuple[float, int]] = field(default_factory=list)
+
+    def note(self, status: Message, now_s: float) -> None:
+        """Take in a status."""
+        if isinstance(status, PlantStatus):
+            self.plant, self.heard_s = status, now_s
+            self.marks.append((now_s, status.missed))
+            while len(self.marks) > 2 and self.marks[1][0] <= now_s - LATELY_S:
+                self.marks.pop(0)
+        elif isinstance(status, ControllerStatus):
+            self.controller = status
+        elif isinstance(status, TapStatus):
+            self.taps[status.name] = status
+
+    @property
+    def lately(self) -> int:
+        """Steps missed lately."""
+        return self.marks[-1][1] - self.marks[0][1] if self.marks else 0
+
+    def state(self, now_s: float) -> str:
+        """The plant's phase, or that nothing is heard of it."""
+        if self.plant is None:
+            return "no plant"
+        if now_s - self.heard_s > SILENT_S and self.plant.phase != "stopped":
+            return "silent"
+        return self.plant.phase
+
+    def claim(self) -> str:
+        """The surest eavesdropper's claim, beside the truth where the plant has told it."""
+        surest = max(self.taps.values(), key=lambda tap: tap.confidence, default=None)
+        if surest is None:
+            return ""
+        truth = self.plant.last_message if self.plant is not None else ""
+        verdict = ""
+        if truth and surest.message:
+            verdict = ", right" if surest.message == truth else ", wrong"
+        lost = f", {surest.lost} lost" if surest.lost else ""
+        return f"{surest.name} is {100 * surest.confidence:.0f} % sure{verdict}{lost}"
+
+    def line(self, now_s: float) -> str:
+        """The loop's line of the table."""
+        plant = self.plant
+        numbers = "" if plant is None else (
+            f"{plant.k:>8} {plant.missed:>7} {self.lately:>7} {plant.rate_hz:>6.1f} "
+            f"{plant.agreements:>7} {plant.messages:>8}"
+        )  # fmt: skip
+        queue = "" if self.controller is None else f"{self.controller.queue:>5}"
+        text = f"{self.loop:<20} {self.state(now_s):<10} {numbers:<47} {queue:>5}  {self.claim()}"
+        return printable(text.rstrip())
+
+
+class FleetTable:
+    """The newest statuses of all loops that were heard.
+
+    Callbacks append to a list; :meth:`take` parses, on the caller's thread.
+    """
+
+    def __init__(self) -> None:
+        self.garbage = 0
+        self._rows: dict[str, Row] = {}
+        self._arrived: list[tuple[type[Message], str, bytes]] = []
+
+    def attach(self, ops: "Bus", intel: "Bus") -> None:
+        """Listen to the statuses of every loop."""
+        watched = ((ops, PlantStatus), (ops, ControllerStatus), (intel, TapStatus))
+        for bus, kind in watched:
+            bus.subscribe(every_loop(kind), self._arrive(kind))
+
+    def _arrive(self, kind: type[Message]) -> Callable[[str, bytes, int], None]:
+        return lambda key, payload, _t: self._arrived.append((kind, key, payload))
+
+    def take(self, now_s: float) -> None:
+        """Take in what has come."""
+        arrived, self._arrived = self._arrived, []
+        for kind, key, payload in arrived:
+            loop = key.split("/")[2]
+            try:
+                status = kind.model_validate_json(payload)
+            except ValidationError:
+                self.garbage += 1
+                continue
+            self._rows.setdefault(loop, Row(loop)).note(status, now_s)
+
+    def lines(self, now_s: float, most: int | None = None) -> list[str]:
+        """The table: a sum, the header, the loops; with ``most`` no more lines than that."""
+        rows = sorted(self._rows.values(), key=lambda row: _order(row, now_s))
+        running = sum(row.state(now_s) == "running" for row in rows)
+        missed = sum(row.plant.missed for row in rows if row.plant is not None)
+        lately = sum(row.lately for row in rows)
+        total = (
+            f"{running} of {len(rows)} loops run, {missed} steps missed, {lately} of them lately"
+        )
+        shown = [row.line(now_s) for row in rows]
+        if most is not None and len(shown) > most - 3:
+            hidden = len(shown) - (most - 3)
+            shown = [*shown[: most - 3], f"... and {hidden} more that are well or better"]
+        return [total, HEADER, *shown]
+
+
+def _order(row: Row, now_s: float) -> tuple[bool, int, str]:
+    return (row.state(now_s) == "running", -row.lately, row.loop)
+
+
+def watch(table: FleetTable, until: Callable[[], bool], *, screen: bool) -> None:
+    """Show the table until told to stop: on the screen, or printed every few seconds."""
+    if screen:
+        _on_screen(table, until)
+        return
+    next_s = 0.0
+    while not until():
+        now_s = time.monotonic()
+        table.take(now_s)
+        if now_s >= next_s:
+            next_s = now_s + PRINT_S
+            _print(table.lines(now_s))
+        time.sleep(0.1)
+    table.take(time.monotonic())
+    _print(table.lines(time.monotonic()))
+
+
+def _print(lines: Iterable[str]) -> None:
+    sys.stdout.write("\n".join([*lines, "", ""]))
+    sys.stdout.flush()
+
+
+def _on_screen(table: FleetTable, until: Callable[[], bool]) -> None:
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    console = Console()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while not until():
+            now_s = time.monotonic()
+            table.take(now_s)
+            lines = table.lines(now_s, most=console.size.height)
+            live.update(Text("\n".join(lines), no_wrap=True, overflow="crop"), refresh=True)
+            time.sleep(REFRESH_S)
