@@ -1,0 +1,47 @@
+"""The timing test sees what it must, and nothing where there is nothing."""
+
+import random
+
+import pytest
+
+from benchmarks.timing import CONTROL_NS, difference, measure, render, response_times
+
+
+def times(seed: int, count: int, longer: float = 0.0) -> list[float]:
+    """A service's times: about 80 us, now and then much longer."""
+    draw = random.Random(seed)
+    return [
+        80_000 + draw.gauss(0, 4000) + longer + (1e6 if draw.random() < 0.02 else 0)
+        for _ in range(count)
+    ]
+
+
+def test_a_microsecond_is_seen_and_noise_is_not() -> None:
+    assert not any(difference(times(s, 2000), times(s + 100, 2000)).seen for s in range(20))
+    found = [difference(times(s, 2000), times(s + 100, 2000, 1000.0)) for s in range(20)]
+    assert all(one.seen for one in found)
+    assert sum(one.ns for one in found) / 20 == pytest.approx(1000, abs=100)
+
+
+def test_the_standard_error_is_the_differences_own_spread() -> None:
+    found = [difference(times(s, 500), times(s + 1000, 500)) for s in range(200)]
+    spread = (sum(one.ns**2 for one in found) / 200) ** 0.5
+    mean_error = sum(one.error_ns for one in found) / 200
+    assert spread == pytest.approx(mean_error, rel=0.15)
+
+
+def test_too_few_values_are_refused() -> None:
+    with pytest.raises(ValueError, match="ten values"):
+        difference([1.0] * 9, [1.0] * 20)
+
+
+def test_both_ends_answers_are_timed_in_both_states() -> None:
+    found = response_times(300, added_ns=200_000)
+    assert {side for side, _ in found} == {"controller", "plant"}
+    for side in ("controller", "plant"):
+        assert min(found[side, True]) >= 200_000 > min(found[side, False])
+        assert len(found[side, False]) + len(found[side, True]) >= 250
+    assert CONTROL_NS == 1000
+    text = render(measure(300))
+    assert text.count("control") == 3
+    assert "plant: median" in text
