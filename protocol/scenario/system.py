@@ -28,7 +28,7 @@ from protocol.scenario.tap import TapView
 from protocol.schemes.registry import SCHEMES
 from protocol.vectors import FiniteMatrix, FiniteVector
 
-RULES_VERSION = 2
+RULES_VERSION = 3
 """Version of agreement and framing together; part of the fingerprint, beside the scheme's own."""
 
 DESIGN_VERSION = 3

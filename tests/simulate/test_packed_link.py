@@ -118,6 +118,14 @@ def test_two_hundred_candidates() -> None:
     assert runs.coin.max() > 127
     history = Simulation(scenario, law, seed=1, payloads=(b"both ends",)).run(steps=60)
     assert history.inbox == [b"both ends"]
+    faults = Faults(loss=0.1, repeat=0.1, crash=0.03, until_s=30)  # half frames out of journals
+    sim = Simulation(
+        scenario, law, seed=2, payloads=(b"long enough to die in " * 4,), faults=faults
+    )
+    history = sim.run(seconds=200, until=lambda: len(sim.history.delivered) >= 1)
+    assert history.crashes > 0
+    assert list(violations(history, (b"long enough to die in " * 4,))) == []
+    assert history.inbox == [b"long enough to die in " * 4]
 
 
 @pytest.mark.parametrize("kind", ["uniform D", "corners of D_c"])
