@@ -79,6 +79,7 @@ class _Journal:
         self._body: bytes | None = None
         self._rows: list[Keep] = []
         self._rows_of: str | None = None
+        self._forget = True
         try:
             make_folder(path.parent)
             os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite gives the others its mode
@@ -168,15 +169,21 @@ class _Journal:
     def _stage_rows(self, keep: Keep) -> None:
         """What ``keep`` means for the rows goes with the next write."""
         session = keep.record.session
-        if keep.raw is not None or keep.settled or session != self._rows_of:
+        if session != self._rows_of:
             self._rows.append(keep)
-            self._rows_of = session
+            self._rows_of, self._forget = session, True
+        elif keep.raw is not None or keep.settled:
+            self._rows.append(keep)
 
     def _write_rows(self) -> None:
         """Within a transaction."""
+        if self._forget:
+            self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
+            self._forget = False
         for keep in self._rows:
             session = keep.record.session
-            self._execute("DELETE FROM raw WHERE session IS NOT ?", (session,))
+            if session != self._rows_of:
+                continue
             if keep.raw is not None:
                 self._execute(
                     "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?)", (session, *keep.raw)

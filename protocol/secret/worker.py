@@ -1,7 +1,7 @@
 """A thread that makes and keeps keys, so that the loop never waits for a disk or a matrix."""
 
-import os
 import queue
+import sys
 import threading
 from collections.abc import Callable
 from typing import Final
@@ -10,9 +10,6 @@ from protocol.secret.blocks import Closed
 from protocol.secret.keeper import Keeper
 from protocol.secret.records import StoreError
 from protocol.secret.tasks import Broken, Done, Judged, Task
-
-NICE: Final = 10
-"""By how much the thread stands back; the loop's own thread has the processor when it wants it."""
 
 
 def work(keeper: Keeper, task: Task) -> Done:
@@ -26,6 +23,11 @@ def work(keeper: Keeper, task: Task) -> Done:
         return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
     except StoreError as error:
         return Broken(str(error))
+
+
+SWITCH_S: Final = 2e-4
+"""How long the loop's thread may wait for this one to let go of the interpreter; Python's own five
+milliseconds would be ten steps in lock-step."""
 
 
 class KeyWorker:
@@ -42,6 +44,7 @@ class KeyWorker:
         self._keeper = keeper
         self._done = done
         self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        sys.setswitchinterval(SWITCH_S)
         self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._thread.start()
 
@@ -56,7 +59,5 @@ class KeyWorker:
         self._keeper.store.close()
 
     def _run(self) -> None:
-        if hasattr(os, "setpriority"):  # on Linux a thread has a priority of its own
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (task := self._tasks.get()) is not None:
             self._done(work(self._keeper, task))
