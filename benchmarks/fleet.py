@@ -60,7 +60,7 @@ def hosts(
     services: dict[str, Service] = {}
     with ExitStack() as stack:
         if router:
-            services["router"] = Service("router", [f"--listen={relay}"])
+            services["router"] = Service("router", [f"--listen=field={relay}"])
             stack.callback(services["router"].stop)
             time.sleep(1.0)
         for name, arguments in commands.items():
