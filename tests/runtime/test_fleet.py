@@ -236,7 +236,10 @@ def test_twice_too_much_is_missed_evenly_and_nothing_is_missed_afterwards(
         assert sum(made) > 0.15 * (sum(made) + sum(missed)), "it collapsed"
         assert min(made) > 0.2 * sum(made) / len(made), "one loop starved"
         law.seconds = 0.0
-        time.sleep(2.0)
-        calm = counts()
-        time.sleep(1.0)
-        assert [missed for _, missed in counts()] == [missed for _, missed in calm]
+        until = time.monotonic() + 15
+        while True:  # a busy machine may miss a step of its own; a collapse never ends
+            calm = [missed for _, missed in counts()]
+            time.sleep(1.2)
+            if [missed for _, missed in counts()] == calm:
+                break
+            assert time.monotonic() < until, "the load is gone, and steps are missed still"
