@@ -46,7 +46,7 @@ AGES: Final = 4096
 
 _JSON: Final = "application/json"
 
-_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?")
+_ENDPOINT = re.compile(r"(tcp|tls|udp)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?")
 
 
 # --- endpoints -----------------------------------------------------------------------------------
@@ -90,15 +90,17 @@ class Endpoints:
 def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
     """Return ``endpoint`` when it reads ``tcp/HOST:PORT``, or ``tls/HOST:PORT`` with ``tls``.
 
+    Without ``tls`` it may be ``udp/HOST:PORT`` too: there a lost datagram stays lost.
+
     Raises
     ------
     TransportError
         When it does not.
     """
-    protocol = "tls" if tls else "tcp"
+    protocols = ("tls",) if tls else ("tcp", "udp")
     found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or int(found[3]) > 65535 or found[1] != protocol:
-        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocol}/HOST:PORT")
+    if found is None or int(found[3]) > 65535 or found[1] not in protocols:
+        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocols[0]}/HOST:PORT")
     return endpoint
 
 
