@@ -80,7 +80,16 @@ def test_free_endpoints_are_distinct_and_well_formed() -> None:
 
 @pytest.mark.parametrize(
     "endpoint",
-    ["", "foo", "tcp", "tcp/host", "udp/127.0.0.1:7", "tcp/127.0.0.1:65536", "tcp/a b:1", "tcp/:1"],
+    [
+        "",
+        "foo",
+        "tcp",
+        "tcp/host",
+        "quic/127.0.0.1:7",
+        "tcp/127.0.0.1:65536",
+        "tcp/a b:1",
+        "tcp/:1",
+    ],
 )
 def test_a_malformed_endpoint_is_one_line_that_names_it(endpoint: str) -> None:
     for arguments in ({"listen": [endpoint]}, {"connect": [endpoint]}):
