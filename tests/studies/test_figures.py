@@ -41,6 +41,7 @@ PAGES = {
     "signalling-rates": SIGNALLING,
     "signalling-price": SIGNALLING,
     "two-step": SIGNALLING,
+    "key-controls": ROOT / "docs" / "keys.md",
 }
 """Where a figure stands that is in neither of the two other documents."""
 CERTAIN = ("idea", "two-step")

@@ -19,7 +19,7 @@ from protocol.shipped import SCENARIOS
 from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
-from wyner.studies import signalling
+from wyner.studies import keys, signalling
 from wyner.studies.grid import Point, code_version, load_sweep, points_of
 from wyner.studies.results import Results
 from wyner.studies.secrecy.study import STUDIES, measure_study
@@ -248,12 +248,14 @@ def measure_sweep(name: str) -> Callable[[Path], None]:
 
 
 def measure_rows(
-    columns: Sequence[str], rows: Callable[[], Iterable[Sequence[Any]]]
+    columns: Sequence[str],
+    rows: Callable[[], Iterable[Sequence[Any]]],
+    sources: Sequence[str] = signalling.SOURCES,
 ) -> Callable[[Path], None]:
-    """The measurement of a study of docs/signalling.md."""
+    """The measurement of a study of docs/signalling.md, or of docs/keys.md."""
 
     def measure(path: Path) -> None:
-        write(path, columns, rows(), signalling.SOURCES)
+        write(path, columns, rows(), sources)
 
     return measure
 
@@ -278,5 +280,6 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "signalling-rates": measure_rows(signalling.RATE_COLUMNS, signalling.rate_rows),
     "signalling-price": measure_rows(signalling.PRICE_COLUMNS, signalling.price_rows),
     "two-step": measure_rows(signalling.CODE_COLUMNS, signalling.code_rows),
+    "key-controls": measure_rows(keys.CONTROL_COLUMNS, keys.control_rows, keys.SOURCES),
 }
 """How each data file of docs/data is made."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.studies.figures import idea, loop, secrecy, signalling
+from wyner.studies.figures import idea, keys, loop, secrecy, signalling
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
 
 __all__ = ["FIGURES", "FigureError", "draw"]
@@ -37,8 +37,10 @@ FIGURES: Final[dict[str, Kind]] = {
     "signalling-rates": Kind(signalling.draw_rates, ("signalling-rates", "fig7-paper"), (7.4, 4.6)),
     "signalling-price": Kind(signalling.draw_price, ("signalling-price",), (8.0, 3.8)),
     "two-step": Kind(signalling.draw_codes, ("two-step",), (6.4, 3.8)),
+    "key-controls": Kind(keys.draw_controls, ("key-controls",), (7.4, 3.8)),
 }
-"""The figures, in the order of docs/experiments.md, docs/secrecy.md and docs/signalling.md."""
+"""The figures, in the order of docs/experiments.md, docs/secrecy.md, docs/signalling.md
+and docs/keys.md."""
 
 
 def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:
