@@ -183,7 +183,7 @@ class ByHand:
         }[service]
         self.processes[service] = subprocess.Popen(
             [
-                *(sys.executable, "-m", f"{service}_service", "--run-dir", str(self.run_dir)),
+                *(sys.executable, "-m", "wyner", service, "--run-dir", str(self.run_dir)),
                 *("--scenario", "wyner/scenarios/sustained.toml"),
                 *endpoints,
                 *arguments,
