@@ -387,7 +387,13 @@ def test_what_is_wrong_fails_its_clause(
     copied: Path, corrupt: Callable[[Path], None], expected: set[str]
 ) -> None:
     corrupt(copied)
-    assert expected <= failed(copied)
+    found = findings(copied)
+    assert expected <= {name for name, f in found.items() if f.result == "FAIL"}
+    for finding in (f for f in found.values() if f.result == "FAIL"):
+        first = finding.tally.first
+        assert first is not None
+        assert [type(v) for v in (first.session, first.j, first.k)] == [str, int, int], finding
+        assert first.text, "a failure says what does not hold"
 
 
 def test_a_failure_says_where(copied: Path) -> None:
