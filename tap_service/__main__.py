@@ -1,4 +1,4 @@
-"""``python -m tap_service``: the same as ``wyner tap``."""
+"""``python -m tap_service``: ``wyner tap`` for one who has no scenario, with ``--knowledge``."""
 
 import sys
 

@@ -102,6 +102,7 @@ def engine_events(case: Case) -> Iterator[Event]:
             "message_symbol": message_symbol[j],
             "p": p[j],
             "s": TEST if agreed[j] == NO_SYMBOL else MESSAGE,
+            "counts": 0,
             "coin": coin[j],
             "u": candidates[j][coin[j]],
         }
