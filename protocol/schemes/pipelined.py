@@ -4,12 +4,12 @@ A transition that carries a message symbol is tested too, and its key is for the
 `switched` tests, carries and drops what it learnt meanwhile, this one carries under the old key and
 keeps the new: at an agreement in every transition n of them carry n - 1 symbols, twice as many.
 
-| state | test | next state | the sender's next ciphertext symbol | the receiver |
-|---|---|---|---|---|
-| 1 | agreed | 2, keeps the key | m[p] + key, p += 1 | keeps the key |
-| 1 | not agreed | 1 | random | ignores the ciphertext symbol |
-| 2 | agreed | 2, keeps the new key | m[p] + new key, p += 1 | m[p] = ciphertext symbol - old key |
-| 2 | not agreed | 1, drops the key | random | m[p] = ciphertext symbol - key, p += 1 |
+- In state 1, agreed: to state 2, which holds the key; the next ciphertext symbol is m[p] + key.
+- In state 1, not agreed: it stays; the next ciphertext symbol is random.
+- In state 2, agreed: it stays, and holds the new key; the receiver takes m[p] = ciphertext symbol -
+  old key, and the next ciphertext symbol is m[p + 1] + new key.
+- In state 2, not agreed: to state 1; the receiver takes m[p] = ciphertext symbol - key, and the
+  next ciphertext symbol is random.
 
 Carry first, then test. A key still serves one message symbol, that of the very next transition.
 """

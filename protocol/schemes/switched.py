@@ -3,11 +3,12 @@
 State 1 tests for an agreement; state 2 carries a message symbol under the key just agreed, and is
 itself not tested. So a symbol takes two transitions at least.
 
-| state | test | next state | the sender's next ciphertext symbol | the receiver |
-|---|---|---|---|---|
-| 1 | agreed | 2, keeps the key | m[p] + key, p += 1 | keeps the key |
-| 1 | not agreed | 1 | random | ignores the ciphertext symbol |
-| 2 | not looked at | 1, drops the key | random | m[p] = ciphertext symbol - key, p += 1 |
+- In state 1, agreed: to state 2, which holds the key; the sender's next ciphertext symbol is
+  m[p] + key.
+- In state 1, not agreed: it stays; the next ciphertext symbol is random, and the receiver ignores
+  this one.
+- In state 2, whatever the test says: to state 1; the receiver takes m[p] = ciphertext symbol - key,
+  and the next ciphertext symbol is random.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
