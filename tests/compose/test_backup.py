@@ -1,6 +1,7 @@
 """A journal copied while its service is paused: whole, and safe to go back to."""
 
 import sqlite3
+import subprocess
 from pathlib import Path
 
 from tests.compose.composition import RUN, Composition, all_healthy, arrives, wait_for
@@ -26,6 +27,9 @@ def test_a_restored_backup_ends_the_session_and_uses_no_key_again(
     arrives(direct, "plant", "after the backup")
 
     direct.compose("stop", "controller")
+    for path in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
+        path.chmod(0o711)  # pytest's own folders are its user's alone
+    subprocess.run(["chown", "-R", "10001", str(tmp_path / "backup")], check=True)
     direct.compose(
         "run", "--rm", "--no-deps", "--volume", f"{tmp_path / 'backup'}:/backup:ro",
         "--entrypoint", "sh", "controller", "-c",

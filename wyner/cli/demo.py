@@ -106,10 +106,10 @@ def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
     line = (
-        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed secret. The plant had the "
-        f"message at step {summary['delivered_k']}, she at step {first}."
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed. The plant had it at step "
+        f"{summary['delivered_k']}, the tap at step {first}."
         if had
-        else "1. Spoken:  she has not got the message, and should have."
+        else "1. Spoken:  the tap has not got the message, and should have."
     )
     return outcome, line, bool(summary["delivered"] and had)
 
@@ -129,7 +129,7 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     sent = bool(errands and errands[0].delivered)
     told = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
     line = (
-        f"2. Sealed:  {told} reached the plant. She misses 3 messages of 10 and holds {held} bits."
+        f"2. Sealed:  {told}. A tap that loses 30 % holds {held} bits."
         if sent
         else f"2. Sealed:  the message did not reach the plant ({made} keys made)."
     )
