@@ -13,7 +13,7 @@ from protocol.runtime.process import Failure
 from protocol.scenario import ScenarioError
 
 ROUNDS = 2
-STEPS = 300
+STEPS = 2000  # a tap that joins half a second late has still heard most of it
 
 
 @pytest.fixture(scope="module")
