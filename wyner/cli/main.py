@@ -36,6 +36,7 @@ COMMANDS: Final = {
     "certs": "make certificates for mutual TLS",
     "kme": "hand one side's keys to its application (ETSI GS QKD 014)",
     "router": "run a Zenoh router, with access control where asked",
+    "status": "what a run's services last said, and what contradicts it",
     "health": "say whether a service advances",
 }
 """Subcommand, and its line in the help; the module is ``wyner.cli.NAME``. Services bring theirs."""

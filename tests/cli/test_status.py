@@ -1,0 +1,80 @@
+"""``wyner status``: what was last said, and each thing that contradicts it."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
+from wyner.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("status") / "run"
+    options = ("--scenario", "packed", "--pace", "fast", "--steps", "60", "--headless")
+    assert main(["up", *options, "--run-dir", str(folder)]) == 0
+    return folder
+
+
+def changed(run_dir: Path, tmp_path: Path, file: Path, **fields: object) -> Path:
+    """A copy of both statuses, one with other fields."""
+    for path in (PLANT_STATUS, CONTROLLER_STATUS):
+        told = json.loads((run_dir / path).read_bytes()) | (fields if path == file else {})
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(json.dumps(told))
+    return tmp_path
+
+
+def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status", str(run_dir)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("plant       stopped, step 60, ")
+    assert "warning" not in out
+    assert main(["status", str(run_dir), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["plant"]["k"] == 60
+    assert told["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("file", "fields", "warning"),
+    [
+        (PLANT_STATUS, {"outside": 3}, "d was outside D_c in 3 steps"),
+        (PLANT_STATUS, {"symbol_errors": 1}, "1 agreed keys are not the selection bit"),
+        (
+            PLANT_STATUS,
+            {"detail": "D_c is left more often than its calibration promised"},
+            "D_c is left more often than its calibration promised",
+        ),
+        (PLANT_STATUS, {"keys_refused": "eps_E = 0"}, "keys: eps_E = 0"),
+        (CONTROLLER_STATUS, {"unexplained": 2}, "2 transitions that no candidate explains"),
+        (
+            PLANT_STATUS,
+            {"phase": "running", "t_ns": time.time_ns() - 60 * 10**9},
+            "plant last spoke 6",
+        ),
+    ],
+)
+def test_each_contradiction_is_a_line_and_an_exit_code(
+    run_dir: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    file: Path,
+    fields: dict[str, object],
+    warning: str,
+) -> None:
+    assert main(["status", str(changed(run_dir, tmp_path, file, **fields))]) == 1
+    assert f"warning: {warning}" in capsys.readouterr().out
+
+
+def test_what_cannot_be_read_is_one_line(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(tmp_path / "none")]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    broken = changed(run_dir, tmp_path, PLANT_STATUS, k="many")
+    assert main(["status", str(broken)]) == 1
+    assert "1 fields of a status are wrong" in capsys.readouterr().err
+    assert main(["status"]) == 2

@@ -1,0 +1,111 @@
+"""``wyner status``: what the services of a run last said of themselves, and what is wrong."""
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocol.runtime.process import DONE, FAILED, Failure, UsageError
+from protocol.text import printable
+
+if TYPE_CHECKING:
+    from protocol.messages import ControllerStatus, PlantStatus
+
+OLD_S = 5.0
+"""A status older than this is of a service that is frozen or gone: it writes one each second."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the subcommand."""
+    parser = subparsers.add_parser(
+        "status",
+        help="what a run's services last said, and what contradicts it",
+        description="Exit 0 when nothing is wrong, 1 when something is, with a line for each.",
+    )
+    parser.add_argument(
+        "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read both statuses and print them."""
+    run_dir = _run_dir(args.run_dir)
+    plant, controller = _statuses(run_dir)
+    now_ns = time.time_ns()
+    warnings = [
+        *_warnings_of_plant(plant),
+        *(
+            f"{name} last spoke {(now_ns - status.t_ns) / 1e9:.0f} s ago"
+            for name, status in (("plant", plant), ("controller", controller))
+            if status.phase != "stopped" and now_ns - status.t_ns > OLD_S * 1e9
+        ),
+    ]
+    if controller.unexplained:
+        warnings.append(f"{controller.unexplained} transitions that no candidate explains")
+    if args.json:
+        both = {"plant": plant.model_dump(), "controller": controller.model_dump()}
+        print(json.dumps({**both, "warnings": warnings}))
+    else:
+        for line in (*_lines(plant, controller), *(f"warning: {text}" for text in warnings)):
+            print(printable(line))
+    return FAILED if warnings else DONE
+
+
+def _run_dir(given: Path | None) -> Path:
+    """The folder given, or that of the one run that goes on."""
+    from wyner.deployment.running import running_loops
+
+    if given is not None:
+        return given
+    loops = running_loops()
+    if len(loops) != 1:
+        names = ", ".join(loop.name for loop in loops) or "none"
+        raise UsageError(f"RUN_DIR: runs that go on: {names}; expected one, or a folder")
+    return Path(loops[0].run_dir)
+
+
+def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
+    from pydantic import ValidationError
+
+    from protocol.messages import ControllerStatus, PlantStatus
+    from protocol.runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
+
+    try:
+        plant = PlantStatus.model_validate_json((run_dir / PLANT_STATUS).read_bytes())
+        controller = ControllerStatus.model_validate_json(
+            (run_dir / CONTROLLER_STATUS).read_bytes()
+        )
+    except OSError as error:
+        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        raise Failure(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
+    return plant, controller
+
+
+def _lines(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
+    late = max(plant.sampled_late_s, default=0.0)
+    acted = max(plant.actuated_after_s, default=0.0)
+    keys = plant.keys_refused or plant.keys_claim
+    return [
+        f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
+        f"messages, {plant.agreements} keys agreed",
+        f"controller  {controller.phase}, {controller.transitions} transitions counted, "
+        f"{controller.delivered} delivered, {controller.queue} queued",
+        f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
+        f"measurement at most, {plant.overruns} overruns",
+        f"keys        {plant.keys_made} made" + (f"; {keys}" if keys else ""),
+    ]
+
+
+def _warnings_of_plant(plant: "PlantStatus") -> list[str]:
+    found = [plant.detail] if plant.detail else []
+    if plant.outside:
+        found.append(f"d was outside D_c in {plant.outside} steps")
+    if plant.symbol_errors:
+        found.append(f"{plant.symbol_errors} agreed keys are not the selection bit")
+    if plant.keys_refused:
+        found.append(f"keys: {plant.keys_refused}")
+    return found
