@@ -1,10 +1,12 @@
 """Codes over two steps: each one found is checked point by point, apart from the search."""
 
+import csv
 import math
 
 import numpy as np
 import pytest
 
+from wyner.studies.grid import ROOT
 from wyner.studies.two_step import TwoStepCode, best_codes, single_step_keys
 
 
@@ -51,6 +53,19 @@ def test_every_code_does_what_it_says(found: dict[float, TwoStepCode]) -> None:
     for alpha, code in found.items():
         check(code, alpha)
         assert code.keys <= (1 + alpha) ** 2
+
+
+def test_no_code_has_more_keys_than_the_volume_allows() -> None:
+    """One step and two, at every alpha of the figure's data and far beyond."""
+    text = (ROOT / "docs" / "data" / "two-step.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(text.splitlines()))
+    assert len(rows) > 10
+    for row in rows:
+        alpha = float(row["alpha"])
+        assert int(row["two_step"]) <= (1 + alpha) ** 2
+        assert float(row["bits_per_step"]) <= float(row["volume_bound"]) == math.log2(1 + alpha)
+    for alpha in np.linspace(1.01, 200, 500):
+        assert single_step_keys(float(alpha)) <= 1 + alpha
 
 
 def test_the_check_refuses_a_code_at_too_small_an_alpha(found: dict[float, TwoStepCode]) -> None:
