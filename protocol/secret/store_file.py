@@ -3,6 +3,7 @@
 import os
 import sqlite3
 import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,6 +73,7 @@ class StoreFile:
             self._db = sqlite3.connect(
                 path or ":memory:", isolation_level=None, timeout=10.0, check_same_thread=False
             )
+            weakref.finalize(self, self._db.close)  # whoever drops a store has closed it
         except (OSError, sqlite3.Error) as error:
             raise StoreError(f"{path}: cannot be opened: {error}") from None
         try:
