@@ -106,8 +106,8 @@ def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
     line = (
-        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed. The plant had it at step "
-        f"{summary['delivered_k']}, the tap at step {first}."
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed; the plant has it at step "
+        f"{summary['delivered_k']}, the tap at {first}."
         if had
         else "1. Spoken:  the tap has not got the message, and should have."
     )
