@@ -1,33 +1,53 @@
 """Does an answer take longer when it carries a message symbol? ``python -m benchmarks.timing``.
 
 A tap sees when messages pass. So the time from a message's arrival at either end to its answer on
-the way, journal included, must not depend on the automaton's state. Both ends run in one process
-with real journals and traces. The two states' times are compared by Yuen's test (trimmed means),
-and the same is measured again with a wait of one microsecond added in one state: a test that does
-not see that has no power, and says so.
+the way, journal included, must not depend on the automaton's state. Both ends run as the services
+open them. What each hears and draws is recorded once; then each lives it again alone, since in one
+process what the partner did just before would be in the caches. The two states' times are compared
+by Yuen's test (trimmed means), and the same is measured again with a wait of one microsecond added
+in one state: a test that does not see that has no power, and says so.
 """
 
 import argparse
+import hashlib
 import json
 import math
+import multiprocessing
+import os
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
-from protocol.link.endpoint import Outgoing
-from protocol.messages import FIELD
+from protocol.agreement import NO_SYMBOL
+from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
     from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
+    from protocol.link.receiver import Receiver
+    from protocol.link.sender import Sender
     from protocol.messages import Message
     from protocol.runtime.ports import Files
-    from protocol.secret.tasks import Task
+    from protocol.secret.tasks import Done, Task
+
+SIDES: Final = ("controller", "plant")
+HEARS: "Final[dict[str, tuple[type[Message], ...]]]" = {
+    "controller": (Measurement, PlantHello),
+    "plant": (Offer, ControllerHello),
+}
+
+TWO_STATES: Final = ('"pipelined"', '"switched"')
+"""A scenario that agrees on every key would stay in state 2 for ever."""
 
 TRIM: Final = 0.2
 """Share of the times that is left out at each end: a scheduler's, and not the program's."""
@@ -81,12 +101,14 @@ def difference(first: Sequence[float], second: Sequence[float]) -> Difference:
 
 
 class _Ports:
-    """A service's ports; notes when a field message leaves."""
+    """An end's ports; notes when a field message leaves, and what all of them say."""
 
-    def __init__(self, partner: "list[Outgoing]", files: "Files") -> None:
+    def __init__(self, files: "Files") -> None:
         self.files = files
         self.left_ns = 0
-        self._partner = partner
+        self.mail: list[tuple[type[Message], bytes]] = []
+        self.kept: list[Done] = []
+        self.said = hashlib.sha256()
 
     def write(self, write: "Write") -> None:
         """Keep it in the journal."""
@@ -96,11 +118,15 @@ class _Ports:
         """Leave it for the partner."""
         if kind in FIELD:
             self.left_ns = time.perf_counter_ns()
-        self._partner.append(Outgoing(kind, payload))
+            self.said.update(payload)
+        self.mail.append((kind, payload))
 
     def keep(self, task: "Task") -> None:
-        """Hand it to the keeper's thread."""
-        raise AssertionError(f"this scenario makes no keys: {task}")
+        """Make and store keys, which the services leave to a thread."""
+        from protocol.secret.worker import work
+
+        assert self.files.keeper is not None
+        self.kept.append(work(self.files.keeper, task))
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
@@ -113,82 +139,181 @@ class _Ports:
         """Nobody asks for the health."""
 
 
-Samples = dict[tuple[str, bool], list[int]]
+class Heard(NamedTuple):
+    """What an end was given at a time: a message, or nothing where it was only woken."""
+
+    now: float
+    kind: "type[Message] | None" = None
+    payload: bytes = b""
 
 
-def response_times(steps: int, added_ns: int = 0) -> Samples:
-    """Nanoseconds of each answer, by side and by whether a message symbol is carried there.
+@dataclass(slots=True)
+class Life:
+    """All that one end's doings depend on: what it heard, and what it drew; and what it said."""
 
-    ``added_ns`` is waited, by the clock, before an answer that belongs to a carried symbol.
-    """
-    from controller_service.endpoint import ControllerEndpoint
+    began: float
+    heard: list[Heard] = field(default_factory=list)
+    drawn: list[bytes] = field(default_factory=list)
+    said: bytes = b""
+
+
+class _End:
+    """One end as the services open it; ``life`` grows with it, or is lived again."""
+
+    def __init__(self, side: str, scenario: str, folder: Path, life: Life, *, again: bool) -> None:
+        from protocol.link.perform import perform
+
+        self.life = life
+        self._again = iter(life.drawn) if again else None
+        self._perform = perform
+        with self._drawing():
+            self.endpoint, files, end = _open(side, scenario, folder, life.began)
+            self.end: Sender | Receiver = end
+            self.ports = _Ports(files)
+            perform(self.endpoint.start(life.began), self.endpoint, self.ports)
+
+    @contextmanager
+    def _drawing(self) -> Iterator[None]:
+        """This end's draws, those of its first life where it lives again; they cost the same."""
+        system, kept, again = os.urandom, self.life.drawn, self._again
+
+        def urandom(count: int, /) -> bytes:
+            drawn = system(count)
+            if again is not None:
+                return next(again)
+            kept.append(drawn)
+            return drawn
+
+        os.urandom = urandom
+        try:
+            yield
+        finally:
+            os.urandom = system
+
+    @property
+    def carries(self) -> bool:
+        """Whether the step under way carries a message symbol."""
+        return self.end.rules.scheme.pad(self.end.record.state) != NO_SYMBOL
+
+    def take(self, heard: Heard, added_ns: int = 0) -> int:
+        """Do what is to be done; nanoseconds to the answer on the field bus, 0 where none came."""
+        endpoint, ports = self.endpoint, self.ports
+        with self._drawing():
+            if heard.kind is None:
+                self._perform(endpoint.wake(heard.now), endpoint, ports)
+                return 0
+            carries, ports.left_ns = self.carries, 0
+            began = time.perf_counter_ns()
+            if added_ns and carries:
+                while time.perf_counter_ns() < began + added_ns:
+                    pass
+            actions = endpoint.receive(heard.kind, heard.payload, heard.now)
+            self._perform(actions._replace(settle=False), endpoint, ports)
+            answered = ports.left_ns - began if heard.kind in FIELD and ports.left_ns else 0
+            if actions.settle:
+                self._perform(endpoint.settle(), endpoint, ports)
+            while ports.kept:
+                self._perform(endpoint.kept(ports.kept.pop(0), heard.now), endpoint, ports)
+        return answered
+
+    def close(self) -> None:
+        """Close its files."""
+        self.ports.files.close()
+        if self.ports.files.keeper is not None:
+            self.ports.files.keeper.store.close()
+
+
+def _open(
+    side: str, name: str, folder: Path, now: float
+) -> "tuple[Endpoint, Files, Sender] | tuple[Endpoint, Files, Receiver]":
+    """An end of the scenario's link as the services open it."""
+    from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law
-    from plant_service.from_journal import plant_endpoint
-    from protocol.agreement import NO_SYMBOL
-    from protocol.link.pacing import Pacing
-    from protocol.link.perform import perform
-    from protocol.link.sender import Sender
-    from protocol.link.session import rules_of
-    from protocol.runtime.journal import ControllerJournal, PlantJournal
-    from protocol.runtime.ports import Files
-    from protocol.runtime.process import new_id
-    from protocol.runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
-    from protocol.runtime.trace import TraceWriter
-    from protocol.scenario import load_scenario
+    from plant_service import service as plants
+    from plant_service.endpoint import PlantEndpoint
+    from protocol.runtime.process import Pace
+    from protocol.scenario import parse_scenario
     from protocol.shipped import SCENARIOS
-    from protocol.streams import CIPHER, COIN, noise, symbols
+    from protocol.streams import noise
 
-    scenario = load_scenario(SCENARIOS / "sustained.toml")
-    law = make_law(scenario, cached_design(scenario))
-    rules = rules_of(scenario)
-    times: Samples = {(s, c): [] for s in ("controller", "plant") for c in (False, True)}
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        queue = ControllerJournal(folder / CONTROLLER_JOURNAL, rules.fingerprint)
-        journal = PlantJournal(folder / PLANT_JOURNAL, rules.fingerprint)
-        sender = Sender(rules, law.candidates, queue, symbols(None, CIPHER), new_id())
-        controller = ControllerEndpoint(sender, queue, 0.1, message=b"x" * 60_000)
-        now = time.monotonic()
-        pacing = Pacing(None, scenario.link.repeats_per_period, now)
-        coins, disturbances = symbols(None, COIN), noise(None, scenario.n)
-        plant = plant_endpoint(scenario, journal, coins, disturbances, new_id, now, pacing)
-        mail: dict[str, list[Outgoing]] = {"controller": [], "plant": []}
-        ends: list[tuple[str, Endpoint, _Ports]] = []
-        for name, partner, end, kept in (
-            ("controller", "plant", controller, queue),
-            ("plant", "controller", plant, journal),
-        ):
-            trace = TraceWriter(folder / f"{name}.jsonl", name, {})
-            ends.append((name, end, _Ports(mail[partner], Files(kept, trace, folder))))
-        for _side, endpoint, ports in ends:
-            perform(endpoint.start(now), endpoint, ports)
-        receiver = plant.plant.receiver
-        while receiver.record.k < steps:
-            for side, endpoint, ports in ends:
-                now = time.monotonic()
-                if endpoint.wake_at() <= now:
-                    perform(endpoint.wake(now), endpoint, ports)
-                heard, mail[side][:] = mail[side][:], []
-                for kind, payload in heard:
-                    state = receiver.record.state if side == "plant" else sender.record.state
-                    carries = rules.scheme.pad(state) != NO_SYMBOL
-                    k, ports.left_ns = receiver.record.k, 0
-                    began = time.perf_counter_ns()
-                    if added_ns and carries:
-                        while time.perf_counter_ns() < began + added_ns:
-                            pass
-                    actions = endpoint.receive(kind, payload, now)
-                    perform(actions._replace(settle=False), endpoint, ports)
-                    if ports.left_ns and kind in FIELD and k > WARM_UP * steps:
-                        times[side, carries].append(ports.left_ns - began)
-                    if actions.settle:
-                        perform(endpoint.settle(), endpoint, ports)
-        for _side, _endpoint, ports in ends:
-            ports.files.close()
+    text = (SCENARIOS / f"{name}.toml").read_text().replace(*TWO_STATES)
+    scenario = parse_scenario(tomllib.loads(text), name)
+    numbers = count(1 if side == "plant" else 2**60)
+    ids: dict[str, Any] = {"new_id": lambda: f"{next(numbers):016x}"}
+    winds: dict[str, Any] = {"noise": lambda _seed, width: noise(1, width)}
+    with patch.multiple(controllers, **ids), patch.multiple(plants, **ids, **winds):
+        if side == "controller":
+            law = make_law(scenario, cached_design(scenario))
+            config = controllers.ControllerConfig(scenario, law, folder, "loop", b"x" * 60_000)
+            controller, files = controllers.open_controller(config)
+            return controller, files, controller.sender
+        fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))
+        plant, files = plants.open_plant(fast, now)
+        assert isinstance(plant, PlantEndpoint)
+        return plant, files, plant.plant.receiver
+
+
+def recorded(steps: int, scenario: str, folder: Path) -> dict[str, Life]:
+    """Both ends in lock-step, side by side: what each of them heard and drew."""
+    lives = {side: Life(time.monotonic()) for side in SIDES}
+    ends = {side: _End(side, scenario, folder, lives[side], again=False) for side in SIDES}
+    while ends["plant"].end.record.k < steps:
+        for side, other in zip(SIDES, reversed(SIDES), strict=True):
+            end, now = ends[side], time.monotonic()
+            mail, ends[other].ports.mail = ends[other].ports.mail, []
+            heard = [Heard(now)] if end.endpoint.wake_at() <= now else []
+            for one in (*heard, *(Heard(now, *m) for m in mail if m[0] in HEARS[side])):
+                lives[side].heard.append(one)
+                end.take(one)
+    for side, end in ends.items():
+        lives[side].said = end.ports.said.digest()
+        end.close()
+    return lives
+
+
+Samples = dict[bool, list[int]]
+
+
+def response_times(side: str, scenario: str, life: Life, added_ns: int = 0) -> Samples:
+    """Nanoseconds of each answer of an end that lives ``life`` again, alone in this process.
+
+    Its partner cannot slow it, and what is drawn and heard is the same each time.
+
+    Parameters
+    ----------
+    side : str
+    scenario : str
+        Shipped.
+    life : Life
+    added_ns : int
+        Waited, by the clock, before an answer that belongs to a carried symbol.
+
+    Returns
+    -------
+    dict
+        By whether a message symbol is carried.
+
+    Raises
+    ------
+    RuntimeError
+        When it did not say the same again.
+    """
+    times: Samples = {False: [], True: []}
+    with tempfile.TemporaryDirectory() as folder:
+        end = _End(side, scenario, Path(folder), life, again=True)
+        for number, heard in enumerate(life.heard):
+            carries = end.carries
+            answered = end.take(heard, added_ns)
+            end.ports.mail.clear()
+            if answered and number > WARM_UP * len(life.heard):
+                times[carries].append(answered)
+        end.close()
+    if end.ports.said.digest() != life.said:
+        raise RuntimeError(f"the {side} did not say the same again")
     return times
 
 
-def measure(steps: int = 100_000) -> dict[str, Any]:
+def measure(steps: int = 100_000, scenario: str = "sustained") -> dict[str, Any]:
     """Both ends' difference between the states, and the same with the control.
 
     Returns
@@ -197,25 +322,28 @@ def measure(steps: int = 100_000) -> dict[str, Any]:
         For each side: ``plain`` and ``control`` (:class:`Difference`), ``median_us``, ``answers``,
         and ``powered``: whether the control's microsecond was seen.
     """
-    plain, control = response_times(steps), response_times(steps, CONTROL_NS)
-    told: dict[str, Any] = {"steps": steps, "trim": TRIM, "sure": SURE}
-    for side in ("controller", "plant"):
-        found = difference(plain[side, False], plain[side, True])
-        checked = difference(control[side, False], control[side, True])
+    with tempfile.TemporaryDirectory() as folder:
+        lives = recorded(steps, scenario, Path(folder))
+    told: dict[str, Any] = {"scenario": scenario, "steps": steps, "trim": TRIM, "sure": SURE}
+    for side in SIDES:
+        plain = response_times(side, scenario, lives[side])
+        control = response_times(side, scenario, lives[side], CONTROL_NS)
+        found = difference(plain[False], plain[True])
+        checked = difference(control[False], control[True])
         told[side] = {
             "plain": found.as_json(),
             "control": checked.as_json(),
             "powered": checked.seen and checked.ns > 0,
-            "median_us": float(np.median(plain[side, False])) / 1e3,
-            "answers": [len(plain[side, False]), len(plain[side, True])],
+            "median_us": float(np.median(plain[False])) / 1e3,
+            "answers": [len(plain[False]), len(plain[True])],
         }
     return told
 
 
 def render(told: dict[str, Any]) -> str:
     """For people."""
-    lines = []
-    for side in ("controller", "plant"):
+    lines = [f"{told['scenario']}, {told['steps']} steps"]
+    for side in SIDES:
         r = told[side]
         p, c = r["plain"], r["control"]
         verdict = "a difference" if p["seen"] else "no difference seen"
@@ -228,15 +356,37 @@ def render(told: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _spin() -> None:
+    while True:
+        pass
+
+
+@contextmanager
+def _busy(count: int) -> Iterator[None]:
+    """So many other programs that never rest, for as long as it takes."""
+    others = [multiprocessing.Process(target=_spin, daemon=True) for _ in range(count)]
+    for other in others:
+        other.start()
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.join()
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure; 1 when a difference was seen, 2 when the test had no power."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--scenario", default="sustained", help="shipped; `keys` makes keys")
+    parser.add_argument("--busy", action="store_true", help="beside a busy program on each core")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
-    told = measure(args.steps)
+    with _busy((os.cpu_count() or 1) if args.busy else 0):
+        told = measure(args.steps, args.scenario)
     print(json.dumps(told) if args.json else render(told))
-    sides = [told[side] for side in ("controller", "plant")]
+    sides = [told[side] for side in SIDES]
     if any(side["plain"]["seen"] for side in sides):
         return 1
     return 0 if all(side["powered"] for side in sides) else 2

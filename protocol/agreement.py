@@ -161,11 +161,8 @@ class AgreementRule:
         for i, centre in enumerate(centres):
             g = gauge(tuple(map(sub, x_next, centre)))
             gauges.append(g)
-            if g <= INSIDE:
-                inside += 1
-                symbol = i
-            if not g <= alpha:
-                possible = False
-        if inside != 1 or not possible:
-            symbol = NO_SYMBOL
-        return Verdict(tuple(gauges), symbol, inside)
+            fits = g <= INSIDE  # no branch: the verdict must not show in the time it takes
+            inside += fits
+            symbol = i if fits else symbol
+            possible &= g <= alpha
+        return Verdict(tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside)

@@ -298,7 +298,7 @@ class Receiver:
         self._anyone = False
         scheme = self.rules.scheme
         verdict = self.rules.judge(record.x, offer.candidates, offer.centres, x_next)
-        after, (agreed, pad) = scheme.advance(record.state, verdict.symbol)
+        after, (agreed, pad) = scheme.follow(record.state, verdict.symbol)
         recovered = decrypt(offer.cipher, pad, scheme.alphabet)
         carried = pad != NO_SYMBOL
         if not carried:

@@ -400,7 +400,7 @@ class Sender:
         if offer is None or measurement.applied_k == record.applied_k:
             return None
         verdict = self.rules.judge(record.x, offer.candidates, offer.centres, measurement.x_after)
-        after, carry = self.rules.scheme.advance(record.state, verdict.symbol)
+        after, carry = self.rules.scheme.follow(record.state, verdict.symbol)
         delivered = None
         message, offset = record.message, record.offset
         whole = offset == len(self._symbols(message))  # looked at in every state, as in `_decide`

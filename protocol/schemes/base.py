@@ -69,6 +69,22 @@ class Scheme(ABC, Generic[S]):
 
     def __init__(self, alphabet: int) -> None:
         self.alphabet = alphabet
+        self._followed: dict[tuple[S, int], tuple[S, Carry]] = {}
+
+    def follow(self, state: S, verdict: int) -> tuple[S, Carry]:
+        """:meth:`advance`, looked up: what either end asks takes as long in every state.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`advance` does.
+        """
+        found = self._followed.get((state, verdict))
+        if found is None:
+            if len(self._followed) >= FOLLOWED:
+                self._followed.clear()
+            found = self._followed[state, verdict] = self.advance(state, verdict)
+        return found
 
     @abstractmethod
     def advance(self, state: S, verdict: int) -> tuple[S, Carry]:
@@ -94,6 +110,9 @@ class Scheme(ABC, Generic[S]):
         make: Callable[..., S] = type(self.initial)
         return make(*values) if values else self.initial
 
+
+FOLLOWED: Final = 4096
+"""Arrows that a scheme remembers; what has more states than that is asked again."""
 
 COVER: Final = Carry(NO_SYMBOL, NO_SYMBOL)
 """A transition that agrees on nothing and carries nothing."""

@@ -1,10 +1,11 @@
 """The timing test sees what it must, and nothing where there is nothing."""
 
 import random
+from pathlib import Path
 
 import pytest
 
-from benchmarks.timing import CONTROL_NS, difference, measure, render, response_times
+from benchmarks.timing import SIDES, difference, measure, recorded, render, response_times
 
 
 def times(seed: int, count: int, longer: float = 0.0) -> list[float]:
@@ -35,13 +36,23 @@ def test_too_few_values_are_refused() -> None:
         difference([1.0] * 9, [1.0] * 20)
 
 
-def test_both_ends_answers_are_timed_in_both_states() -> None:
-    found = response_times(300, added_ns=200_000)
-    assert {side for side, _ in found} == {"controller", "plant"}
-    for side in ("controller", "plant"):
-        assert min(found[side, True]) >= 200_000 > min(found[side, False])
-        assert len(found[side, False]) + len(found[side, True]) >= 250
-    assert CONTROL_NS == 1000
+@pytest.mark.parametrize("scenario", ["sustained", "keys"])
+def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Path) -> None:
+    lives = recorded(200, scenario, tmp_path)
+    for side in SIDES:
+        found = response_times(side, scenario, lives[side], added_ns=300_000)
+        assert min(found[True]) >= 300_000 > sorted(found[False])[len(found[False]) // 2]
+        assert len(found[False]) + len(found[True]) >= 150
+
+
+def test_a_life_that_went_otherwise_is_refused(tmp_path: Path) -> None:
+    life = recorded(50, "sustained", tmp_path)["controller"]
+    life.drawn[-2] = bytes((1 - life.drawn[-2][0] % 2,))
+    with pytest.raises(RuntimeError, match="did not say the same"):
+        response_times("controller", "sustained", life)
+
+
+def test_what_is_told() -> None:
     text = render(measure(300))
     assert text.count("control") == 3
     assert "plant: median" in text

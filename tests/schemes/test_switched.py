@@ -60,6 +60,18 @@ def test_state_1_tests_and_state_2_carries() -> None:
         assert scheme.advance(State(MESSAGE, 1), symbol) == (INITIAL, Carry(NO_SYMBOL, 1))
 
 
+@pytest.mark.parametrize("size", [2, 5])
+def test_an_arrow_that_is_looked_up_is_the_arrow(size: int) -> None:
+    scheme = Switched(size)
+    states = [INITIAL, *(State(MESSAGE, key) for key in range(size))]
+    for _ in range(2):
+        for state in states:
+            for verdict in range(NO_SYMBOL, size):
+                assert scheme.follow(state, verdict) == scheme.advance(state, verdict)
+        with pytest.raises(ValueError, match="verdict"):
+            scheme.follow(INITIAL, size)
+
+
 @pytest.mark.parametrize(
     ("state", "verdict", "text"),
     [
