@@ -11,12 +11,15 @@ from protocol.runtime.endpoints import (
     loop_of,
 )
 from protocol.runtime.options import (
+    add_bounds_arguments,
     add_fleet_arguments,
     add_message_arguments,
     at_least,
+    checked,
     message_of,
     run_dir_of,
 )
+from protocol.runtime.parts import Bounds
 from protocol.runtime.process import UsageError
 
 
@@ -34,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="D",
         help="where the file of defender.model is (default: the scenario's own folder)",
     )
+    add_bounds_arguments(parser)
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
     add_endpoint_arguments(parser, "controller")
@@ -60,11 +64,12 @@ def run(args: argparse.Namespace) -> int:
         except (SynthesisError, ProgramError) as error:
             raise UsageError(f"{scenario.name}: {error}") from None
 
+    bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     fleet = fleet_of(args)
     if fleet is not None:
         folder = run_dir_of(args.run_dir)
         with buses_of(args, "controller") as (stopping, field, ops):
-            return run_controllers(fleet, folder, law_of, field, ops, stopping)
+            return run_controllers(fleet, folder, law_of, bounds, field, ops, stopping)
     scenario = scenario_of(args.scenario)
     config = ControllerConfig(
         scenario=scenario,
@@ -72,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         loop=loop_of(args),
         message=message_of(args.message, args.message_file),
         seed=args.seed,
+        bounds=bounds,
         secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
         folder=scenario_file_of(args.scenario).parent

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from controller_service.endpoint import STATUS_S, ControllerEndpoint
@@ -21,6 +21,7 @@ from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import ControllerJournal, JournalError
+from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
 from protocol.runtime.process import UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
@@ -45,7 +46,8 @@ class ControllerConfig:
 
     ``message`` is queued once in a journal's life, however often the service is started with it;
     ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
-    are signed; ``folder`` is where the file of a nonlinear f_c is looked for.
+    are signed; ``folder`` is where the file of a nonlinear f_c is looked for; ``bounds`` are the
+    trace's.
     """
 
     scenario: Scenario
@@ -56,6 +58,7 @@ class ControllerConfig:
     seed: int | None = None
     secret: Path | None = None
     folder: Path = Path()
+    bounds: Bounds = field(default_factory=Bounds)
 
 
 def open_controller(
@@ -85,7 +88,9 @@ def open_controller(
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
-    trace = TraceWriter(config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity())
+    trace = TraceWriter(
+        config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
+    )
     rules, fresh = rules_of(scenario), symbols(config.seed, CIPHER)
     endpoint = ControllerEndpoint(
         Sender(
@@ -166,6 +171,7 @@ def run_controllers(
     fleet: Fleet,
     run_dir: Path,
     law_of: Callable[[Scenario], CandidateLaw],
+    bounds: Bounds,
     field: Bus,
     ops: Bus,
     stopping: threading.Event,
@@ -180,7 +186,9 @@ def run_controllers(
             scenario = scenario_of(loop.scenario)
             laws[loop.scenario] = (scenario, law_of(scenario))
         scenario, law = laws[loop.scenario]
-        config = ControllerConfig(scenario, law, folder, loop.id, loop.payload, loop.seed)
+        config = ControllerConfig(
+            scenario, law, folder, loop.id, loop.payload, loop.seed, bounds=bounds
+        )
         return open_controller(config, status_s=FLEET_STATUS_S)
 
     return run_fleet(fleet, open_end, field, ops, stopping, logger("controller"))

@@ -10,7 +10,15 @@ from protocol.runtime.endpoints import (
     fleet_of,
     loop_of,
 )
-from protocol.runtime.options import add_fleet_arguments, at_least, pace_of, run_dir_of
+from protocol.runtime.options import (
+    add_bounds_arguments,
+    add_fleet_arguments,
+    at_least,
+    checked,
+    pace_of,
+    run_dir_of,
+)
+from protocol.runtime.parts import Bounds
 from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import PLANT_SAFE
 
@@ -37,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
+    add_bounds_arguments(parser)
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
     add_endpoint_arguments(parser, "plant")
@@ -50,19 +59,21 @@ def run(args: argparse.Namespace) -> int:
 
     at_least("--steps", args.steps, 1)
     at_least("--seed", args.seed, 0)
+    bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     fleet = fleet_of(args)
     if fleet is not None:
         folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
         if args.steps is not None:
             raise UsageError("--steps: a fleet runs until it is stopped")
         with buses_of(args, "plant") as (stopping, field, ops):
-            return run_plants(fleet, folder, pace, field, ops, stopping)
+            return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
     config = PlantConfig(
         scenario=scenario_of(args.scenario),
         loop=loop_of(args),
         pace=pace_of(args.pace),
         steps=args.steps,
         seed=args.seed,
+        bounds=bounds,
         secret=None if args.secret is None else Path(args.secret),
         run_dir=run_dir_of(args.run_dir),
         folder=scenario_file_of(args.scenario).parent

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from plant_service.adapters.base import PlantError
@@ -21,6 +21,7 @@ from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import JournalError, PlantJournal
+from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
 from protocol.runtime.process import Pace, UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
@@ -47,7 +48,7 @@ class PlantConfig:
 
     ``steps`` ends it when k reaches that number; ``seed`` is for experiments only;
     ``secret`` is a file that both ends share, by which key blocks are signed; ``folder`` is where
-    the files that the scenario's plant names are looked for.
+    the files that the scenario's plant names are looked for; ``bounds`` are the trace's.
     """
 
     scenario: Scenario
@@ -58,6 +59,7 @@ class PlantConfig:
     seed: int | None = None
     secret: Path | None = None
     folder: Path = Path()
+    bounds: Bounds = field(default_factory=Bounds)
 
 
 def open_plant(
@@ -108,7 +110,7 @@ def open_plant(
         )
     except (JournalError, PlantError) as error:
         raise UsageError(str(error)) from None
-    trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity())
+    trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
     return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
 
 
@@ -192,7 +194,13 @@ def run_plant(config: PlantConfig, field: Bus, ops: Bus, stopping: threading.Eve
 
 
 def run_plants(
-    fleet: Fleet, run_dir: Path, pace: Pace, field: Bus, ops: Bus, stopping: threading.Event
+    fleet: Fleet,
+    run_dir: Path,
+    pace: Pace,
+    bounds: Bounds,
+    field: Bus,
+    ops: Bus,
+    stopping: threading.Event,
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
 
@@ -204,7 +212,7 @@ def run_plants(
             kind = scenario.plant.kind
             said = f"plant.kind: got {kind!r}, expected linear in a fleet"
             raise UsageError(f"{loop.scenario}: {said}")
-        config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed)
+        config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed, bounds=bounds)
         phase = number % SLOTS / SLOTS
         return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
 

@@ -7,8 +7,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
-
     from protocol.knowledge import Knowledge
     from protocol.runtime.fleet import FleetLoop
     from tap_service.capture.channel import View
@@ -64,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
     from protocol.runtime.endpoints import add_endpoint_arguments, add_metrics_argument
-    from protocol.runtime.options import add_fleet_arguments
+    from protocol.runtime.options import add_bounds_arguments, add_fleet_arguments
 
     parser.add_argument(
         "--eavesdropper",
@@ -76,14 +74,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_view_arguments(parser)
     parser.add_argument("--run-dir", required=True, metavar="D", help="write below D/tap")
     limits = parser.add_argument_group("bounds of the recording")
-    limits.add_argument("--part-bytes", type=int, metavar="N", help="size at which a part ends")
+    add_bounds_arguments(limits)
     limits.add_argument("--part-seconds", type=float, metavar="S", help="age at which a part ends")
-    limits.add_argument(
-        "--total-bytes",
-        type=int,
-        metavar="N",
-        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
-    )
     limits.add_argument(
         "--free-bytes",
         type=int,
@@ -135,27 +127,11 @@ def view_of(args: argparse.Namespace, defaults: Mapping[str, object]) -> "View":
     UsageError
         With one line for each wrong value.
     """
-    from pydantic import ValidationError
-
-    from protocol.runtime.process import UsageError
+    from protocol.runtime.options import checked
     from tap_service.capture.channel import View
 
     values = dict(defaults, seed=args.seed)
-    values |= {k: v for k in KNOBS if (v := getattr(args, k)) is not None}
-    try:
-        return View.model_validate(values)
-    except ValidationError as error:
-        raise UsageError(_wrong_options(error)) from None
-
-
-def _wrong_options(error: "ValidationError") -> list[str]:
-    """One line for each option whose value is wrong."""
-    lines = []
-    for e in error.errors(include_url=False):
-        field = str(e["loc"][0])
-        option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
-        lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
-    return lines
+    return checked(View, **values | {k: v for k in KNOBS if (v := getattr(args, k)) is not None})
 
 
 def read_knowledge(path: str) -> "Knowledge":
@@ -214,11 +190,9 @@ def run_told(
     """
     from pathlib import Path
 
-    from pydantic import ValidationError
-
     from protocol.runtime.bus import TransportError
     from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of, noted
-    from protocol.runtime.options import alone_in, run_dir_of
+    from protocol.runtime.options import alone_in, checked, run_dir_of
     from protocol.runtime.process import UsageError
     from tap_service.capture.recording import Limits
     from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
@@ -226,16 +200,13 @@ def run_told(
     from tap_service.guests import guarded
     from tap_service.service import FINISH_S, TapConfig, run_tap
 
-    bounds = {
-        "part_bytes": args.part_bytes,
-        "part_s": args.part_seconds,
-        "total_bytes": args.total_bytes,
-        "free_bytes": args.free_bytes,
-    }
-    try:
-        limits = Limits.model_validate({k: v for k, v in bounds.items() if v is not None})
-    except ValidationError as error:
-        raise UsageError(_wrong_options(error)) from None
+    limits = checked(
+        Limits,
+        part_bytes=args.part_bytes,
+        part_s=args.part_seconds,
+        total_bytes=args.total_bytes,
+        free_bytes=args.free_bytes,
+    )
     if args.finish is not None and not 0 <= args.finish <= 3600:
         raise UsageError(f"--finish: got {args.finish}, expected 0 to 3600 seconds")
     field, intel = endpoints_of(args, "tap", "field"), endpoints_of(args, "tap", "intel")

@@ -3,7 +3,8 @@
 A file is written by one process at a time, in *lives*. A life begins with a header, or, where the
 file is there already, with the mark ``continued``. It ends with the mark ``end``, which counts the
 life's lines before it and holds their SHA-256. A process that is killed leaves no end mark, and at
-most one torn line, its last: so a reader can tell a killed writer from a file that was cut.
+most one torn line, its last: so a reader can tell a killed writer from a file that was cut. A life
+that goes on in the recording's next part says so in its end mark.
 
     {"event":"header",...}                          first life
     {"event":"transition",...}
@@ -31,6 +32,9 @@ MARKS: Final = frozenset({HEADER, CONTINUED, END})
 
 END_BYTES: Final = 256
 """Room that an end mark takes at most."""
+
+HEADER_BYTES: Final = 1 << 16
+"""A file without a whole line is a torn header only where it is smaller than this."""
 
 CHUNK: Final = 1 << 20
 """Bytes that are read at once."""
@@ -75,6 +79,9 @@ class LineWriter:
         self._file: int | None = open_private(path, flags | (os.O_EXCL if new else 0))
         try:
             self.size = os.fstat(self._file).st_size
+            if 0 < self.size < HEADER_BYTES and b"\n" not in os.pread(self._file, self.size, 0):
+                os.ftruncate(self._file, 0)  # a header that was torn: nothing is there yet
+                self.size = 0
             if self.size and os.pread(self._file, 1, self.size - 1) != b"\n":
                 self._put(b"\n")
             first = {"event": CONTINUED} if self.size else {"event": HEADER, **header}

@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from protocol.runtime.process import Pace, UsageError
 from protocol.runtime.run_folder import PRIVATE_FOLDER, make_folder, open_private
@@ -25,6 +28,41 @@ def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--fleet", metavar="FILE", help="run all loops of this file (docs/fleet.md)")
     group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
+
+
+def add_bounds_arguments(parser: argparse._ActionsContainer) -> None:
+    """Add ``--part-bytes`` and ``--total-bytes``: what a recording may take on disk."""
+    parser.add_argument(
+        "--part-bytes", type=int, metavar="N", help="size at which a part of the recording ends"
+    )
+    parser.add_argument(
+        "--total-bytes",
+        type=int,
+        metavar="N",
+        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
+    )
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def checked(kind: type[M], **values: object) -> M:
+    """A model of options, of those that were given.
+
+    Raises
+    ------
+    UsageError
+        With a line for each option whose value is wrong.
+    """
+    try:
+        return kind.model_validate({k: v for k, v in values.items() if v is not None})
+    except ValidationError as error:
+        lines = []
+        for e in error.errors(include_url=False):
+            field = str(e["loc"][0])
+            option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
+            lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
+        raise UsageError(lines) from None
 
 
 def message_of(text: str | None, file: str | None) -> bytes | None:

@@ -1,15 +1,18 @@
-"""Traces: one JSON line an event, one file a vantage point, readable by tests and by people.
+"""Traces: one JSON line an event, one recording a vantage point, readable by tests and by people.
 
-The first line is a header. A file whose writer was killed may end in a torn line; the reader drops
-that line only, and says so. Marks (:mod:`protocol.runtime.jsonl`) are no events.
+A trace is one or more parts, ``trace.jsonl``, ``trace.0001.jsonl``, ..., each with a header that
+names its number and the oldest part that was kept beside it. A file whose writer was killed may end
+in a torn line; the reader drops that line only, and says so. Marks
+(:mod:`protocol.runtime.jsonl`) are no events.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.jsonl import MARKS, LineWriter, dumps, read_lines
+from protocol.runtime.jsonl import END_BYTES, MARKS, LineWriter, dumps, read_lines
+from protocol.runtime.parts import Bounds, Parts, number_of, part_path, parts_of
 
 TRACE_FORMAT: Final = "wyner-trace"
 TRACE_VERSION: Final = 1
@@ -43,14 +46,18 @@ class TraceError(Exception):
 
 
 class TraceWriter:
-    """Append events to a JSONL file, each flushed to the operating system as one line.
+    """Append events to a trace, each flushed to the operating system as one line.
 
     Parameters
     ----------
     path : Path
-        Its folder is made; an existing file is continued, on a fresh line.
+        The first part. Its folder is made; where there are parts the newest is continued, on a
+        fresh line.
+    vantage : str
     header : mapping
-        Written first when the file is new, beside format, version and vantage point.
+        Written first in every part, beside format, version, vantage point and the parts' numbers.
+    bounds : Bounds, optional
+        A part that would outgrow them is ended and another begun; the oldest are dropped.
 
     Raises
     ------
@@ -58,13 +65,45 @@ class TraceWriter:
         Here and on writing, with the file's name, when it cannot be written whole.
     """
 
-    def __init__(self, path: Path, vantage: str, header: Mapping[str, Any]) -> None:
-        told = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage}
-        self.lines = LineWriter(path, {**told, **header})
+    def __init__(
+        self, path: Path, vantage: str, header: Mapping[str, Any], bounds: Bounds | None = None
+    ) -> None:
+        self._path = path
+        self._told = {
+            **{"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage},
+            **header,
+        }
+        self._bounds = bounds or Bounds()
+        self._closed = Parts(path)
+        self._number = max(self._closed.newest, 0)
+        if self._closed:
+            self._closed.reopen()
+        self._most = self._bounds.of_a_part - END_BYTES
+        self.lines = self._open()
 
     def write(self, event: Mapping[str, Any]) -> None:
         """Append one event."""
-        self.lines.append(dumps(event))
+        line = dumps(event)
+        if self.lines.size + len(line) > self._most:
+            self._turn(len(line))
+        self.lines.append(line)
+
+    def _open(self, gone: Sequence[int] = ()) -> LineWriter:
+        """The part in use; the parts that are ``gone`` go once its header says so."""
+        oldest = self._closed.oldest(gone, self._number)
+        header = {**self._told, "part": self._number, "oldest": oldest}
+        lines = LineWriter(part_path(self._path, self._number), header)
+        for number in gone:
+            self._closed.drop(number)
+        return lines
+
+    def _turn(self, length: int) -> None:
+        """End the part in use, and begin the next with room for a line of ``length`` bytes."""
+        self.lines.close(next=self._number + 1)
+        self._closed.add(self._number, self.lines.size)
+        self._number += 1
+        needed = max(self._bounds.of_a_part, len(dumps(self._told)) + length + 2 * END_BYTES)
+        self.lines = self._open(self._closed.beyond(self._bounds.total_bytes - needed))
 
     def close(self) -> None:
         """Write the end mark and close the file; further writes fail."""
@@ -83,11 +122,14 @@ class Trace:
         All whole lines after it, in order.
     torn : int
         Lines that were not whole: left behind by a writer that was killed.
+    parts_missing : int
+        Parts before the first that is there.
     """
 
     header: dict[str, Any]
     events: tuple[dict[str, Any], ...]
     torn: int
+    parts_missing: int = 0
 
     def of(self, event: str) -> Iterator[dict[str, Any]]:
         """The events of one kind, in order."""
@@ -100,36 +142,45 @@ class TraceReader:
     Parameters
     ----------
     path : Path
+        The first part, also where it is there no more.
+
+    Attributes
+    ----------
+    parts_missing : int
+        Parts before the first that is there.
 
     Raises
     ------
     TraceError
-        When the file cannot be read or its first whole line is no header of this format and
-        version.
+        When it cannot be read or its first whole line is no header of this format and version.
     """
 
     def __init__(self, path: Path) -> None:
         self.torn = 0
-        self._events = self._read(path)
+        parts = parts_of(path) or [path]
+        self.parts_missing = number_of(parts[0])
+        self._events = self._read(parts)
         self.header = next(self._events, {})
         if self.header.get("format") != TRACE_FORMAT:
-            raise TraceError(f"{path}: line 1: expected a header of format {TRACE_FORMAT!r}")
+            raise TraceError(f"{parts[0]}: line 1: expected a header of format {TRACE_FORMAT!r}")
         version = self.header.get("version")
         if version != TRACE_VERSION:
-            raise TraceError(f"{path}: line 1: version: got {version!r}, expected {TRACE_VERSION}")
+            said = f"version: got {version!r}, expected {TRACE_VERSION}"
+            raise TraceError(f"{parts[0]}: line 1: {said}")
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (event for event in self._events if event["event"] not in MARKS)
 
-    def _read(self, path: Path) -> Iterator[dict[str, Any]]:
-        try:
-            for line in read_lines(path):
-                if line.value is not None and isinstance(line.value.get("event"), str):
-                    yield line.value
-                else:
-                    self.torn += 1
-        except OSError as error:
-            raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
+    def _read(self, parts: Sequence[Path]) -> Iterator[dict[str, Any]]:
+        for path in parts:
+            try:
+                for line in read_lines(path):
+                    if line.value is not None and isinstance(line.value.get("event"), str):
+                        yield line.value
+                    else:
+                        self.torn += 1
+            except OSError as error:
+                raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def read_trace(path: Path) -> Trace:
@@ -141,4 +192,4 @@ def read_trace(path: Path) -> Trace:
         As :class:`TraceReader` does.
     """
     reader = TraceReader(path)
-    return Trace(reader.header, tuple(reader), reader.torn)
+    return Trace(reader.header, tuple(reader), reader.torn, reader.parts_missing)

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.messages import Measurement, Offer
+from protocol.runtime.parts import first_part, parts_of
 from protocol.runtime.process import needs
 from protocol.topics import key_of
-from tap_service.capture.recording import CaptureReader, first_part, parts_of
+from tap_service.capture.recording import CaptureReader
 
 Record = tuple[int, Measurement | Offer]
 

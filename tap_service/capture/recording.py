@@ -9,7 +9,6 @@ counted and said. A writer that is killed loses at most the line it was writing.
 import base64
 import logging
 import os
-import re
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -17,11 +16,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from pydantic_core import from_json, to_json
 
 from protocol.messages import Measurement, Offer
 from protocol.runtime.jsonl import END, END_BYTES, LONGEST, LineReader, LineWriter, decode, dumps
+from protocol.runtime.parts import Bounds, Parts, number_of, part_path, parts_of
 from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
 
@@ -31,34 +31,24 @@ FIELD_TYPES: Final[dict[str, type[Measurement] | type[Offer]]] = {
     Offer.topic: Offer,
 }
 
-_PART = re.compile(r"^(?P<stem>.+?)(?:\.(?P<part>\d{4,}))?\.jsonl$")
-_MIB: Final = 2**20
-
 
 class CaptureError(Exception):
     """A capture that cannot be read; one line that names the file and what was expected."""
 
 
-class Limits(BaseModel):
-    """Bounds of what a recording may take on disk.
+class Limits(Bounds):
+    """Bounds of what the tap may take on disk: those of its parts, and two more.
 
     Parameters
     ----------
-    part_bytes, part_s : int, float
-        Size and age at which a part ends; it ends at half of `total_bytes` in any case, so that
-        something is left when the oldest is dropped.
-    total_bytes : int
-        Bound of all parts together, the one in use included; the oldest are dropped to keep to it.
+    part_s : float
+        Age at which a part ends.
     free_bytes : int
         Room that must stay free on the disk; recording pauses below it, and nothing is dropped.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    part_bytes: int = Field(64 * _MIB, ge=1024)
     part_s: float = Field(3600.0, gt=0)
-    total_bytes: int = Field(1024 * _MIB, ge=2048)
-    free_bytes: int = Field(256 * _MIB, ge=0)
+    free_bytes: int = Field(256 * 2**20, ge=0)
 
 
 HELD_BYTES: Final = 1 << 16
@@ -89,26 +79,23 @@ class RotatingLog:
         self.dropped = 0
         self.parts_dropped = 0
         self.paused = False
-        self._current = path
         self._held: list[bytes] = []
         self._held_bytes = 0
         self._path = path
         self._header = header
         self._limits = limits
-        self._part_bytes = min(limits.part_bytes, limits.total_bytes // 2)
         self._log = log
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._parts = {p: p.stat().st_size for p in parts_of(path)}
-        self._number = max((number_of(p) for p in self._parts), default=-1)
+        self._parts = Parts(path)
+        self._number = self._parts.newest
         self.first_part = self._number + 1
-        self._old_bytes = sum(self._parts.values())
         self._file: LineWriter | None = None
         self._begin()
 
     @property
     def size(self) -> int:
         """Bytes on disk, all parts together."""
-        return self._old_bytes + self._size
+        return self._parts.bytes + self._size
 
     @property
     def _size(self) -> int:
@@ -129,7 +116,7 @@ class RotatingLog:
             return
         self._held.append(line)
         self._held_bytes += len(line) + 1
-        if self._size + self._held_bytes >= self._part_bytes:
+        if self._size + self._held_bytes >= self._limits.of_a_part:
             self._begin()
         elif self._held_bytes >= HELD_BYTES:
             self.flush()
@@ -159,8 +146,7 @@ class RotatingLog:
         if self._file is None:
             return
         self._file.close(dropped=self.dropped, last=last)
-        self._parts[self._current] = self._file.size
-        self._old_bytes += self._file.size
+        self._parts.add(self._number, self._file.size)
         self._file = None
 
     def _begin(self) -> None:
@@ -186,7 +172,7 @@ class RotatingLog:
         except OSError as error:
             self._pause(error.strerror or "cannot be opened")
             return
-        self._number, self._current = number, path
+        self._number = number
         if self.paused:
             self.paused = False
             self._log.info("%s: recording again, %d lines were dropped", self._path, self.dropped)
@@ -196,20 +182,15 @@ class RotatingLog:
         needed = self._size + self._held_bytes + length + END_BYTES
         if needed > self._limits.total_bytes:
             return False
-        while self._old_bytes + needed > self._limits.total_bytes:
-            self._drop_oldest()
+        for number in self._parts.beyond(self._limits.total_bytes - needed):
+            oldest = self._parts.drop(number)
+            self.parts_dropped += 1
+            self._log.warning(
+                "%s: part dropped, the bound of all parts is reached (%d so far)",
+                oldest,
+                self.parts_dropped,
+            )
         return True
-
-    def _drop_oldest(self) -> None:
-        oldest = min(self._parts, key=number_of)
-        self._old_bytes -= self._parts.pop(oldest)
-        oldest.unlink(missing_ok=True)
-        self.parts_dropped += 1
-        self._log.warning(
-            "%s: part dropped, the bound of all parts is reached (%d so far)",
-            oldest,
-            self.parts_dropped,
-        )
 
     def _pause(self, why: str) -> None:
         self._end()
@@ -229,30 +210,6 @@ class RotatingLog:
     def _free(self) -> int:
         status = os.statvfs(self._path.parent)
         return status.f_bavail * status.f_frsize
-
-
-def part_path(path: Path, number: int) -> Path:
-    """The file of part ``number`` of the recording that begins at ``path``."""
-    return path if number == 0 else path.with_name(f"{path.stem}.{number:04d}.jsonl")
-
-
-def number_of(path: Path) -> int:
-    """The number of a part, from its name."""
-    match = _PART.match(path.name)
-    return int(match["part"]) if match and match["part"] else 0
-
-
-def first_part(path: Path) -> Path:
-    """The first part of the recording that ``path`` is a part of."""
-    match = _PART.match(path.name)
-    return path.with_name(f"{match['stem']}.jsonl") if match else path
-
-
-def parts_of(path: Path) -> list[Path]:
-    """The parts of the recording at ``path`` that are on disk, in order."""
-    found = [p for p in path.parent.glob(f"{path.stem}.*jsonl") if _PART.match(p.name)]
-    mine = [p for p in found if p == path or _PART.match(p.name)["stem"] == path.stem]  # type: ignore[index]
-    return sorted(mine, key=number_of)
 
 
 def mirror_line(t_ns: int, topic: str, payload: bytes) -> bytes:

@@ -16,6 +16,7 @@ from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.runtime.fleet import Fleet, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.parts import Bounds
 from protocol.runtime.process import DONE, Pace, UsageError
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import read_trace
@@ -91,14 +92,12 @@ class Hosts:
         stopping = threading.Event()
 
         def controllers() -> None:
-            buses = MemoryBus(self.field), MemoryBus(self.ops)
-            self.codes.append(
-                run_controllers(self.fleet(), self.folder, lambda _: self.law, *buses, stopping)
-            )
+            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.ops), stopping
+            self.codes.append(run_controllers(self.fleet(), self.folder, lambda _: self.law, *rest))
 
         def plants() -> None:
-            buses = MemoryBus(self.field), MemoryBus(self.ops)
-            self.codes.append(run_plants(self.fleet(), self.folder, Pace(pace), *buses, stopping))
+            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.ops), stopping
+            self.codes.append(run_plants(self.fleet(), self.folder, Pace(pace), *rest))
 
         threads = [threading.Thread(target=one) for one in (controllers, plants)]
         for thread in threads:

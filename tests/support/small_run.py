@@ -18,6 +18,7 @@ from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
+from protocol.runtime.parts import Bounds
 from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario, parse_scenario
@@ -66,8 +67,10 @@ class SmallRun:
         name: str = "sustained",
         changes: tuple[tuple[str, str], ...] = (),
         seed: int = 1,
+        bounds: Bounds | None = None,
     ) -> None:
         self.folder = folder
+        self._bounds = bounds
         self._seed = seed
         self._lives = 0
         text = (SCENARIOS / f"{name}.toml").read_text()
@@ -236,7 +239,7 @@ class SmallRun:
 
     def _writer(self, side: str) -> TraceWriter:
         path = PLANT_TRACE if side == "plant" else CONTROLLER_TRACE
-        return TraceWriter(self.folder / path, side, self.scenario.identity())
+        return TraceWriter(self.folder / path, side, self.scenario.identity(), self._bounds)
 
     def _tell_queue(self) -> None:
         for number in range(len(self._queue.payloads)):

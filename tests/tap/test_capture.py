@@ -15,6 +15,7 @@ from pydantic_core import from_json
 
 from protocol.messages import Measurement, Offer
 from protocol.runtime import jsonl
+from protocol.runtime.parts import part_path, parts_of
 from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.trace import read_trace
 from tap_service.capture.recording import (
@@ -24,8 +25,6 @@ from tap_service.capture.recording import (
     RotatingLog,
     garbage_line,
     mirror_line,
-    part_path,
-    parts_of,
 )
 from tests.support.lines import unmark
 

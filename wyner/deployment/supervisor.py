@@ -1,17 +1,19 @@
 """The three services as child processes: started, watched, started again when killed, stopped."""
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from protocol.runtime.process import STOP_WITH_STDIN, Failure
-from protocol.runtime.run_folder import make_folder, open_private
+from protocol.runtime.run_folder import make_folder, open_private, replacing
 from protocol.runtime.services import SERVICES
 
 RESTART_S: Final = 0.2
@@ -23,8 +25,8 @@ RESTARTS: Final = 20
 START_S: Final = 60.0
 """Seconds that the first service has to come up, as long as it lives: a machine may be busy."""
 
-PATIENCE_S: Final = 5.0
-"""Seconds that a service has to stop by itself."""
+LOG_BYTES: Final = 8 << 20
+"""A service's log grows to this size; then it is kept as ``log.old``, and a new one begun."""
 
 
 @dataclass
@@ -72,6 +74,7 @@ class Child:
         """
         if self.returned is not None or self.process is None:
             return self.returned
+        self._bound_log()
         code = self.process.poll()
         if code is None:
             return None
@@ -85,6 +88,14 @@ class Child:
             self._let_go()
             self.start()
         return self.returned
+
+    def _bound_log(self) -> None:
+        """Begin the log again where it is long; the service appends, and notices nothing."""
+        with suppress(OSError):
+            if self.log.stat().st_size >= LOG_BYTES:
+                with replacing(self.log.with_name("log.old")) as old:
+                    shutil.copyfile(self.log, old)
+                os.truncate(self.log, 0)
 
     def stop(self) -> None:
         """Ask the process to stop, then make it."""

@@ -16,9 +16,9 @@ from pydantic_core import from_json
 
 from protocol.agreement import NO_SYMBOL
 from protocol.runtime.jsonl import read_lines
+from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
-from tap_service.capture.recording import parts_of
 from tap_service.eavesdroppers.base import KEPT_SYMBOLS
 
 Z: Final = 1.959963984540054

@@ -105,9 +105,15 @@ def wire(e: Evidence, tally: Tally) -> Judging:
     if e.wire.blurred:
         tally.skipped = BLURRED
         return
+    older = 0
     while (part := (yield)) is not None:
         for seen in part.seen:
-            _compare(e, seen, tally)
+            if e.before(seen):
+                older += 1
+            else:
+                _compare(e, seen, tally)
+    if older:
+        tally.note = f"{older} older than what is left of the plant's trace"
 
 
 def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:

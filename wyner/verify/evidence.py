@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.link.session import Rules, rules_of
+from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_TRACE,
@@ -90,6 +91,27 @@ class Evidence:
             if reader is not None:
                 yield reader.side, reader
 
+    @property
+    def cut(self) -> str:
+        """Which parts of the traces are gone, and what is judged of the rest; empty where none is.
+
+        It is told once the traces have been read.
+        """
+        return "; ".join(
+            f"parts 0 to {r.gone - 1} of the {name}'s trace are gone, "
+            + (f"judged after transition {r.cut.j}" if r.cut else "nothing left can be judged")
+            for name, r in self.readers()
+            if r.gone
+        )
+
+    def before(self, seen: Seen) -> bool:
+        """Whether a message is older than what is left of the plant's trace, and its answer."""
+        return (
+            self.plant is not None
+            and self.plant.gone > 0
+            and self.steps.before(seen.session, seen.k)
+        )
+
     def parts(self) -> Iterator[Part]:
         """The run from its beginning to its end; can be asked for once."""
         yield from _Sides(self).parts()
@@ -111,6 +133,8 @@ class _Sides:
         self._e = evidence
         self._items = {side: iter(reader) for side, reader in evidence.readers()}
         self._over: set[str] = set()  # sessions that the plant has left
+        cut = {side for side, reader in evidence.readers() if reader.gone}
+        self._cut = cut if len(self._items) > 1 else set()
         self._part = Part([], [], [], [])
         self._plant: Walked | None = None
         self._controller: Walked | None = None
@@ -118,11 +142,34 @@ class _Sides:
     def parts(self) -> Iterator[Part]:
         self._plant, self._controller = self._next("plant"), self._next("controller")
         while self._plant is not None or self._controller is not None:
-            self._part.pairs.append(self._pair())
-            if len(self._part.pairs) >= AT_ONCE:
+            if self._meet():
+                self._part.pairs.append(self._pair())
+            if max(len(self._part.plant), len(self._part.controller)) >= AT_ONCE:
                 yield self._part
                 self._part = Part([], [], [], [])
         yield self._part
+
+    def _meet(self) -> bool:
+        """Whether both have come to where they can be compared; of cut traces, one step towards it.
+
+        The plant's trace is the longer one, so of two that are cut it begins later.
+        """
+        plant, controller = self._plant, self._controller
+        if not self._cut:
+            return True
+        if plant is not None and controller is not None:
+            a, b = plant.t, controller.t
+            if (a.session, a.j) == (b.session, b.j):
+                self._cut.clear()
+                return True
+            behind = a.j < b.j if a.session == b.session else "plant" not in self._cut
+        else:
+            behind = plant is not None
+        if behind:
+            self._plant = self._next("plant")
+        else:
+            self._controller = self._next("controller")
+        return False
 
     def _pair(self) -> Pair:
         plant, controller = self._plant, self._controller
@@ -184,7 +231,7 @@ def read_evidence(run_dir: Path) -> Evidence:
     journals = {"plant": read_plant(run_dir, rules), "controller": read_controller(run_dir, rules)}
     readers: dict[str, SideReader] = {}
     for side, path in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE)):
-        if (run_dir / path).is_file():
+        if parts_of(run_dir / path):
             TraceReader(run_dir / path)  # whether it is a trace at all
             kept = journals[side]
             journal = kept if isinstance(kept, Kept) else None

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, GUESSES, TAP_STATUS
-from tap_service.capture.recording import parts_of
 from wyner.verify.capture import CaptureLines
 from wyner.verify.clause import Judging, Tally
 from wyner.verify.evidence import Evidence
@@ -26,7 +26,7 @@ def traces(e: Evidence, tally: Tally) -> Judging:
                 if not isinstance(item, Walked):
                     continue
                 t = item.t
-                session, j, k = last.get(name, ("", -1, -1))
+                session, j, k = last.get(name) or cut_at(e, name)
                 place, least = (j + 1, k) if session == t.session else (0, -1)
                 holds = t.j == place and t.k > least
                 text = f"{name}'s trace: expected j = {place} and k above {least}"
@@ -34,13 +34,21 @@ def traces(e: Evidence, tally: Tally) -> Judging:
                 last[name] = (t.session, t.j, t.k)
     torn = overwritten = 0
     for name, reader in e.readers():
-        torn += reader.marks.torn
+        torn += sum(part.torn for part in reader.parts)
         overwritten += reader.overwritten
         for problem in reader.problems:
             tally.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
-    if tally.counted == 0:
+    if tally.counted == 0 and not e.cut:
         tally.fail("", -1, -1, "no transition: nothing has happened in this run")
     tally.note = f"{torn} torn lines, {overwritten} written again after a kill"
+    if e.cut:
+        tally.note += f"; {e.cut}"
+
+
+def cut_at(e: Evidence, side: str) -> tuple[str, int, int]:
+    """Session, transition and step after which a side's trace is given out."""
+    cut = next((reader.cut for name, reader in e.readers() if name == side), None)
+    return ("", -1, -1) if cut is None else (cut.session, cut.j, cut.k)
 
 
 def scenario(e: Evidence, tally: Tally) -> Judging:
@@ -98,7 +106,7 @@ def _first(marks: Segments) -> str:
 
 def _recordings(e: Evidence) -> Iterator[Segments]:
     for _, reader in e.readers():
-        yield reader.marks
+        yield from reader.parts
     if e.wire is not None:
         yield from e.wire.parts
     for stem in (GUESSES, ANALYSIS_GUESSES):
@@ -147,7 +155,7 @@ def _elsewhere(reader: SideReader, journal: Kept) -> str:
     k, x = t.k, t.x_next
     if missed is not None and missed.k > k and missed.session == t.session:
         k, x = missed.k, missed.x_next
-        if journal.k == k and not reader.marks.ended:
+        if journal.k == k and not reader.ended:
             return ""  # killed between the two: the step will be made again
     if (k + 1, x) != (journal.k, journal.x):
         return (

@@ -61,6 +61,8 @@ def counted(e: Evidence, tally: Tally) -> Judging:
                     same = t.counts == controller.t.counts
                     tally.count(same, t.session, t.j, t.k, text)
         for seen in part.seen:
+            if e.before(seen):
+                continue
             named = seen.message.get("applied_copy" if seen.topic == "measurement" else "heard")
             bit = 1 if seen.topic == "measurement" else 2
             k = seen.message.get("applied_k", -1) if bit == 1 else seen.k
@@ -112,6 +114,7 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
         return
     assert e.rules.schedule is not None
     ends = {side: _Blocks(e.rules.schedule) for side, _ in e.readers()}
+    readers = dict(e.readers())
     while (part := (yield)) is not None:
         for side, line in _lines(part):
             if isinstance(line, TracedTransition):
@@ -119,7 +122,10 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
             else:
                 ends[side].stored[line.session, line.number] = line.keys
     for side, end in ends.items():
+        cut = readers[side].cut
         for at, keys in end.stored.items():
+            if cut and at[0] == cut.session and at[1] <= e.rules.schedule.block_of(cut.j + 1):
+                continue  # it began before what is left
             expected = end.keys(at)
             text = f"the {side} made {keys} keys of block {at[1]}, expected {expected}"
             # a block without a pad for its tag makes none

@@ -54,8 +54,11 @@ def coin(e: Evidence, tally: Tally) -> Judging:
 def _scheme(e: Evidence, side: str, tally: Tally) -> Judging:
     session, p, sessions = "", 0, 0
     size = e.rules.size
+    reader = e.plant if side == "plant" else e.controller
     while (part := (yield)) is not None:
         for item in part.plant if side == "plant" else part.controller:
+            if not sessions and reader is not None and (cut := reader.cut) is not None:
+                session, p, sessions = cut.session, cut.p, 1
             if not isinstance(item, Walked):
                 continue
             t, _, (agreed, pad), s = item

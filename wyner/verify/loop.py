@@ -27,9 +27,13 @@ def switching(e: Evidence, tally: Tally) -> Judging:
     missed, interrupted, place = 0, 0, 0
     start = e.scenario.plant.initial_state  # empty where the plant starts as it stands
     x, u = start, zero
-    born_in = ""
+    born_in, first = "", True
     while (part := (yield)) is not None:
         for item in part.plant:
+            cut = e.plant.cut if first and e.plant is not None else None
+            if cut is not None:
+                x, u, place, born_in = cut.x_next, cut.u or zero, cut.k + 1, cut.session
+            first = False
             if isinstance(item, Walked):
                 step: TracedTransition | Missed = item.t
             elif isinstance(item, Missed):

@@ -68,12 +68,14 @@ class Framing:
     """A side's symbols put together, and its reports compared with them.
 
     A report follows the transition that completed its frame, before the next step. It is missing
-    only where the side was killed in between.
+    only where the side was killed in between. Of a cut trace nothing is known until a report or
+    another session says where a frame begins.
     """
 
     side: str
     size: int
     tally: Tally
+    cut: bool = False
     session: str = ""
     due: Whole | None = None
     last: Whole | None = None
@@ -104,8 +106,9 @@ class Framing:
 
     def _push(self, t: TracedTransition) -> Whole | None:
         if t.session != self.session:
+            self.cut = self.cut and not self.session
             self.session, self.deframer = t.session, Deframer(self.size)
-        if t.role != "message" or not 0 <= t.message_symbol < self.size:
+        if self.cut or t.role != "message" or not 0 <= t.message_symbol < self.size:
             return None
         frame = self.deframer.push(t.message_symbol)
         if frame is None:
@@ -122,6 +125,9 @@ class Framing:
 
     def _reported(self, item: Told) -> None:
         due, self.due = self.due, None
+        if self.cut:
+            self.cut = False
+            return
         refused = isinstance(item.line, Refused)
         what = f"{self.side}'s trace: {item.line.event} {item.payload!r}"
         if due is None:
@@ -137,7 +143,7 @@ class Framing:
 
 def frames(e: Evidence, tally: Tally) -> Judging:
     """The symbols add up to whole frames, and to what each side reported."""
-    framing = {name: Framing(name, e.rules.size, tally) for name, _ in e.readers()}
+    framing = {name: Framing(name, e.rules.size, tally, r.gone > 0) for name, r in e.readers()}
     received: list[bytes] = []
     while (part := (yield)) is not None:
         for name, items in part.sides():
@@ -150,6 +156,8 @@ def frames(e: Evidence, tally: Tally) -> Judging:
                         received.append(whole.frame.payload)
     if isinstance(e.plant_journal, Kept):
         _same_inbox(e, e.plant_journal, received, tally)
+    if not tally.counted and e.cut:
+        tally.skipped = e.cut
     notes = [f"{len(f.deframer.symbols)} symbols of a frame under way" for f in framing.values()]
     tally.note = notes[0]
     if lost := sum(f.lost for f in framing.values()):
@@ -161,6 +169,8 @@ def _same_inbox(e: Evidence, journal: Kept, received: Sequence[bytes], tally: Ta
     kept = [payload for _, payload in journal.messages]
     if e.plant is not None and e.plant.from_journal and len(received) > len(kept):
         received = received[:-1]  # of the step that is in the journal and not yet counted
+    if e.plant is not None and e.plant.gone:
+        kept = kept[max(len(kept) - len(received), 0) :]
     if kept and list(received[-len(kept) :]) != kept:
         text = f"the plant's journal has received {len(kept)} messages that its trace has not"
         tally.count(False, "", -1, -1, text)
@@ -207,6 +217,9 @@ class _Queue:
 def messages(e: Evidence, tally: Tally) -> Judging:
     """The recovered messages follow the queue."""
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
+        return
+    if gone := [f"the {name}'s trace" for name, reader in e.readers() if reader.gone]:
+        tally.skipped = f"the beginning of {' and of '.join(gone)} is gone"
         return
     queue = _Queue(tally)
     framing = Framing("plant", e.rules.size, Tally())
@@ -295,7 +308,7 @@ def one_cipher(e: Evidence, tally: Tally) -> Judging:
                     text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
                     tally.count(not unlike, after.session, after.j, after.k, text)
         for seen in part.seen:
-            if seen.topic != "offer" or not e.steps.knows(seen.session):
+            if seen.topic != "offer" or not e.steps.knows(seen.session) or e.before(seen):
                 continue
             cipher = seen.message.get("cipher")
             if not isinstance(cipher, int):

@@ -10,6 +10,7 @@ from pydantic_core import to_json
 
 from protocol.link.session import Rules
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from protocol.runtime.parts import number_of, parts_of
 from wyner.verify.journals import Kept
 from wyner.verify.records import (
     KINDS,
@@ -39,6 +40,7 @@ class Segments:
     def __init__(self, name: str) -> None:
         self.problems: list[Problem] = []
         self.ended = False
+        self.next: Any = None
         self.newline = True
         self.lives = 0
         self.unended = 0
@@ -79,12 +81,14 @@ class Segments:
                 self._malformed = 0
             if self.ended:
                 self.problem(number, "a second end mark")
+            elif not isinstance(value.get("next", 0), int):
+                self.problem(number, "next: expected the number of a part")
             elif value.get("lines") != self._count:
                 text = f"the end mark counts {value.get('lines')} lines, there are {self._count}"
                 self.problem(number, text)
             elif value.get("sha256") != self._digest.hexdigest():
                 self.problem(number, "the lines before the end mark are not those it was made of")
-            self.ended = True
+            self.ended, self.next = True, value.get("next")
             return
         if (kind == HEADER) != (self.lives == 0):
             self.problem(number, f"{kind}: not expected here")
@@ -92,7 +96,7 @@ class Segments:
             self._close()
         self.lives += 1
         self._begin()
-        self.ended = False
+        self.ended, self.next = False, None
         self.line(number, raw)
 
     def _close(self) -> None:
@@ -114,21 +118,32 @@ class Segments:
 class SideReader:
     """One end's trace as a stream of items.
 
+    Where its oldest parts are gone it is *cut*: what stands before its first transition that left
+    the automaton in its initial state is read, and not given out, since nobody can tell what the
+    scheme makes of it.
+
     Parameters
     ----------
     side : str
         ``plant`` or ``controller``.
     path : Path
+        The trace's first part.
     rules : Rules
     journal : Kept, optional
         The transition that it holds beyond the trace is the last item.
+
+    Attributes
+    ----------
+    gone : int
+        Parts that are gone, the oldest.
+    cut : TracedTransition, optional
+        The transition after which a cut trace is given out, once it was found.
     """
 
     def __init__(self, side: str, path: Path, rules: Rules, journal: Kept | None) -> None:
         self.side = side
-        self.path = path
+        self.parts: list[Segments] = []
         self.header: dict[str, Any] = {}
-        self.marks = Segments(path.name)
         self.problems: list[Problem] = []
         self.overwritten = 0
         self.last: TracedTransition | None = None
@@ -136,32 +151,56 @@ class SideReader:
         self.transitions: dict[str, int] = {}
         self.announced: set[str] = set()
         self.from_journal = False
+        self._paths = parts_of(path)
+        self.gone = number_of(self._paths[0])
+        self.cut: TracedTransition | None = None
+        self._seeking = self.gone > 0
+        self._part = self._paths[0]
         self._rules = rules
         self._shape = Shape(rules.states, rules.inputs, rules.size)
         self._journal = journal
         self._kinds = KINDS[side]
+        self._kept = 0  # the oldest part that was kept, as the newest header says
         self._session: str | None = None
         self._state: Any = None
-        self._s = 0
         self._broken = True
-        self._announce = side == "plant"
+        self._announce = side == "plant" and not self._seeking
         self._held: Missed | None = None
 
+    @property
+    def marks(self) -> Segments:
+        """The marks of the part that is being read, or was read last."""
+        return self.parts[-1]
+
+    @property
+    def ended(self) -> bool:
+        """Whether the writer ended the trace by itself."""
+        return self.marks.ended and self.marks.next is None
+
     def __iter__(self) -> Iterator[Item]:
-        for number, raw, finished in raw_lines(self.path):
-            self.marks.newline = finished
-            yield from self._line(number, raw)
-        self.marks.finish()
+        for path in self._paths:
+            marks = Segments(path.name)
+            if self.parts and self.marks.next != number_of(path):
+                self.marks.problem(1, f"{path.name} follows, and no end mark leads there")
+            self.parts.append(marks)
+            self._part = path
+            for number, raw, finished in raw_lines(path):
+                marks.newline = finished
+                yield from self._line(number, raw)
+            marks.finish()
+        if self.gone > self._kept:
+            text = f"it begins with part {self.gone}, the writer had kept part {self._kept} as well"
+            self.parts[0].problem(1, text)
         pending = None if self._journal is None else self._journal.pending
         if pending is not None:
             self._broken = True
             yield from self._transition(0, to_json(pending))
         yield from self._flush()
-        yield Break(self.marks.ended)
+        yield Break(self.ended)
 
     def problem(self, number: int, text: str) -> None:
         """Note that line ``number`` cannot be so."""
-        where = f"{self.path.name} line {number}" if number else "the step in the journal"
+        where = f"{self._part.name} line {number}" if number else "the step in the journal"
         self.problems.append(Problem(where, text))
 
     def _line(self, number: int, raw: bytes) -> Iterator[Item]:
@@ -175,10 +214,10 @@ class SideReader:
             return
         kind = value.get("event")
         if kind in (HEADER, CONTINUED, END):
-            ended = self.marks.ended
+            ended = self.ended
             self.marks.mark(number, raw, value)
             if kind == HEADER:
-                self.header = self.header or value
+                self._headed(number, value)
             elif kind == CONTINUED:
                 yield Break(ended)
                 self._broken, self._announce = True, self.side == "plant"
@@ -209,7 +248,21 @@ class SideReader:
             self._began(number, line)
         elif self._announce:
             self._unannounced(number)
-        yield told
+        if not self._seeking:
+            yield told
+
+    def _headed(self, number: int, header: dict[str, Any]) -> None:
+        """A part's header: of this recording, and with this part's numbers."""
+        part, oldest = number_of(self._part), header.get("oldest", 0)
+        first = self.header or header
+        expected = {**first, "part": part, "oldest": oldest}
+        for name in expected.keys() | header.keys():
+            if header.get(name, 0) != expected.get(name, 0):
+                self.problem(number, f"{name}: not as expected of part {part}")
+        if not isinstance(oldest, int) or not 0 <= oldest <= part:
+            self.problem(number, f"oldest: got {oldest!r}, expected 0 to {part}")
+            oldest = 0
+        self.header, self._kept = first, oldest
 
     def _began(self, number: int, line: SessionBegan) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
@@ -226,7 +279,7 @@ class SideReader:
     def _belongs(self, number: int, session: str) -> None:
         if self._announce:
             self._unannounced(number)
-        elif session != self._session:
+        elif session != self._session and not (self._seeking and self._session is None):
             self.problem(number, f"session: got {session!r}, announced was {self._session!r}")
         self._session = session
 
@@ -242,6 +295,9 @@ class SideReader:
             return
         if number:
             self._belongs(number, t.session)
+        if self._seeking:
+            self._seek(t)
+            return
         last = self.last
         if last is not None and (t.session, t.j) == (last.session, last.j):
             if not self._broken:
@@ -263,8 +319,17 @@ class SideReader:
         self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
         yield Walked(t, verdict, carry, self._state[0])
 
+    def _seek(self, t: TracedTransition) -> None:
+        self.last, self._broken = t, False
+        self.transitions[t.session] = t.j + 1
+        if t.s == self._rules.scheme.initial[0]:
+            self.cut, self._state, self._seeking = t, self._rules.scheme.initial, False
+
     def _missed(self, number: int, step: Missed) -> Iterator[Item]:
         self._belongs(number, step.session)
+        if self._seeking:
+            self.last_missed = step
+            return
         yield from self._flush(step.session, step.k)
         self._broken = False
         self._held = self.last_missed = step

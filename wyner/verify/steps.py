@@ -98,6 +98,15 @@ class Steps:
         session.last_applied.append(session.newest)
         return session
 
+    def before(self, session: str, k: int) -> bool:
+        """Whether step k came no later than the first that was applied, of all that are filed."""
+        first = next(iter(self._sessions), None)
+        if first is None or session != first:
+            return session not in self._sessions
+        found = self._sessions[first]
+        applied = next((i for i, j in enumerate(found.j) if j != NONE), len(found))
+        return k <= found.first + applied
+
     def knows(self, session: str) -> bool:
         """Whether the plant's trace has steps of this session."""
         return session in self._sessions
