@@ -6,9 +6,9 @@ FROM ${BASE_IMAGE} AS build
 WORKDIR /build
 RUN python3 -m venv /opt/wyner
 # Dependencies first: they change seldom, and their layer is kept while they do not.
-COPY requirements/runtime.txt requirements/runtime.txt
+COPY requirements/image.txt requirements/image.txt
 RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
-        --only-binary :all: --require-hashes --requirement requirements/runtime.txt
+        --only-binary :all: --require-hashes --requirement requirements/image.txt
 COPY pyproject.toml LICENSE README.md ./
 COPY protocol protocol
 COPY controller_service controller_service
@@ -33,8 +33,9 @@ LABEL org.opencontainers.image.title=wyner \
 RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
     && echo 'wyner:x:10001:' >> /etc/group \
     && install -d -o 10001 -g 10001 -m 700 /var/lib/wyner /var/lib/wyner/run \
-        /var/lib/wyner/knowledge /var/lib/wyner/certs /var/lib/wyner/certs/router \
-        /var/lib/wyner/certs/controller /var/lib/wyner/certs/plant /var/lib/wyner/certs/tap
+        /var/lib/wyner/knowledge /var/lib/wyner/certs \
+    && for name in router controller plant tap kme-controller kme-plant alice bob; do \
+        install -d -o 10001 -g 10001 -m 700 /var/lib/wyner/certs/$name; done
 COPY --from=build /opt/wyner /opt/wyner
 COPY deploy/claim-loop deploy/healthy /usr/local/bin/
 ENV PATH=/opt/wyner/bin:$PATH \

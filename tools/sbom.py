@@ -1,4 +1,4 @@
-"""The software bill of materials of the image: what ``requirements/runtime.txt`` pins.
+"""The software bill of materials of the image: what ``requirements/image.txt`` pins.
 
 ``python -m tools.sbom`` prints CycloneDX 1.5 as JSON, the same bytes for the same pins.
 """
@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-PINS: Final = Path(__file__).resolve().parent.parent / "requirements" / "runtime.txt"
+PINS: Final = Path(__file__).resolve().parent.parent / "requirements" / "image.txt"
 
 _PIN = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)(?:\s*;\s*(?P<when>[^\\]+))?")
 

@@ -1,5 +1,6 @@
-"""Those who take part on the buses without being services: who watches, and who sends."""
+"""Those who are no services of the loop: who watches, who sends, and who hands out its keys."""
 
+from protocol.runtime.health import look_at_line
 from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS, TAP_INTEL, Ends, Service, register
 
 register(
@@ -18,3 +19,5 @@ register(
         publishes={"ops": ("ops/command/send", "ops/command/seal")},
     )
 )
+for _side in ("controller", "plant"):
+    register(Service(name=f"kme-{_side}", health=look_at_line))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from protocol.runtime.process import Failure
+from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.services import Look
 
 
@@ -28,3 +29,19 @@ def look_at_status(folder: Path, now_s: float) -> Look:
         raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
     detail = f" ({status['detail']})" if status.get("detail") else ""
     return Look(age_s, count, f"{phase}{detail}, {count} transitions")
+
+
+def look_at_line(folder: Path, now_s: float) -> Look:
+    """Look at the line that a service with nothing to count writes again each second.
+
+    Raises
+    ------
+    Failure
+        When there is none.
+    """
+    path = folder / HEALTH
+    try:
+        written_ns = path.stat().st_mtime_ns
+        return Look(now_s - written_ns / 1e9, written_ns, path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read: {error.strerror}") from None

@@ -27,12 +27,34 @@ class TooFewKeys(Exception):
         self.asked, self.available = asked, available
 
 
+class Share(NamedTuple):
+    """Which keys of a store are one pair's, where several pairs of applications share it.
+
+    Rows 1 and 2 of a block are for the first pair, 3 and 4 for the second, and so on and round
+    again: an odd row and an even one, so that either of a pair may be the master.
+    """
+
+    place: int = 0
+    of: int = 1
+
+    def has(self, row: int) -> bool:
+        """Whether a block's row belongs to it."""
+        return (row - 1) // 2 % self.of == self.place
+
+
+WHOLE: Final = Share()
+
+
 class UnknownKeys(Exception):
     """Some ids are not, or no longer, in this store; none of the others was taken."""
 
     def __init__(self, ids: Sequence[str]) -> None:
         super().__init__(f"{len(ids)} of the keys asked for are not in this store")
         self.ids = tuple(ids)
+
+
+class OthersKeys(UnknownKeys):
+    """Some ids are of another pair's share; nothing was taken."""
 
 
 class Key(NamedTuple):

@@ -20,11 +20,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from protocol.secret.records import (
+    WHOLE,
     BlockRow,
     BlockTag,
     Counts,
     Key,
     KeysRefused,
+    OthersKeys,
+    Share,
     Side,
     State,
     TooFewKeys,
@@ -38,6 +41,13 @@ MOST_KEYS: Final = 100_000
 half it keeps twice as many, so that none the partner still gives out is missing here."""
 
 TOMBSTONES: Final = 1_000_000
+
+_READY: Final = "own = 1 AND state = 'confirmed' AND (row - 1) / 2 % ? = ?"
+"""Keys of a share of this side's own half that may be delivered."""
+
+
+def _asked(share: Share) -> tuple[int, int]:
+    return share.of, share.place
 
 
 class KeyStore(StoreFile):
@@ -167,17 +177,15 @@ class KeyStore(StoreFile):
 
     # --- delivery ---------------------------------------------------------------------------------
 
-    def available(self) -> int:
+    def available(self, share: Share = WHOLE) -> int:
         """Keys of this side's half that are confirmed, not delivered, not refused."""
         if self.refused is not None:
             return 0
         with self._lock:
-            row = self._db.execute(
-                "SELECT COUNT(*) FROM key WHERE own = 1 AND state = 'confirmed'"
-            ).fetchone()
-        return int(row[0])
+            counted = self._db.execute(f"SELECT COUNT(*) FROM key WHERE {_READY}", _asked(share))
+            return int(counted.fetchone()[0])
 
-    def deliver(self, number: int = 1, who: str = "") -> tuple[Key, ...]:
+    def deliver(self, number: int = 1, who: str = "", share: Share = WHOLE) -> tuple[Key, ...]:
         """The oldest confirmed keys of this side's half, erased here before they are returned.
 
         Parameters
@@ -186,6 +194,8 @@ class KeyStore(StoreFile):
             How many; all or none.
         who : str
             Kept in their tombstones.
+        share : Share
+            Whose keys; all of them where nothing is said.
 
         Raises
         ------
@@ -195,22 +205,25 @@ class KeyStore(StoreFile):
             When nobody gets this store's keys.
         """
         with self.transaction() as db:
-            return self.take(db, number, who)
+            return self.take(db, number, who, share)
 
-    def take(self, db: sqlite3.Connection, number: int, who: str) -> tuple[Key, ...]:
+    def take(
+        self, db: sqlite3.Connection, number: int, who: str, share: Share = WHOLE
+    ) -> tuple[Key, ...]:
         """What :meth:`deliver` does, within a transaction that has more to write."""
         self._check_refused()
         rows = db.execute(
-            "SELECT place, id, body FROM key WHERE own = 1 AND state = 'confirmed' "
-            "ORDER BY place LIMIT ?",
-            (number,),
+            f"SELECT place, id, body FROM key WHERE {_READY} ORDER BY place LIMIT ?",
+            (*_asked(share), number),
         ).fetchall()
         if len(rows) < number:
             raise TooFewKeys(number, len(rows))
         self._bury(db, [place for place, _, _ in rows], who)
         return tuple(Key(name, bytes(body)) for _, name, body in rows)
 
-    def deliver_named(self, ids: Sequence[str], who: str = "") -> tuple[Key, ...]:
+    def deliver_named(
+        self, ids: Sequence[str], who: str = "", share: Share = WHOLE
+    ) -> tuple[Key, ...]:
         """Keys of the partner's half by their ids, erased here before they are returned.
 
         ``stored`` is enough: whoever knows an id has it from the partner, which gives keys only
@@ -222,30 +235,42 @@ class KeyStore(StoreFile):
             All or none; an id that is named twice is one key.
         who : str
             Kept in their tombstones.
+        share : Share
+            Whose keys; all of them where nothing is said.
 
         Raises
         ------
+        OthersKeys
+            When some are of another share.
         UnknownKeys
             When some are not here, were delivered before, or belong to this side's own half.
         KeysRefused
             When nobody gets this store's keys.
         """
         with self.transaction() as db:
-            return self.take_named(db, ids, who)
+            return self.take_named(db, ids, who, share)
 
-    def take_named(self, db: sqlite3.Connection, ids: Sequence[str], who: str) -> tuple[Key, ...]:
+    def take_named(
+        self, db: sqlite3.Connection, ids: Sequence[str], who: str, share: Share = WHOLE
+    ) -> tuple[Key, ...]:
         """What :meth:`deliver_named` does, within a transaction that has more to write."""
         self._check_refused()
         wanted = list(dict.fromkeys(ids))
         found: dict[str, tuple[int, bytes]] = {}
+        others = []
         for name in wanted:
             row = db.execute(
-                "SELECT place, body FROM key WHERE id = ? AND own = 0 "
+                "SELECT place, body, row FROM key WHERE id = ? AND own = 0 "
                 "AND state IN ('stored', 'confirmed')",
                 (name,),
             ).fetchone()
-            if row is not None:
-                found[name] = (row[0], bytes(row[1]))
+            if row is None:
+                continue
+            found[name] = (row[0], bytes(row[1]))
+            if not share.has(row[2]):
+                others.append(name)
+        if others:
+            raise OthersKeys(others)
         missing = [name for name in wanted if name not in found]
         if missing:
             raise UnknownKeys(missing)

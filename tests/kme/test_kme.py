@@ -3,13 +3,10 @@
 import base64
 import http.client
 import json
-import secrets
-import shutil
+import re
 import signal
 import socket
 import ssl
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,104 +16,19 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from protocol.secret.records import BlockRow
-from protocol.secret.store import KeyStore
+from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main
-from wyner.deployment.certificates import ensure_certificates
-from wyner.kme.server import Allowance, common_name
+from wyner.kme.identity import common_name
+from wyner.kme.server import Allowance
 
 pytest.importorskip("aiohttp")
-
-KEYS = 60
-SITES = {"controller": ("alice", "bob"), "plant": ("bob", "alice")}
-Answer = tuple[int, dict[str, Any]]
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return int(taken.getsockname()[1])
-
-
-class Sites:
-    """Two run folders with the same keys, an entity at each, certificates for everybody."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        hosts = ["localhost", "127.0.0.1"]
-        names = ("kme-controller", "kme-plant", "alice", "bob", "mallory")
-        ensure_certificates(folder / "certs", dict.fromkeys(names, hosts), 2)
-        self.ports = {side: free_port() for side in SITES}
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.blocks = 0
-        self.add_block(KEYS)
-
-    def store(self, side: str) -> KeyStore:
-        path = self.folder / side / (CONTROLLER_KEYS if side == "controller" else PLANT_KEYS)
-        return KeyStore(path, "controller" if side == "controller" else "plant", create=True)
-
-    def add_block(self, keys: int) -> None:
-        bodies = [secrets.token_bytes(32) for _ in range(keys)]
-        row = BlockRow("s", self.blocks, 256, 256, 512, keys + 1, keys, "stored", 1)
-        self.blocks += 1
-        for side in SITES:
-            with closing(self.store(side)) as store:
-                store.add(row, bodies, tag="t")
-                store.confirm("s", row.number)
-                store.set_note("assumption", "misses 30 %")
-
-    def start(self, side: str, *more: str) -> None:
-        sae, partner = SITES[side]
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "wyner", "kme", "--side", side),
-                *("--run-dir", str(self.folder / side), "--sae", sae, "--partner-sae", partner),
-                *("--tls", str(self.folder / "certs" / f"kme-{side}")),
-                *("--listen", f"127.0.0.1:{self.ports[side]}", *more),
-            ],
-            stderr=subprocess.DEVNULL,
-        )
-        self.processes[side] = process
-        until = time.monotonic() + 20
-        while True:
-            try:
-                socket.create_connection(("127.0.0.1", self.ports[side]), 0.2).close()
-                return
-            except OSError:
-                assert process.poll() is None
-                assert time.monotonic() < until
-                time.sleep(0.02)
-
-    def stop(self) -> None:
-        for process in self.processes.values():
-            process.kill()
-            process.wait()
-
-    def tls(self, name: str | None) -> ssl.SSLContext:
-        certs = self.folder / "certs"
-        context = ssl.create_default_context(cafile=str(certs / "ca.pem"))
-        if name is not None:
-            context.load_cert_chain(certs / name / "cert.pem", certs / name / "key.pem")
-        return context
-
-    def ask(
-        self, side: str, name: str, path: str, body: bytes | None = None, method: str = ""
-    ) -> Answer:
-        connection = http.client.HTTPSConnection(
-            "localhost", self.ports[side], context=self.tls(name), timeout=10
-        )
-        with closing(connection):
-            connection.request(method or ("GET" if body is None else "POST"), path, body)
-            answer = connection.getresponse()
-            assert answer.getheader("Content-Type") == "application/json; charset=utf-8"
-            return answer.status, json.loads(answer.read())
 
 
 @pytest.fixture(scope="module")
 def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
     two = Sites(tmp_path_factory.mktemp("kme"))
     try:
-        for side in SITES:
+        for side in SIDES:
             two.start(side)
         yield two
     finally:
@@ -216,6 +128,61 @@ def test_others_get_nothing(sites: Sites) -> None:
         assert sites.ask("controller", "bob", f"/api/v1/keys/{path}")[0] == 401
     with pytest.raises((ssl.SSLError, OSError)):
         sites.ask("controller", None, "/api/v1/keys/bob/status")  # type: ignore[arg-type]
+
+
+def test_each_pair_has_a_share_of_its_own(sites: Sites) -> None:
+    sites.add_block(16)
+    _, told = sites.ask("controller", "carol", "/api/v1/keys/dave/enc_keys?number=2")
+    ids = json.dumps({"key_IDs": [{"key_ID": k["key_ID"]} for k in told["keys"]]}).encode()
+    code, error = sites.ask("plant", "bob", "/api/v1/keys/alice/dec_keys", ids)
+    assert (code, error["message"]) == (401, "2 keys are not for SAE 'bob'")
+    assert len(error["details"]) == 2
+    code, got = sites.ask("plant", "dave", "/api/v1/keys/carol/dec_keys", ids)
+    assert (code, got["keys"]) == (200, told["keys"])
+    code, error = sites.ask("controller", "carol", "/api/v1/keys/bob/enc_keys")
+    assert (code, error["message"]) == (400, "slave_SAE_ID: got 'bob', expected 'dave'")
+    before = [
+        sites.ask("controller", name, f"/api/v1/keys/{other}/status")[1]["stored_key_count"]
+        for name, other in PAIRS
+    ]
+    assert sites.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")[0] == 200
+    code, told = sites.ask("controller", "carol", "/api/v1/keys/dave/status")
+    assert told["stored_key_count"] == before[1]
+    assert sum(before) == 1 + sum(
+        sites.ask("controller", name, f"/api/v1/keys/{other}/status")[1]["stored_key_count"]
+        for name, other in PAIRS
+    )
+
+
+def test_it_tells_of_itself(sites: Sites, capsys: pytest.CaptureFixture[str]) -> None:
+    run_dir = sites.folder / "plant"
+    assert main(["health", "--service", "kme-plant", "--run-dir", str(run_dir)]) == 0
+    told = capsys.readouterr().out
+    assert re.match(r"kme-plant advances: ok: \d+ keys ready for bob with alice, \d+ keys", told)
+    assert main(["health", "--service", "kme-controller", "--run-dir", str(run_dir)]) == 1
+
+
+def test_silent_connections_by_the_hundred_hold_nobody_up(sites: Sites) -> None:
+    address = ("127.0.0.1", sites.ports["plant"])
+    silent = [socket.create_connection(address) for _ in range(250)]
+    begin = time.monotonic()
+    assert sites.ask("plant", "bob", "/api/v1/keys/alice/status")[0] == 200
+    assert time.monotonic() - begin < 4
+    for connection in silent:
+        connection.close()
+
+
+def test_one_callers_haste_is_not_the_others_loss(tmp_path: Path) -> None:
+    two = Sites(tmp_path)
+    try:
+        two.start("controller", "--rate", "2")
+        paths = {"alice": "/api/v1/keys/bob/status", "carol": "/api/v1/keys/dave/status"}
+        codes = [two.ask("controller", "alice", paths["alice"])[0] for _ in range(12)]
+        assert codes[:4] == [200] * 4
+        assert 503 in codes
+        assert two.ask("controller", "carol", paths["carol"])[0] == 200
+    finally:
+        two.stop()
 
 
 def test_optional_extensions_are_passed_over(sites: Sites) -> None:
@@ -356,51 +323,6 @@ def test_the_client_etsi_qkd_014_gets_keys(sites: Sites) -> None:
     assert code == 401
 
 
-def test_a_key_fetched_at_both_sites_is_tls_1_3s_external_psk(sites: Sites) -> None:
-    """The recipe of docs/keys.md: openssl at both ends, no certificate."""
-    if shutil.which("openssl") is None:
-        pytest.skip("no openssl")
-    sites.add_block(8)
-    _, told = sites.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")
-    (mine,) = told["keys"]
-    path = f"/api/v1/keys/alice/dec_keys?key_ID={mine['key_ID']}"
-    (theirs,) = sites.ask("plant", "bob", path)[1]["keys"]
-    port = free_port()
-    common = ["-tls1_3", "-psk_identity", mine["key_ID"], "-psk"]
-    server = subprocess.Popen(
-        [
-            *("openssl", "s_server", "-quiet", "-nocert", "-naccept", "1", "-port", str(port)),
-            *(*common, base64.b64decode(theirs["key"]).hex()),
-        ],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        until = time.monotonic() + 10
-        while True:
-            done = subprocess.run(
-                [
-                    *("openssl", "s_client", "-quiet", "-no_ign_eof"),
-                    *("-connect", f"127.0.0.1:{port}"),
-                    *(*common, base64.b64decode(mine["key"]).hex()),
-                ],
-                input=b"The old mill, at nine.\n",
-                capture_output=True,
-                timeout=10,
-                check=False,
-            )
-            if done.returncode == 0:
-                break
-            assert time.monotonic() < until, done.stderr
-            time.sleep(0.1)
-        out, _ = server.communicate(timeout=10)  # the server ends with its one connection
-        assert out == b"The old mill, at nine.\n"
-    finally:
-        server.kill()
-        server.wait()
-
-
 # --- parts ----------------------------------------------------------------------------------------
 
 
@@ -424,7 +346,9 @@ def test_a_certificate_with_two_common_names_is_nobodys() -> None:
     [
         (["--listen", "here"], "--listen: got 'here', expected HOST:PORT"),
         (["--rate", "0"], "--rate: got 0, expected more than 0"),
-        (["--partner-sae", "a"], "--partner-sae: got 'a' twice, expected another"),
+        (["--sae", "c", "--partner-sae", "c"], "--partner-sae: got 'c' twice, expected another"),
+        (["--sae", "a", "--partner-sae", "b"], "--partner-sae: got 'b' twice, expected another"),
+        (["--sae", "c"], "--partner-sae: got 1, expected one for each of 2 --sae"),
         ([], "--tls: none: No such file or directory"),
     ],
 )

@@ -1,13 +1,17 @@
 """``wyner kme``: hand one side's keys to its application, by ETSI GS QKD 014."""
 
 import argparse
+import math
+import time
 from pathlib import Path
 from typing import Final
 
 from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+from wyner.cli.options import host_port
 
 RATE: Final = 200.0
 LOOK_S: Final = 0.1
+HEALTH_S: Final = 1.0
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -24,8 +28,17 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--tls", required=True, type=Path, metavar="FOLDER", help="with ca.pem, cert.pem, key.pem"
     )
-    parser.add_argument("--sae", required=True, metavar="NAME", help="who is served here")
-    parser.add_argument("--partner-sae", required=True, metavar="NAME", help="who is, over there")
+    parser.add_argument(
+        "--sae", required=True, action="append", metavar="NAME", help="who is served here"
+    )
+    parser.add_argument(
+        "--partner-sae",
+        required=True,
+        action="append",
+        metavar="NAME",
+        help="who is, over there; both options may be repeated, once a pair, in the same order at "
+        "both ends: each pair gets an equal share of the keys",
+    )
     parser.add_argument("--kme", metavar="NAME", help="of this entity (default: kme-SIDE)")
     parser.add_argument("--partner-kme", metavar="NAME", help="of the other (default: kme-SIDE)")
     parser.add_argument(
@@ -45,31 +58,35 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("kme: needs aiohttp: pip install 'wyner[kme]'") from None
     import asyncio
 
-    from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+    from protocol.runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS, write_atomically
     from protocol.secret.records import StoreError
     from protocol.secret.store import KeyStore
     from wyner.kme.entity import KeyManagementEntity, Names
-    from wyner.kme.server import KeyServer, tls_context
+    from wyner.kme.identity import tls_context
+    from wyner.kme.server import KeyServer
 
-    host, _, port = args.listen.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UsageError(f"--listen: got {args.listen!r}, expected HOST:PORT")
+    host, port = host_port("--listen", args.listen)
     if not args.rate > 0:
         raise UsageError(f"--rate: got {args.rate:g}, expected more than 0")
-    if args.sae == args.partner_sae:
-        raise UsageError(f"--partner-sae: got {args.sae!r} twice, expected another")
+    if len(args.sae) != len(args.partner_sae):
+        given = f"got {len(args.partner_sae)}, expected one for each of {len(args.sae)} --sae"
+        raise UsageError(f"--partner-sae: {given}")
+    pairs = tuple(zip(args.sae, args.partner_sae, strict=True))
+    for place, pair in enumerate(pairs):
+        if pair[0] == pair[1] or pair in pairs[:place]:
+            raise UsageError(f"--partner-sae: got {pair[1]!r} twice, expected another")
     partner = "plant" if args.side == "controller" else "controller"
     names = Names(
         kme=args.kme or f"kme-{args.side}",
         partner_kme=args.partner_kme or f"kme-{partner}",
-        sae=args.sae,
-        partner_sae=args.partner_sae,
+        pairs=pairs,
     )
     try:
-        tls = tls_context(args.tls)
+        tls = tls_context(args.tls, server=True)
     except OSError as error:
         raise UsageError(f"--tls: {args.tls}: {error.strerror or error}") from None
     log = logger("kme")
+    served = ", ".join(f"{mine} (for {theirs})" for mine, theirs in pairs)
     path = args.run_dir / (CONTROLLER_KEYS if args.side == "controller" else PLANT_KEYS)
     try:
         store = KeyStore(path, args.side, create=True)
@@ -77,16 +94,22 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from None
     with store, stop_on_signals() as stopping:
         server = KeyServer(KeyManagementEntity(names, store), args.rate)
+        health = args.run_dir / f"kme-{args.side}" / HEALTH
 
         async def serve() -> None:
             stop = asyncio.Event()
-            serving = asyncio.create_task(server.serve(host.strip("[]"), int(port), tls, stop))
+            serving = asyncio.create_task(server.serve(host, port, tls, stop))
             serving.add_done_callback(lambda _task: stop.set())
-            log.info("%s serves %s at %s: %s", names.kme, names.sae, args.listen, path)
+            log.info("%s serves %s at %s: %s", names.kme, served, args.listen, path)
+            told_at = -math.inf
             while not (stopping.is_set() or stop.is_set()):
+                if (now := time.monotonic()) - told_at >= HEALTH_S:
+                    told_at = now
+                    write_atomically(health, server.health().encode())
                 await asyncio.sleep(LOOK_S)
             stop.set()
             await serving
+            write_atomically(health, f"stopped: {server.told()}".encode())
 
         try:
             asyncio.run(serve())

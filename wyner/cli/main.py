@@ -35,6 +35,7 @@ COMMANDS: Final = {
     "secret": "make the secret by which both ends sign key blocks",
     "certs": "make certificates for mutual TLS",
     "kme": "hand one side's keys to its application (ETSI GS QKD 014)",
+    "rotate": "take a fresh key into use at both ends, again and again",
     "router": "run a Zenoh router, with access control where asked",
     "status": "what a run's services last said, and what contradicts it",
     "health": "say whether a service advances",

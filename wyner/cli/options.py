@@ -3,6 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
+from protocol.runtime.process import UsageError
 from protocol.runtime.services import CONTROLLER_OPS, SERVICES
 from protocol.topics import DEFAULT_LOOP
 
@@ -43,3 +44,16 @@ def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
             f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())
         ]
     return loop
+
+
+def host_port(option: str, text: str) -> tuple[str, int]:
+    """A host and a port as an option names them.
+
+    Raises
+    ------
+    UsageError
+    """
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UsageError(f"{option}: got {text!r}, expected HOST:PORT")
+    return host.strip("[]"), int(port)

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from protocol.runtime.health import look_at_line
 from protocol.runtime.process import DONE, FAILED, Failure, UsageError
 from protocol.text import printable
 
@@ -45,11 +46,20 @@ def run(args: argparse.Namespace) -> int:
     ]
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
+    served = _key_servers(run_dir)
+    for name, (age_s, line) in served.items():
+        if line.startswith("bad"):
+            warnings.append(f"{name}: {line.removeprefix('bad: ')}")
+        elif age_s > OLD_S and not line.startswith("stopped"):
+            warnings.append(f"{name} last spoke {age_s:.0f} s ago")
     if args.json:
-        both = {"plant": plant.model_dump(), "controller": controller.model_dump()}
-        print(json.dumps({**both, "warnings": warnings}))
+        told = {"plant": plant.model_dump(), "controller": controller.model_dump()}
+        servers = {name: line for name, (_, line) in served.items()}
+        print(json.dumps({**told, **servers, "warnings": warnings}))
     else:
-        for line in (*_lines(plant, controller), *(f"warning: {text}" for text in warnings)):
+        rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
+        lines = (*_lines(plant, controller), *rows)
+        for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
     return FAILED if warnings else DONE
 
@@ -65,6 +75,18 @@ def _run_dir(given: Path | None) -> Path:
         names = ", ".join(loop.name for loop in loops) or "none"
         raise UsageError(f"RUN_DIR: runs that go on: {names}; expected one, or a folder")
     return Path(loops[0].run_dir)
+
+
+def _key_servers(run_dir: Path) -> dict[str, tuple[float, str]]:
+    """The age and the health line of each key server that has ever served this run."""
+    found = {}
+    for name in ("kme-controller", "kme-plant"):
+        try:
+            look = look_at_line(run_dir / name, time.time())
+        except Failure:
+            continue
+        found[name] = look.age_s, look.text
+    return found
 
 
 def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":

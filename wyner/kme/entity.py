@@ -8,7 +8,15 @@ from typing import Final, TypeVar
 from pydantic import ValidationError
 
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import Key, KeysRefused, StoreError, TooFewKeys, UnknownKeys
+from protocol.secret.records import (
+    Key,
+    KeysRefused,
+    OthersKeys,
+    Share,
+    StoreError,
+    TooFewKeys,
+    UnknownKeys,
+)
 from protocol.secret.store import MOST_KEYS, KeyStore
 from wyner.kme.messages import (
     Answer,
@@ -52,19 +60,18 @@ class Names:
     ----------
     kme, partner_kme : str
         The entity at this site, and the one at the other.
-    sae, partner_sae : str
-        The common name in the certificate of the application that this entity serves, and of the
-        one at the other site.
+    pairs : tuple of (str, str)
+        The common names in the certificates of an application that this entity serves and of its
+        partner at the other site; the other entity has the same pairs in the same order.
     """
 
     kme: str
     partner_kme: str
-    sae: str
-    partner_sae: str
+    pairs: tuple[tuple[str, str], ...]
 
 
 class KeyManagementEntity:
-    """Serves one side's store to one application.
+    """Serves one side's store to its applications, each pair with a share of the keys.
 
     As master the application gets keys of this side's own half, as slave those of the partner's
     half by their ids, which the master told it. So no key is handed to two masters, and the two
@@ -75,6 +82,21 @@ class KeyManagementEntity:
         self.names = names
         self._store = store
 
+    @property
+    def refused(self) -> str | None:
+        """Why nobody gets a key here, or None."""
+        return self._store.refused
+
+    def ready(self) -> str:
+        """How many keys each pair may fetch here as master, or why none, in words."""
+        if self.refused is not None:
+            return f"no key: {self.refused}"
+        pairs = self.names.pairs
+        return ", ".join(
+            f"{self._store.available(Share(place, len(pairs)))} keys ready for {mine} with {theirs}"
+            for place, (mine, theirs) in enumerate(pairs)
+        )
+
     def status(self, caller: str, slave: str) -> Status:
         """Get status: section 5.1.
 
@@ -83,14 +105,14 @@ class KeyManagementEntity:
         Refusal
             401 for a caller that is not served here, 400 for another slave.
         """
-        self._check(caller, slave, "slave_SAE_ID")
+        share = self._share(caller, slave, "slave_SAE_ID")
         return Status(
             source_KME_ID=self.names.kme,
             target_KME_ID=self.names.partner_kme,
             master_SAE_ID=caller,
             slave_SAE_ID=slave,
             key_size=KEY_BITS,
-            stored_key_count=self._store.available(),
+            stored_key_count=self._store.available(share),
             max_key_count=MOST_KEYS,
             max_key_per_request=MOST_AT_ONCE,
             max_key_size=KEY_BITS,
@@ -107,7 +129,7 @@ class KeyManagementEntity:
         Refusal
             401 and 400 as :meth:`status`, 400 for what cannot be asked, 503 without enough keys.
         """
-        self._check(caller, slave, "slave_SAE_ID")
+        share = self._share(caller, slave, "slave_SAE_ID")
         if request.extension_mandatory:
             raise Refusal(BAD_REQUEST, "not all extension_mandatory parameters are supported")
         if request.additional_slave_SAE_IDs:
@@ -120,7 +142,7 @@ class KeyManagementEntity:
         if not 1 <= request.number <= MOST_AT_ONCE:
             raise _wrong("number", f"got {request.number}, expected 1 to {MOST_AT_ONCE}")
         try:
-            keys = self._store.deliver(request.number, caller)
+            keys = self._store.deliver(request.number, caller, share)
         except (TooFewKeys, KeysRefused, StoreError) as error:
             raise Refusal(UNAVAILABLE, f"no key: {error}") from None
         return self._container(keys)
@@ -133,12 +155,15 @@ class KeyManagementEntity:
         Refusal
             401 for a caller that no key was meant for, 400 for unknown ids, 503 as above.
         """
-        self._check(caller, master, "master_SAE_ID")
+        share = self._share(caller, master, "master_SAE_ID")
         wanted = list(dict.fromkeys(ids))
         if len(wanted) > MOST_AT_ONCE:
             raise _wrong("key_IDs", f"got {len(wanted)}, expected {MOST_AT_ONCE} at most")
         try:
-            keys = self._store.deliver_named(wanted, caller)
+            keys = self._store.deliver_named(wanted, caller, share)
+        except OthersKeys as error:
+            message = f"{len(error.ids)} keys are not for SAE {caller!r}"
+            raise Refusal(UNAUTHORISED, message, ({"key_ID": i} for i in error.ids)) from None
         except UnknownKeys as error:
             message = "one or more keys specified are not found on KME"
             raise Refusal(BAD_REQUEST, message, ({"key_ID": i} for i in error.ids)) from None
@@ -146,11 +171,15 @@ class KeyManagementEntity:
             raise Refusal(UNAVAILABLE, f"no key: {error}") from None
         return self._container(keys)
 
-    def _check(self, caller: str, other: str, field: str) -> None:
-        if caller != self.names.sae:
+    def _share(self, caller: str, other: str, field: str) -> Share:
+        pairs = self.names.pairs
+        partners = [theirs for mine, theirs in pairs if mine == caller]
+        if not partners:
             raise Refusal(UNAUTHORISED, f"SAE {caller!r}: not served by {self.names.kme}")
-        if other != self.names.partner_sae:
-            raise _wrong(field, f"got {other!r}, expected {self.names.partner_sae!r}")
+        if other not in partners:
+            expected = " or ".join(map(repr, partners))
+            raise _wrong(field, f"got {other!r}, expected {expected}")
+        return Share(pairs.index((caller, other)), len(pairs))
 
     def _container(self, keys: Iterable[Key]) -> KeyContainer:
         told = tuple(

@@ -10,12 +10,12 @@ import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Final
 from weakref import WeakKeyDictionary
 
 from aiohttp import web
 
+from protocol.secret.records import StoreError
 from wyner.kme.entity import (
     BAD_REQUEST,
     UNAUTHORISED,
@@ -27,7 +27,8 @@ from wyner.kme.entity import (
     key_request_of,
     parsed,
 )
-from wyner.kme.messages import Answer, KeyIds, KeyRequest
+from wyner.kme.identity import common_name
+from wyner.kme.messages import Answer, KeyContainer, KeyIds, KeyRequest
 
 MOST_BYTES: Final = 64 * 1024
 """Of a request's body."""
@@ -59,30 +60,6 @@ class Allowance:
         return allowed
 
 
-def common_name(certificate: "dict[str, object] | None") -> str | None:
-    """The common name of a peer's certificate, as ``getpeercert()`` gives it."""
-    subject = (certificate or {}).get("subject", ())
-    assert isinstance(subject, tuple)
-    names = [value for part in subject for field, value in part if field == "commonName"]
-    return names[0] if len(names) == 1 else None
-
-
-def tls_context(folder: Path) -> ssl.SSLContext:
-    """Mutual TLS, 1.2 or later, with ca.pem, cert.pem and key.pem of a folder.
-
-    Raises
-    ------
-    OSError
-        When one is not there or not what it should be.
-    """
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.verify_mode = ssl.CERT_REQUIRED
-    context.load_verify_locations(folder / "ca.pem")
-    context.load_cert_chain(folder / "cert.pem", folder / "key.pem")
-    return context
-
-
 class KeyServer:
     """One entity's HTTP.
 
@@ -97,6 +74,7 @@ class KeyServer:
         self._entity = entity
         self._allowance = Allowance(rate)
         self._writer = ThreadPoolExecutor(1, "keys")
+        self._given = self._refused = 0
         self._last: WeakKeyDictionary[asyncio.BaseTransport, float] = WeakKeyDictionary()
 
     def application(self) -> web.Application:
@@ -110,6 +88,17 @@ class KeyServer:
             for method, asked in methods.items():
                 app.router.add_route(method, path, partial(self._answer, asked))
         return app
+
+    def health(self) -> str:
+        """A line for its health file: ``ok`` or ``bad``, and what there is to give."""
+        try:
+            return f"{'bad' if self._entity.refused else 'ok'}: {self.told()}"
+        except StoreError as error:
+            return f"bad: {error}"
+
+    def told(self) -> str:
+        """What there is to give, and what was given and refused since the start."""
+        return f"{self._entity.ready()}, {self._given} given, {self._refused} requests refused"
 
     async def serve(self, host: str, port: int, tls: ssl.SSLContext, stop: asyncio.Event) -> None:
         """Serve until ``stop``.
@@ -158,6 +147,8 @@ class KeyServer:
         if not self._allowance.take(caller, time.monotonic()):
             raise Refusal(UNAVAILABLE, "too many requests; ask again in a second")
         answer = await asked(caller, request)
+        if isinstance(answer, KeyContainer):
+            self._given += len(answer.keys)
         self._last[request.transport] = time.monotonic()
         return web.Response(body=as_json(answer), content_type="application/json", charset="utf-8")
 
@@ -196,8 +187,10 @@ class KeyServer:
         try:
             return await handler(request)
         except Refusal as refusal:
+            self._refused += 1
             status, error = refusal.status, refusal.error
         except web.HTTPException as other:
+            self._refused += 1
             status = other.status
             error = Refusal(status, f"{request.method} {request.path}: {other.reason}").error
         return web.Response(

@@ -1,0 +1,106 @@
+"""Two sites with a key server each, over stores that hold the same keys."""
+
+import http.client
+import json
+import secrets
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+from protocol.secret.records import BlockRow
+from protocol.secret.store import KeyStore
+from wyner.deployment.certificates import ensure_certificates
+
+KEYS = 60
+SIDES = ("controller", "plant")
+PAIRS = (("alice", "bob"), ("carol", "dave"))
+"""Applications at the controller's site and at the plant's."""
+
+APPLICATIONS = ("alice", "bob", "carol", "dave", "mallory")
+Answer = tuple[int, dict[str, Any]]
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return int(taken.getsockname()[1])
+
+
+class Sites:
+    """Two run folders with the same keys, an entity at each, certificates for everybody."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        hosts = ["localhost", "127.0.0.1"]
+        names = ("kme-controller", "kme-plant", *APPLICATIONS)
+        ensure_certificates(folder / "certs", dict.fromkeys(names, hosts), 2)
+        self.ports = {side: free_port() for side in SIDES}
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.blocks = 0
+        self.add_block(KEYS)
+
+    def store(self, side: str) -> KeyStore:
+        path = self.folder / side / (CONTROLLER_KEYS if side == "controller" else PLANT_KEYS)
+        return KeyStore(path, "controller" if side == "controller" else "plant", create=True)
+
+    def add_block(self, keys: int) -> None:
+        bodies = [secrets.token_bytes(32) for _ in range(keys)]
+        row = BlockRow("s", self.blocks, 256, 256, 512, keys + 1, keys, "stored", 1)
+        self.blocks += 1
+        for side in SIDES:
+            with closing(self.store(side)) as store:
+                store.add(row, bodies, tag="t")
+                store.confirm("s", row.number)
+                store.set_note("assumption", "misses 30 %")
+
+    def start(self, side: str, *more: str) -> None:
+        pairs = [(one, two) if side == "controller" else (two, one) for one, two in PAIRS]
+        named = [text for a, b in pairs for text in (f"--sae={a}", f"--partner-sae={b}")]
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "wyner", "kme", "--side", side),
+                *("--run-dir", str(self.folder / side), *named),
+                *("--tls", str(self.folder / "certs" / f"kme-{side}")),
+                *("--listen", f"127.0.0.1:{self.ports[side]}", *more),
+            ],
+            stderr=subprocess.DEVNULL,
+        )
+        self.processes[side] = process
+        until = time.monotonic() + 20
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", self.ports[side]), 0.2).close()
+                return
+            except OSError:
+                assert process.poll() is None
+                assert time.monotonic() < until
+                time.sleep(0.02)
+
+    def stop(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+
+    def tls(self, name: str | None) -> ssl.SSLContext:
+        certs = self.folder / "certs"
+        context = ssl.create_default_context(cafile=str(certs / "ca.pem"))
+        if name is not None:
+            context.load_cert_chain(certs / name / "cert.pem", certs / name / "key.pem")
+        return context
+
+    def ask(
+        self, side: str, name: str, path: str, body: bytes | None = None, method: str = ""
+    ) -> Answer:
+        connection = http.client.HTTPSConnection(
+            "localhost", self.ports[side], context=self.tls(name), timeout=10
+        )
+        with closing(connection):
+            connection.request(method or ("GET" if body is None else "POST"), path, body)
+            answer = connection.getresponse()
+            assert answer.getheader("Content-Type") == "application/json; charset=utf-8"
+            return answer.status, json.loads(answer.read())
