@@ -342,7 +342,8 @@ class TapStatus(Message):
     tail_agreed: FiniteVector = ()
 
 
-FIELD: tuple[type[Message], ...] = (Measurement, Offer, Sealed)
+FieldMessage = Measurement | Offer | Sealed
+FIELD: tuple[type[FieldMessage], ...] = (Measurement, Offer, Sealed)
 OPS: tuple[type[Message], ...] = (
     PlantHello,
     ControllerHello,

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Final
 
-from protocol.messages import Measurement, Offer
+from protocol.messages import FIELD
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.process import (
     DONE,
@@ -63,7 +63,7 @@ class TapFleet:
         self._intel = intel
         for loop in self._fleet.loops.values():
             self._open(loop)
-        for kind in (Measurement, Offer):
+        for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
         self._log.info("listening on %d of %d loops", len(self._taps), len(self._known))
 

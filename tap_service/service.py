@@ -26,7 +26,7 @@ from pydantic import ValidationError
 from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
-from protocol.messages import Measurement, Offer, TapStatus
+from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import (
     DONE,
@@ -205,9 +205,7 @@ class TapService:
         self._transcript = Transcript()
         self._queue: Inbox[tuple[str, bytes, int]] = Inbox(QUEUE_BYTES)
         self._complaints = RateLimitedLog(self.log)
-        self._types: dict[str, type[Measurement] | type[Offer]] = {
-            key_of(kind, config.loop): kind for kind in (Measurement, Offer)
-        }
+        self._types = {key_of(kind, config.loop): kind for kind in FIELD}
         self._put: Callable[[bytes], None] | None = None
         self._unheard = 0
         self._seq = 0
@@ -313,12 +311,12 @@ class TapService:
         for seen_ns, seen in self._channel.hear(t_ns, message):
             self._see(seen_ns, seen)
 
-    def _see(self, t_ns: int, message: Measurement | Offer) -> None:
+    def _see(self, t_ns: int, message: FieldMessage) -> None:
         payload = message.wire()
         self._capture.write(mirror_line(t_ns, message.topic, payload))
         self._hear(message)
 
-    def _hear(self, message: Measurement | Offer) -> None:
+    def _hear(self, message: FieldMessage) -> None:
         if len(self._queue) > BUSY_LENGTH:
             self._unheard += 1
             return

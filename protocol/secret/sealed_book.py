@@ -112,10 +112,22 @@ class SealedBook:
         """The plant has it; True the first time."""
         with self.store.transaction() as db:
             cursor = db.execute(
-                "UPDATE sealed SET state = 'done', cipher = NULL WHERE id = ? AND state = 'sealed'",
+                "UPDATE sealed SET state = 'done' WHERE id = ? AND state = 'sealed'",
                 (identifier,),
             )
         return cursor.rowcount == 1
+
+    def sent(self) -> list[tuple[SealedText, bytes]]:
+        """Every message that was sealed here, in order, with the SHA-256 of its text."""
+        with self.store.transaction() as db:
+            rows = db.execute(
+                "SELECT id, key_ids, cipher, tag, digest FROM sealed WHERE state != 'queued' "
+                "ORDER BY number"
+            ).fetchall()
+        return [
+            (SealedText(name, tuple(json.loads(key_ids)), cipher, tag), digest)
+            for name, key_ids, cipher, tag, digest in rows
+        ]
 
     # --- the plant's ------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pydantic import BaseModel, ConfigDict
 
 from protocol.knowledge import Delay, Direction, Knowledge, Loss, NotNegative
-from protocol.messages import Measurement, Offer
+from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.vectors import Matrix, Vector
 from tap_service.eavesdroppers.base import Eavesdropper
 
@@ -82,14 +82,14 @@ class Channel:
     def __init__(self, view: View) -> None:
         self.view = view
         self._draw = random.Random(f"view {view.seed}")
-        self._held: deque[tuple[int, Measurement | Offer]] = deque()
+        self._held: deque[tuple[int, FieldMessage]] = deque()
 
-    def hear(
-        self, t_ns: int, message: Measurement | Offer
-    ) -> Iterator[tuple[int, Measurement | Offer]]:
+    def hear(self, t_ns: int, message: FieldMessage) -> Iterator[tuple[int, FieldMessage]]:
         """The messages that reach her now, this one or one that was held back, with their time."""
         view = self.view
-        if view.view != "both" and (view.view == "offers") != isinstance(message, Offer):
+        if view.view != "both" and (view.view == "measurements") != isinstance(
+            message, Measurement
+        ):
             return
         if view.loss and self._draw.random() < view.loss:
             return
@@ -102,12 +102,14 @@ class Channel:
         if len(self._held) > view.delay:
             yield self._held.popleft()
 
-    def rest(self) -> Iterator[tuple[int, Measurement | Offer]]:
+    def rest(self) -> Iterator[tuple[int, FieldMessage]]:
         """What was held back, when nothing more comes."""
         while self._held:
             yield self._held.popleft()
 
-    def _blur(self, message: Measurement | Offer) -> Measurement | Offer:
+    def _blur(self, message: FieldMessage) -> FieldMessage:
+        if isinstance(message, Sealed):
+            return message  # no number in it
         if isinstance(message, Offer):
             candidates = tuple(self._blurred(u) for u in message.candidates)
             return message.model_copy(update={"candidates": candidates})

@@ -4,19 +4,20 @@ CSV and Parquet have one row a message. MCAP has one channel a message type, eac
 schema of the type itself.
 """
 
+import base64
 import csv
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.messages import Measurement, Offer
+from protocol.messages import FIELD, FieldMessage, Measurement, Offer, Sealed
 from protocol.runtime.parts import first_part, parts_of
 from protocol.runtime.process import needs
 from protocol.topics import key_of
 from tap_service.capture.recording import CaptureReader
 
-Record = tuple[int, Measurement | Offer]
+Record = tuple[int, FieldMessage]
 
 KEY_FIELDS: Final = ("copy_number", "nonce", "applied_copy", "heard", "block", "tag")
 
@@ -41,15 +42,22 @@ def to_csv(reader: CaptureReader, out: IO[str]) -> int:
     """Write one row a message; vectors become JSON arrays in their cell. Returns the rows."""
     writer = csv.writer(out, lineterminator="\n")
     names = ("t_ns", "topic", "session", "k", "x", "applied_k", "x_after", "candidates", "cipher")
-    writer.writerow((*names, *KEY_FIELDS))
+    writer.writerow((*names, *KEY_FIELDS, "id", "key_ids", "sealed"))
     rows = 0
     for t_ns, message in reader.records():
-        row: list[object] = [t_ns, message.topic, message.session, message.k]
+        row: list[object] = [t_ns, message.topic]
+        sealed: list[object] = ["", "", ""]
         if isinstance(message, Measurement):
-            row += [json.dumps(message.x), message.applied_k, json.dumps(message.x_after), "", ""]
+            row += [message.session, message.k, json.dumps(message.x), message.applied_k]
+            row += [json.dumps(message.x_after), "", ""]
+        elif isinstance(message, Offer):
+            row += [message.session, message.k, "", "", ""]
+            row += [json.dumps(message.candidates), message.cipher]
         else:
-            row += ["", "", "", json.dumps(message.candidates), message.cipher]
-        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS])
+            row += [""] * 7
+            cipher = base64.b64encode(message.cipher).decode("ascii")
+            sealed = [message.id, json.dumps(message.key_ids), cipher]
+        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS] + sealed)
         rows += 1
     return rows
 
@@ -85,22 +93,25 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
             ("heard", pyarrow.int64()),
             ("block", pyarrow.int64()),
             ("tag", pyarrow.string()),
+            ("id", pyarrow.string()),
+            ("key_ids", pyarrow.list_(pyarrow.string())),
+            ("sealed", pyarrow.binary()),
         ]
     )
     rows = 0
     with pyarrow.parquet.ParquetWriter(path, schema) as writer:
         for batch in _batches(reader.records()):
-            columns = [
-                {
-                    "t_ns": t_ns,
-                    "topic": message.topic,
-                    **{name: getattr(message, name, None) for name in schema.names[2:]},
-                }
-                for t_ns, message in batch
-            ]
+            columns = [_columns(schema.names[2:], *record) for record in batch]
             writer.write_table(pyarrow.Table.from_pylist(columns, schema=schema))
             rows += len(columns)
     return rows
+
+
+def _columns(names: list[str], t_ns: int, message: FieldMessage) -> dict[str, object]:
+    columns = {name: getattr(message, name, None) for name in names}
+    if isinstance(message, Sealed):  # a loop's cipher is a symbol, this one's are bytes
+        columns |= {"cipher": None, "sealed": message.cipher}
+    return {"t_ns": t_ns, "topic": message.topic, **columns}
 
 
 def _batches(records: Iterator[Record]) -> Iterator[list[Record]]:
@@ -131,7 +142,7 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
         writer: Any = Writer(file)
         writer.start(profile="", library="wyner")
         channels: dict[str, int] = {}
-        for kind in (Measurement, Offer):
+        for kind in FIELD:
             schema = writer.register_schema(
                 name=kind.__name__,
                 encoding="jsonschema",
@@ -146,7 +157,7 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
                 channel_id=channels[message.topic],
                 log_time=t_ns,
                 publish_time=t_ns,
-                sequence=message.k & 0xFFFFFFFF,
+                sequence=0 if isinstance(message, Sealed) else message.k & 0xFFFFFFFF,
                 data=message.wire(),
             )
             written += 1

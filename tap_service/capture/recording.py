@@ -19,17 +19,14 @@ from typing import Any, Final
 from pydantic import Field, ValidationError
 from pydantic_core import from_json, to_json
 
-from protocol.messages import Measurement, Offer
+from protocol.messages import FIELD, FieldMessage
 from protocol.runtime.jsonl import END, END_BYTES, LONGEST, LineReader, LineWriter, decode, dumps
 from protocol.runtime.parts import Bounds, Parts, number_of, part_path, parts_of
 from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
 
 CAPTURE_VERSION: Final = 1
-FIELD_TYPES: Final[dict[str, type[Measurement] | type[Offer]]] = {
-    Measurement.topic: Measurement,
-    Offer.topic: Offer,
-}
+FIELD_TYPES: Final = {kind.topic: kind for kind in FIELD}
 
 
 class CaptureError(Exception):
@@ -308,7 +305,7 @@ class CaptureReader:
                 behind += max(_size_of(path) - read, 0)
         return behind
 
-    def records(self) -> Iterator[tuple[int, Measurement | Offer]]:
+    def records(self) -> Iterator[tuple[int, FieldMessage]]:
         """The messages that are there and were not given out yet: time (ns) and message."""
         while self._lines or self._read_on():
             record = self._decode(self._lines.popleft())
@@ -364,7 +361,7 @@ class CaptureReader:
         else:
             self.torn += len(lines)
 
-    def _decode(self, line: bytes) -> tuple[int, Measurement | Offer] | None:
+    def _decode(self, line: bytes) -> tuple[int, FieldMessage] | None:
         value = decode(line)
         try:
             if value is not None and value["event"] == "garbage":

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from protocol.messages import Measurement, Offer
+from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.vectors import Vector
 
 PATIENCE = 4
@@ -118,9 +118,14 @@ class Transcript:
         self._start = False
         self._gap = False
 
-    def hear(self, message: Measurement | Offer) -> list[Transition]:
-        """Take one message; the transitions that are settled by it, in order."""
+    def hear(self, message: FieldMessage) -> list[Transition]:
+        """Take one message; the transitions that are settled by it, in order.
+
+        A sealed message passes beside the loop: it settles none.
+        """
         settled: list[Transition] = []
+        if isinstance(message, Sealed):
+            return settled
         if message.session != self._session:
             if message.session in self._ended:
                 self.late += 1

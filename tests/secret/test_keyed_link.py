@@ -24,7 +24,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Raw, contribution
 from protocol.secret.records import Key, TooFewKeys
 from protocol.secret.store import KeyStore
-from tests.support.keyed_link import SIDES, Performer, Side, World
+from tests.support.keyed_link import SIDES, Side, World
 from tests.support.line_plant import line_rules
 
 RULES = replace(
@@ -221,10 +221,10 @@ def stagger(world: World, random: Random, side: Side) -> None:
     random.choice(actions)()
 
 
-def wander(seed: int, performer: Performer = perform) -> None:
+def wander(seed: int) -> None:
     """One random schedule, from its seed: faster than hypothesis, and the same whatever changes."""
     random = Random(seed)
-    world = World(RULES, performer)
+    world = World(RULES)
     try:
         for _ in range(random.randrange(10, 40)):
             stagger(world, random, random.choice(SIDES))
@@ -233,10 +233,10 @@ def wander(seed: int, performer: Performer = perform) -> None:
         world.close()
 
 
-def caught(performer: Performer = perform) -> bool:
+def caught() -> bool:
     for seed in range(ROUNDS):
         try:
-            wander(seed, performer)
+            wander(seed)
         except AssertionError:
             return True
     return False
@@ -249,7 +249,20 @@ def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_sending_before_saving_is_caught() -> None:
-    assert caught(send_before_save)
+    """The step waits until the controller is back, and is answered a second time."""
+    world = World(RULES, send_before_save, period_s=3.0)
+    world.well(200)
+    with pytest.raises(AssertionError, match="copy 0 left twice"):
+        world.well(100, "controller", "writing")
+    world.close()
+
+
+def test_saving_before_sending_answers_the_same_step_once() -> None:
+    world = World(RULES, period_s=3.0)
+    world.well(200)
+    world.well(100, "controller", "writing")
+    assert world.deaths == 1
+    world.close()
 
 
 def test_the_right_ends_pass_such_schedules() -> None:

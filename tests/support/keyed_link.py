@@ -71,10 +71,13 @@ class World:
         With a schedule.
     performer : callable
         :func:`protocol.link.perform.perform`, or a wrong one.
+    period_s : float
+        Between two steps.
     """
 
-    def __init__(self, rules: Rules, performer: Performer = perform) -> None:
+    def __init__(self, rules: Rules, performer: Performer = perform, period_s: float = 0.5) -> None:
         self.rules = rules
+        self.period_s = period_s
         self.performer = performer
         self.now = 0.0
         self.names = 0
@@ -124,7 +127,9 @@ class World:
     def plant(self) -> PlantEndpoint:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
-        endpoint, _ = line_plant(self.rules, journal, self.name, self.name(), self.now, 0.5)
+        endpoint, _ = line_plant(
+            self.rules, journal, self.name, self.name(), self.now, self.period_s
+        )
         return endpoint
 
     def carry_out(self, side: Side, actions: Actions) -> None:

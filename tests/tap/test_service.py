@@ -14,7 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import Measurement, Offer, TapStatus
+from protocol.messages import (
+    FIELD,
+    FieldMessage,
+    Measurement,
+    Message,
+    Offer,
+    Sealed,
+    TapStatus,
+)
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES
 from protocol.runtime.zenoh_bus import Endpoints, ZenohBus, free_endpoints
@@ -55,9 +63,9 @@ class Wire:
             key_of(TapStatus, "loop"),
             lambda _k, p, _t: self.statuses.append(TapStatus.model_validate_json(p)),
         )
-        self._put = {k: self._sender.publisher(key_of(k, "loop")).put for k in (Measurement, Offer)}
+        self._put = {k: self._sender.publisher(key_of(k, "loop")).put for k in FIELD}
 
-    def send(self, message: Measurement | Offer) -> None:
+    def send(self, message: FieldMessage) -> None:
         self._put[type(message)](message.wire())
 
     def send_bytes(self, payload: bytes) -> None:
@@ -87,6 +95,20 @@ def test_every_message_is_mirrored_as_it_came(run: Run, tmp_path: Path) -> None:
     assert mirrored == list(run.messages)
     assert wire.statuses[-1].mirrored == len(run.messages)
     assert wire.statuses[-1].dropped == 0
+
+
+def test_sealed_messages_are_mirrored_beside_the_loops(run: Run, tmp_path: Path) -> None:
+    sealed = Sealed(id="m0", key_ids=("a", "b"), cipher=b"\x00\xff", tag="f" * 32)
+    wire = Wire(config(run, tmp_path))
+    sent = [*run.messages[:40], sealed, *run.messages[40:80], sealed]
+    for message in sent:
+        wire.send(message)
+    wire.finish()
+    assert [m for _, m in CaptureReader(tmp_path).records()] == sent
+    assert wire.statuses[-1].steps == 39
+    replay = Replay(tmp_path, LIGHT)
+    replay.run()
+    assert [status.steps for status in replay.statuses()] == [39] * len(LIGHT)
 
 
 def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: Path) -> None:
@@ -273,8 +295,8 @@ def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> 
             _, errors = process.communicate()
     assert b"Traceback" not in errors
     reader = CaptureReader(tmp_path)
-    mirrored = sorted((m for _, m in reader.records()), key=lambda m: (m.k, m.topic))
-    assert mirrored == sorted(run.messages, key=lambda m: (m.k, m.topic))
+    mirrored = sorted((m for _, m in reader.records()), key=Message.wire)
+    assert mirrored == sorted(run.messages, key=Message.wire)
     assert statuses[-1].steps == 300
     assert {s.name for s in statuses} == {"nearest-centre", "oracle"}
     assert [p.name for p in tmp_path.iterdir()] == ["tap"]

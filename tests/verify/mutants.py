@@ -108,6 +108,11 @@ def places(lines: Lines) -> dict[str, int]:
     return found
 
 
+def of_kind(folder: Path, file: Path, kind: str) -> list[Mutant]:
+    """Every mutant of a recording's lines of one kind."""
+    return [m for m in of_file(folder, file) if m.kind == kind]
+
+
 def of_file(folder: Path, file: Path) -> Iterator[Mutant]:
     """Every mutant of a recording."""
     lines = read_lines(folder / file)

@@ -411,7 +411,7 @@ def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None
     place = findings(copied)["public-fields"].tally.first
     assert place is not None
     assert place.text == (
-        "capture.jsonl line 51: neither Measurement nor Offer (wyner/v1/loop/offer: b'hi')"
+        "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v1/loop/offer: b'hi')"
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from protocol.messages import Sealed
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_KEYS,
@@ -278,7 +279,7 @@ def _heard(run_dir: Path) -> set[Copy] | None:
         return {
             (message.topic, message.session, message.k)
             for _, message in reader.records()
-            if not message.copy_number
+            if not isinstance(message, Sealed) and not message.copy_number
         }
     except (CaptureError, OSError):
         return None

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from wyner.verify import bus, files, key_blocks, keys, loop, message
+from wyner.verify import bus, files, key_blocks, keys, loop, message, sealed
 from wyner.verify.clause import Clause, Finding, Tally
 from wyner.verify.evidence import Evidence, Part
 
@@ -177,6 +177,13 @@ CLAUSES: Final[tuple[Clause, ...]] = (
         key_blocks.key_ids,
     ),
     Clause(
+        "sealed-once",
+        "rule 11",
+        "a key seals one message, which travels as both ends have it",
+        "messages",
+        sealed.sealed_once,
+    ),
+    Clause(
         "refused-at-zero",
         "rule 10",
         "where nothing is claimed there is no key",
@@ -186,7 +193,9 @@ CLAUSES: Final[tuple[Clause, ...]] = (
 )
 
 
-OF_KEYS: Final = frozenset({"nonce-once", "copy-0-once", "counted", "blocks", "tags", "key-ids"})
+OF_KEYS: Final = frozenset(
+    {"nonce-once", "copy-0-once", "counted", "blocks", "tags", "key-ids", "sealed-once"}
+)
 """Clauses of which a scenario that makes no keys knows nothing."""
 
 

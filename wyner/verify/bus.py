@@ -9,7 +9,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.messages import Measurement, Offer
+from protocol.messages import FIELD, Measurement, Offer
 from wyner.verify.capture import Seen
 from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence
@@ -25,6 +25,7 @@ PUBLIC: Final[dict[str, frozenset[str]]] = {
         {"v", "session", "k", "candidates", "cipher", "centres"}
         | {"copy_number", "nonce", "heard", "block", "tag"}
     ),
+    "sealed": frozenset({"v", "id", "key_ids", "cipher", "tag"}),
 }
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""
@@ -34,11 +35,7 @@ WITHOUT_KEYS: Final = {
 }
 """What fields of keys hold where the scenario makes none."""
 
-_MODELS: Final[dict[str, type[Measurement] | type[Offer]]] = {
-    "measurement": Measurement,
-    "offer": Offer,
-}
-
+_MODELS: Final = {kind.topic: kind for kind in FIELD}
 
 _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
@@ -173,13 +170,13 @@ def _unlike(e: Evidence, seen: Seen, step: Applied | None) -> list[str]:
 
 
 def public_fields(e: Evidence, tally: Tally) -> Judging:
-    """Only the two public messages, with exactly their public fields."""
+    """Only the three public messages, with exactly their public fields."""
     if not need(tally, capture=e.wire):
         return
     assert e.wire is not None
     size, m, n = e.rules.size, e.rules.inputs, e.rules.states
     while (part := (yield)) is not None:
-        for seen in part.seen:
+        for seen in (*part.seen, *part.sealed):
             where = (seen.session, -1, seen.k)
             allowed = PUBLIC.get(seen.topic)
             if allowed is None:
@@ -197,10 +194,14 @@ def public_fields(e: Evidence, tally: Tally) -> Judging:
                 continue
             if isinstance(message, Measurement):
                 fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
-            else:
+            elif isinstance(message, Offer):
                 fits = len(message.candidates) == size and message.cipher < size
                 fits = fits and all(len(u) == m for u in message.candidates)
                 fits = fits and not e.rules.foreign_centres(message.centres)
+            else:
+                text = f"{seen.where}: sealed, and no keys are made"
+                tally.count(e.rules.schedule is not None, *where, text)
+                continue
             text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
             if e.scenario.keys is None and fits:
                 idle = [
@@ -210,7 +211,7 @@ def public_fields(e: Evidence, tally: Tally) -> Judging:
                 text = f"{seen.where}: {', '.join(idle)}: not as where no keys are made"
             tally.count(fits, *where, text)
     for problem in e.wire.strange:
-        text = f"{problem.where}: neither Measurement nor Offer ({problem.text})"
+        text = f"{problem.where}: neither Measurement, Offer nor Sealed ({problem.text})"
         tally.count(False, "", -1, -1, text)
     tally.note = f"{e.wire.torn} torn lines"
 

@@ -5,12 +5,13 @@ compared with the plant's steps. A run of millions of steps is never in memory a
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.link.session import Rules, rules_of
+from protocol.messages import Sealed
 from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import (
     CAPTURE,
@@ -39,12 +40,16 @@ class Pair(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A piece of a run: items of both traces and their transitions side by side, or messages."""
+    """A piece of a run: items of both traces and their transitions side by side, or messages.
+
+    ``seen`` are the loop's messages, ``sealed`` those that pass beside it.
+    """
 
     plant: list[Item]
     controller: list[Item]
     pairs: list[Pair]
     seen: list[Seen]
+    sealed: Sequence[Seen] = ()
 
     def sides(self) -> "tuple[tuple[str, list[Item]], tuple[str, list[Item]]]":
         """Both traces' items, with the side's name."""
@@ -118,12 +123,13 @@ class Evidence:
         if self.wire is None:
             return
         seen: list[Seen] = []
+        sealed: list[Seen] = []
         for one in self.wire:
-            seen.append(one)
-            if len(seen) == AT_ONCE:
-                yield Part([], [], [], seen)
-                seen = []
-        yield Part([], [], [], seen)
+            (sealed if one.topic == Sealed.topic else seen).append(one)
+            if len(seen) + len(sealed) == AT_ONCE:
+                yield Part([], [], [], seen, sealed)
+                seen, sealed = [], []
+        yield Part([], [], [], seen, sealed)
 
 
 class _Sides:

@@ -172,7 +172,7 @@ def key_ids(e: Evidence, tally: Tally) -> Judging:
     """Both stores hold the same ids in the same order, in disjoint halves."""
     yield from _to_the_end()
     with ExitStack() as stack:
-        stores = [_open(e, side, name, tally, stack) for side, name in FILES]
+        stores = [open_store(e, side, name, tally, stack) for side, name in FILES]
         if not all(stores):
             tally.skipped = tally.skipped or "no key store at one of the ends"
             return
@@ -214,7 +214,10 @@ def _to_the_end() -> Judging:
         pass
 
 
-def _open(e: Evidence, side: Side, name: str, tally: Tally, stack: ExitStack) -> KeyStore | None:
+def open_store(
+    e: Evidence, side: Side, name: str, tally: Tally, stack: ExitStack
+) -> KeyStore | None:
+    """A side's key store, if it is there; one that cannot be read fails the clause."""
     path = e.run_dir / name
     if not path.is_file():
         return None
@@ -230,7 +233,7 @@ def _notes(e: Evidence, note: str) -> list[str | None]:
     found = []
     with ExitStack() as stack:
         for side, name in FILES:
-            store = _open(e, side, name, Tally(), stack)
+            store = open_store(e, side, name, Tally(), stack)
             if store is not None:
                 found.append(store.note(note))
     return found
