@@ -1,73 +1,186 @@
-"""A seeded sample of the mutants that ``make mutants`` would try, and how many of each room died.
+"""Mutation testing: how many broken programs the tests of a room notice.
 
-All of them take hours. ``python -m tools.mutants --sample 200`` tries so many of each room, drawn
-with a stated seed, and prints the share killed with its 95 % Wilson interval, and the survivors.
+A mutant is the program with one small thing changed. ``mutmut`` makes them; ``tools.sieve`` runs
+each against the room's tests, in a process forked after everything is imported, and stops at the
+first test that fails. ``python -m tools.mutants --sample 300`` tries so many of each room, drawn
+with a stated seed, and prints the share killed (of a sample: with its 95 % Clopper-Pearson
+interval), the pace and the survivors. What was tried is kept in ``build/mutants``, and is tried
+again only where the function or the tests have changed: stop it with Ctrl-C, and it goes on.
 """
 
 import argparse
+import difflib
+import hashlib
+import json
+import os
 import random
 import re
+import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
-from typing import Final
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
 
-from wyner.scoring.statistics import wilson
+from protocol.secret.bound import clopper_pearson
 
-ROOMS: Final = ("protocol.schemes", "protocol.link", "wyner.verify")
-_LINE: Final = re.compile(r"^\s+(?P<name>\S+__mutmut_\d+): (?P<status>.+)$", re.MULTILINE)
-KILLED: Final = ("killed", "timeout", "caught by type check")
+ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
+    "protocol/schemes": ("tests/schemes",),
+    "protocol/link": (
+        "tests/link",
+        "tests/secret/test_keyed_link.py",
+        "tests/secret/test_sealed_book.py",
+        "tests/simulate/test_packed_link.py",
+        "tests/simulate/test_network.py",
+    ),
+    "wyner/verify": ("tests/verify",),
+}
+"""A room, and the tests that have to notice."""
+
+UNTRIED: Final = ("protocol/schemes/diagrams.py",)
+BUILD: Final = Path("build/mutants")
+TREE: Final = BUILD / "tree"
+INDEX: Final = BUILD / "index.json"
+TRIED: Final = BUILD / "tried.jsonl"
+_NUMBER: Final = re.compile(r"__mutmut_(orig|\d+)")
 
 
-def results() -> dict[str, str]:
-    """Every mutant with its status, as mutmut tells them."""
-    command = [sys.executable, "-m", "mutmut", "results", "--all", "true"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return {m["name"]: m["status"] for m in _LINE.finditer(done.stdout)}
+class Mutant(NamedTuple):
+    """One broken program.
+
+    Parameters
+    ----------
+    name : str
+        Module, function and number, as mutmut names it.
+    key : str
+        Hash of the function before and after: the same key is the same mutant.
+    before, after : str
+        The function's text.
+    """
+
+    name: str
+    key: str
+    before: str
+    after: str
+
+    @property
+    def function(self) -> str:
+        """The mutated function, as the trampoline names it."""
+        return self.name.partition("__mutmut_")[0]
+
+    def difference(self) -> list[str]:
+        """The lines that changed."""
+        before, after = (_NUMBER.sub("", text).splitlines() for text in (self.before, self.after))
+        diff = list(difflib.unified_diff(before, after, n=0, lineterm=""))[2:]
+        return [line for line in diff if not line.startswith("@@")]
 
 
-def drawn(names: Sequence[str], count: int, seed: int) -> list[str]:
-    """``count`` of each room, or all where there are fewer."""
-    chosen = []
-    for room in ROOMS:
-        mine = sorted(name for name in names if name.startswith(room + "."))
-        chosen += random.Random(f"{seed} {room}").sample(mine, min(count, len(mine)))
-    return chosen
+def generate(source: str, path: Path) -> tuple[str, list[Mutant]]:
+    """The file with all its mutants behind trampolines, and the mutants."""
+    from mutmut.mutation.file_mutation import mutate_file_contents
+
+    made = mutate_file_contents(str(path), source)
+    lines = made.code.splitlines()
+    text = {
+        name: "\n".join(lines[span.start - 1 : span.end])
+        for name, span in made.line_span_by_function_name.items()
+    }
+    module = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
+    mutants = []
+    for name in made.mutant_names:
+        original = name.partition("__mutmut_")[0] + "__mutmut_orig"
+        key = hashlib.sha256(f"{module}\n{text[original]}\n{text[name]}".encode()).hexdigest()
+        mutants.append(Mutant(f"{module}.{name}", key[:16], text[original], text[name]))
+    return made.code, mutants
 
 
-def table(statuses: dict[str, str], names: Sequence[str]) -> str:
-    """The rooms' shares, and the survivors, for those ``names`` that were tried."""
-    lines = []
-    for room in ROOMS:
-        tried = [n for n in names if n.startswith(room + ".") and statuses[n] != "not checked"]
-        if not tried:
+def prepare() -> dict[str, list[Mutant]]:
+    """A copy of the checkout with the mutants in it, and every room's mutants."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    index = json.loads(INDEX.read_text()) if INDEX.exists() else {}
+    kept = {}
+    for name in listed:
+        path = Path(name)
+        if not path.exists():
             continue
-        killed = sum(statuses[n] in KILLED for n in tried)
-        share = wilson(killed, len(tried)).scaled(100)
-        lines.append(
-            f"{room}: {killed} of {len(tried)} killed, {share.value:.1f} % "
-            f"[{share.low:.1f}, {share.high:.1f}]"
-        )
-        lines += [f"  {statuses[n]}: {n}" for n in tried if statuses[n] not in KILLED]
+        (TREE / path).parent.mkdir(parents=True, exist_ok=True)
+        room = str(path.parent)
+        if room not in ROOMS or path.suffix != ".py" or name in UNTRIED:
+            shutil.copy2(path, TREE / path)
+            continue
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if index.get(name, {}).get("digest") != digest:
+            code, mutants = generate(path.read_text(), path)
+            (TREE / path).write_text(code)
+            index[name] = {"digest": digest, "mutants": mutants}
+        kept[name] = index[name]
+    for path in [p for top in ("tests", "tools") for p in (TREE / top).rglob("*.py")]:
+        if str(path.relative_to(TREE)) not in listed:
+            path.unlink()
+    INDEX.write_text(json.dumps(kept))
+    rooms: dict[str, list[Mutant]] = {room: [] for room in ROOMS}
+    for name, entry in sorted(kept.items()):
+        rooms[str(Path(name).parent)] += [Mutant(*row) for row in entry["mutants"]]
+    return rooms
+
+
+def drawn(mutants: Sequence[Mutant], count: int | None, seed: int) -> list[Mutant]:
+    """``count`` of them, or all where none is asked for; a larger sample holds the smaller one."""
+    if count is None or count >= len(mutants):
+        return list(mutants)
+    mixed = sorted(mutants)
+    random.Random(seed).shuffle(mixed)
+    return mixed[:count]
+
+
+def told(room: str, of: int, tried: Iterable[Mutant], fate: Mapping[str, str]) -> str:
+    """A room's share, and the survivors."""
+    done = [m for m in tried if m.key in fate]
+    if not done:
+        return f"{room}: none of {of} tried"
+    survivors = [m for m in done if fate[m.key] in ("survived", "not reached")]
+    killed, share = len(done) - len(survivors), 1 - len(survivors) / len(done)
+    low, high = clopper_pearson(killed, len(done), 0.025)
+    sampled = f" [{low:.1%}, {high:.1%}]" if len(done) < of else ""
+    lines = [f"{room}: {killed} of {len(done)} killed, {share:.1%}{sampled}, of {of} mutants"]
+    for m in survivors:
+        lines += [f"  {fate[m.key]}: {m.name}", *(f"    {line}" for line in m.difference())]
     return "\n".join(lines)
 
 
+def fates(tried: Path) -> dict[str, str]:
+    """What became of each mutant, by key; the latest line counts."""
+    lines = tried.read_text().splitlines() if tried.exists() else []
+    return {row["key"]: row["fate"] for row in map(json.loads, lines) if "fate" in row}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Try a sample, or tell of all that was tried."""
+    """Try all mutants or a sample, and tell of them."""
     parser = argparse.ArgumentParser(prog="python -m tools.mutants", description=__doc__)
-    parser.add_argument("--sample", type=int, metavar="N", help="try N mutants of each room first")
+    parser.add_argument("--room", choices=ROOMS, help="of one room only")
+    parser.add_argument("--sample", type=int, metavar="N", help="N mutants of each room")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args(argv)
-    names = list(results())
-    if not names:  # nothing has been generated yet; a room's smallest module is the price
+    rooms = prepare()
+    for room in [args.room] if args.room else ROOMS:
+        chosen = drawn(rooms[room], args.sample, args.seed)
+        chart = BUILD / "chosen.json"
+        chart.write_text(json.dumps([[m.name, m.function, m.key] for m in chosen]))
+        started = time.monotonic()
+        known = len(fates(TRIED))
         subprocess.run(
-            [sys.executable, "-m", "mutmut", "run", "protocol.schemes.base*"], check=False
+            [sys.executable, "-m", "tools.sieve", chart.resolve(), TRIED.resolve(), *ROOMS[room]],
+            cwd=TREE,
+            env=os.environ | {"PYTHONPATH": str(TREE.resolve())},
+            check=True,
         )
-        names = list(results())
-    if args.sample:
-        names = drawn(names, args.sample, args.seed)
-        subprocess.run([sys.executable, "-m", "mutmut", "run", *names], check=False)
-    print(table(results(), names))
+        fate = fates(TRIED)
+        hours = (time.monotonic() - started) / 3600
+        print(told(room, len(rooms[room]), chosen, fate))
+        print(f"  {(len(fate) - known) / hours:.0f} new ones an hour", flush=True)
     return 0
 
 

@@ -1,27 +1,106 @@
-"""The sample of mutants: seeded, of each room, and told with its interval."""
+"""Mutation testing: a sample is its seed's, and a mutant's fate is what the tests make it."""
 
-from tools.mutants import drawn, table
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
-NAMES = [
-    f"{room}.m.x_f__mutmut_{i}" for room in ("protocol.link", "wyner.verify") for i in range(50)
-]
+import pytest
 
+from tools.mutants import Mutant, drawn, fates, generate, told
 
-def test_a_sample_is_that_of_its_seed() -> None:
-    first = drawn(NAMES, 10, 1)
-    assert first == drawn(NAMES[::-1], 10, 1) != drawn(NAMES, 10, 2)
-    assert [sum(n.startswith(room) for n in first) for room in ("protocol.link", "wyner")] == [
-        10
-    ] * 2
-    assert len(drawn(NAMES, 60, 1)) == 100
+MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b") for i in range(50)]
 
 
-def test_the_table_counts_what_was_tried_and_names_the_survivors() -> None:
-    statuses = dict.fromkeys(NAMES, "not checked")
-    for i, status in enumerate(["killed"] * 7 + ["timeout", "survived", "no tests"]):
-        statuses[NAMES[i]] = status
-    assert table(statuses, NAMES).splitlines() == [
-        "protocol.link: 8 of 10 killed, 80.0 % [49.0, 94.3]",
-        "  survived: protocol.link.m.x_f__mutmut_8",
-        "  no tests: protocol.link.m.x_f__mutmut_9",
+def test_a_sample_is_that_of_its_seed_and_a_larger_one_holds_it() -> None:
+    first = drawn(MUTANTS, 10, 1)
+    assert first == drawn(MUTANTS[::-1], 10, 1) == drawn(MUTANTS, 20, 1)[:10]
+    assert len(set(first)) == 10
+    assert first != drawn(MUTANTS, 10, 2)
+    assert drawn(MUTANTS, None, 1) == MUTANTS
+    assert set(drawn(MUTANTS, 60, 1)) == set(MUTANTS)
+
+
+def test_what_was_tried_is_told_with_its_interval_and_the_survivors() -> None:
+    fate = dict.fromkeys((m.key for m in MUTANTS[:7]), "killed")
+    fate |= {MUTANTS[7].key: "timeout", MUTANTS[8].key: "survived", MUTANTS[9].key: "not reached"}
+    changed = MUTANTS[8]._replace(
+        before="def x_f__mutmut_orig():\n a\n b", after="def x_f__mutmut_8():\n a\n c"
+    )
+    tried = [*MUTANTS[:8], changed, *MUTANTS[9:20]]
+    assert told("room", 50, tried, fate).splitlines() == [
+        "room: 8 of 10 killed, 80.0% [44.4%, 97.5%], of 50 mutants",
+        "  survived: room.m.x_f__mutmut_8",
+        "    - b",
+        "    + c",
+        "  not reached: room.m.x_f__mutmut_9",
+        "    -a",
+        "    +b",
     ]
+    assert told("room", 10, MUTANTS[:10], fate).startswith(
+        "room: 8 of 10 killed, 80.0%, of 10 mutants"
+    )
+    assert told("room", 50, MUTANTS[20:], fate) == "room: none of 50 tried"
+
+
+SOURCE = """
+def lowered(n):
+    while n > 9:
+        n -= 3
+    return n
+
+
+def unheard_of(n):
+    return n + 1
+"""
+TESTS = """
+import pytest
+from room.m import lowered
+
+
+@pytest.fixture(scope="module")
+def shared():
+    yield [100]
+
+
+def test_small(shared):
+    assert lowered(5) == 5 and shared.pop() == 100
+    shared.append(100)
+
+
+def test_large(shared):
+    assert lowered(shared[0]) == 7
+"""
+
+
+def test_mutants_die_by_the_tests_that_reach_them(tmp_path: Path) -> None:
+    """One that never ends dies as well; what no test calls is named so."""
+    pytest.importorskip("mutmut")
+    for name in ("room/__init__.py", "tests/__init__.py", "tests/test_m.py", "pyproject.toml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(TESTS if "test_m" in name else "")
+    code, mutants = generate(SOURCE, Path("room/m.py"))
+    (tmp_path / "room/m.py").write_text(code)
+    rows = [[m.name, m.function, m.key] for m in mutants]
+    (tmp_path / "chosen.json").write_text(json.dumps(rows))
+    tried = tmp_path / "tried.jsonl"
+    root = str(Path(__file__).resolve().parents[2])
+    arguments = [sys.executable, "-m", "tools.sieve", "chosen.json", "tried.jsonl", "tests"]
+    for _ in range(2):  # the second time, only survivors are known and nothing is tried again
+        subprocess.run(
+            arguments,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": f"{tmp_path}:{root}"},
+            check=True,
+        )
+    fate = fates(tried)
+    assert set(fate) == {m.key for m in mutants}
+    by = {m.name.removeprefix("room.m."): (fate[m.key], m.difference()) for m in mutants}
+    of_lowered = {name: (f, d) for name, (f, d) in by.items() if name.startswith("x_lowered")}
+    survivors = [d for f, d in of_lowered.values() if f == "survived"]
+    assert survivors == [["-    while n > 9:", "+    while n >= 9:"]]
+    assert "timeout" in {f for f, _ in of_lowered.values()}
+    assert {f for name, (f, _) in by.items() if name.startswith("x_unheard_of")} == {"not reached"}
+    outlived = [line for line in tried.read_text().splitlines() if "outlived" in line]
+    assert len(outlived) == len(set(outlived))

@@ -26,7 +26,7 @@ def nonce_once(e: Evidence, tally: Tally) -> Judging:
     known: set[int] = set()
     while (part := (yield)) is not None:
         for seen in part.seen:
-            nonce = hash(seen.message.get("nonce"))
+            nonce = hash(str(seen.message.get("nonce")))
             text = f"{seen.where}: {seen.topic} {seen.k} carries a nonce that was there before"
             tally.count(nonce not in known, seen.session, -1, seen.k, text)
             known.add(nonce)
@@ -66,7 +66,7 @@ def counted(e: Evidence, tally: Tally) -> Judging:
             named = seen.message.get("applied_copy" if seen.topic == "measurement" else "heard")
             bit = 1 if seen.topic == "measurement" else 2
             k = seen.message.get("applied_k", -1) if bit == 1 else seen.k
-            mine, j = counts.get((seen.session, k), (0, 0))
+            mine, j = counts.get((seen.session, k), (0, 0)) if isinstance(k, int) else (0, 0)
             text = f"{seen.where}: copy {named} was taken, and the plant counts {mine}"
             tally.count(not (j and named and mine & bit), seen.session, j, k, text)
 
@@ -156,7 +156,7 @@ def tags(e: Evidence, tally: Tally) -> Judging:
     while (part := (yield)) is not None:
         for seen in part.seen:
             block, tag = seen.message.get("block", -1), str(seen.message.get("tag"))
-            if block >= 0:
+            if isinstance(block, int) and block >= 0:
                 first = known.setdefault((seen.topic, seen.session, block), tag)
                 text = f"{seen.where}: block {block} has another tag than before"
                 tally.count(first == tag, seen.session, -1, seen.k, text)

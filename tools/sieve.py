@@ -1,0 +1,203 @@
+"""Runs mutants against tests, a test file at a time.
+
+``python -m tools.sieve CHOSEN TRIED TESTS...`` is what ``tools.mutants`` calls. A test file's tests
+run once as they are; that says which functions each reaches, and what it takes. Then each mutant
+that still lives is switched on in a fork, where those tests run that reach it, quickest first,
+until one fails. Limits are of processor time, so that a machine that is busy or a job that is
+paused kills nothing.
+"""
+
+import gc
+import hashlib
+import json
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+ARGUMENTS: Final = (
+    "-q",
+    "-s",
+    "-p",
+    "no:cacheprovider",
+    "-m",
+    "not slow and not integration",
+    "--timeout=0",
+    "-o",
+    "tmp_path_retention_policy=none",
+)
+MEMORY: Final = 4 << 30
+WAIT_S: Final = 120.0
+"""Of sleeping, for a mutant that waits for what never comes."""
+
+
+class Sieve:
+    """Pytest's loop over the tests, in which mutants die.
+
+    Parameters
+    ----------
+    chosen : list of (name, function, key)
+    tried : Path
+        What became of each so far, and which test files it has outlived; lines are added.
+    """
+
+    def __init__(self, chosen: list[tuple[str, str, str]], tried: Path) -> None:
+        self._tried = tried
+        lines = tried.read_text().splitlines() if tried.exists() else []
+        rows = [json.loads(line) for line in lines]
+        self._outlived = {tuple(row["outlived"]) for row in rows if "outlived" in row}
+        fate = {row["key"]: row["fate"] for row in rows if "fate" in row}
+        self._alive = [m for m in chosen if fate.get(m[2]) not in ("killed", "timeout")]
+        self._reached: set[str] = set()
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_configure(self) -> None:
+        """Examples are the same ones each time, and a failing one is not made smaller."""
+        from hypothesis import HealthCheck, Phase, settings
+
+        settings.register_profile(
+            "mutants",
+            deadline=None,
+            database=None,
+            derandomize=True,
+            phases=(Phase.explicit, Phase.generate),
+            report_multiple_bugs=False,
+            suppress_health_check=list(HealthCheck),
+        )
+        settings.load_profile("mutants")
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """All test files, and all mutants through each."""
+        files = [(path, list(items)) for path, items in groupby(session.items, lambda i: i.path)]
+        for number, (path, items) in enumerate(files):
+            after = files[number + 1][1][0] if number + 1 < len(files) else None
+            self._file(path, items)
+            session._setupstate.teardown_exact(after)
+        with self._tried.open("a") as log:
+            for _name, function, key in self._alive:
+                fate = "survived" if function in self._reached else "not reached"
+                print(json.dumps({"key": key, "fate": fate}), file=log)
+        return True
+
+    def _file(self, path: Path, items: list[pytest.Item]) -> None:
+        text = path.read_bytes() + b"".join(
+            p.read_bytes() for p in sorted(path.parent.glob("*.py")) if "test_" not in p.name
+        )
+        digest = hashlib.sha256(text).hexdigest()[:12]
+        reach, cost = self._as_it_is(items)
+        self._reached |= set().union(*reach.values())
+        due = [m for m in self._alive if (m[2], path.name, digest) not in self._outlived]
+        if self._fate("", items, cost) != "survived":
+            raise SystemExit(f"{path.name} fails in a fork without a mutant")
+        gc.collect()
+        gc.freeze()
+        began, dead = time.process_time(), set()
+        for name, function, key in due:
+            tests = sorted((i for i in items if function in reach[i]), key=cost.__getitem__)
+            fate = self._fate(name, tests, cost) if tests else "survived"
+            with self._tried.open("a") as log:
+                row = (
+                    {"outlived": [key, path.name, digest]}
+                    if fate == "survived"
+                    else {"key": key, "fate": fate}
+                )
+                print(json.dumps(row), file=log)
+            if fate != "survived":
+                dead.add(key)
+        self._alive = [m for m in self._alive if m[2] not in dead]
+        took = time.process_time() - began + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
+        print(
+            f"{path.name}: {len(dead)} of {len(due)} died, {len(self._alive)} live on "
+            f"({took:.0f} s of processor so far)",
+            flush=True,
+        )
+
+    def _as_it_is(
+        self, items: list[pytest.Item]
+    ) -> tuple[dict[pytest.Item, set[str]], dict[pytest.Item, float]]:
+        from mutmut.mutation import trampoline
+
+        reach, cost = {}, {}
+        trampoline.set_mutant_under_test("stats")
+        for item, following in _in_turn(items):
+            reached: set[str] = set()
+            vars(trampoline)["record_trampoline_hit"] = partial(_note, reached)
+            began = time.process_time()
+            if not _passes(item, following, say=True):
+                raise SystemExit(f"{item.nodeid} fails without a mutant")
+            reach[item], cost[item] = reached, time.process_time() - began
+        trampoline.set_mutant_under_test("")
+        return reach, cost
+
+    def _fate(self, name: str, items: list[pytest.Item], cost: dict[pytest.Item, float]) -> str:
+        from mutmut.mutation.trampoline import set_mutant_under_test
+
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                quiet = os.open(os.devnull, os.O_RDWR)
+                os.dup2(quiet, 1)
+                os.dup2(quiet, 2)
+                signal.signal(signal.SIGPROF, signal.SIG_DFL)
+                resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+                set_mutant_under_test(name)
+                for item, following in _in_turn(items):
+                    signal.setitimer(signal.ITIMER_PROF, 1 + 10 * cost[item])
+                    if not _passes(item, following):
+                        break
+                else:
+                    code = 0
+            finally:
+                os._exit(code)
+        waited, nap = 0.0, 0.002
+        while waited < WAIT_S:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                code = os.waitstatus_to_exitcode(status)
+                return (
+                    "survived" if code == 0 else "timeout" if code == -signal.SIGPROF else "killed"
+                )
+            time.sleep(nap)
+            waited, nap = waited + nap, min(0.02, nap * 1.5)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return "timeout"
+
+
+def _note(reached: set[str], name: str, *, caller: str | None = None) -> None:  # noqa: ARG001
+    reached.add(name)
+
+
+def _in_turn(items: list[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item]]:
+    """Each with one that follows, so that what a test file shares is not taken down."""
+    return zip(items, [*items[1:], *items[:1]], strict=True)
+
+
+def _passes(item: pytest.Item, following: pytest.Item, *, say: bool = False) -> bool:
+    from _pytest.runner import runtestprotocol
+
+    failed = [r for r in runtestprotocol(item, log=False, nextitem=following) if r.failed]
+    if failed and say:
+        print(failed[0].longreprtext)
+    return not failed
+
+
+def main(argv: Iterable[Any]) -> int:
+    """Sift the chosen mutants through the tests."""
+    chosen, tried, *tests = map(str, argv)
+    sieve = Sieve([tuple(row) for row in json.loads(Path(chosen).read_text())], Path(tried))
+    return int(pytest.main([*ARGUMENTS, *tests], plugins=[sieve]))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
