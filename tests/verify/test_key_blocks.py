@@ -28,7 +28,8 @@ Judge = Callable[[Evidence, Tally], Judging]
 def evidence(
     folder: Path = Path(), /, *, schedule: Schedule | None = SCHEDULE, **other: Any
 ) -> Evidence:
-    readers = [("plant", None), ("controller", None)]
+    cut = other.pop("cut", None)
+    readers = [(side, SimpleNamespace(cut=cut)) for side in ("plant", "controller")]
     there = {"wire": 1, "plant": 1, "controller": 1, "manifest": {}, "keys": 1, **other}
     return cast(
         Evidence,
@@ -37,6 +38,7 @@ def evidence(
             rules=SimpleNamespace(schedule=schedule),
             scenario=SimpleNamespace(keys=there.pop("keys")),
             readers=lambda: iter(readers),
+            before=lambda seen: seen.part == "too-old.jsonl",
             **there,
         ),
     )
@@ -158,6 +160,8 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
         told(2, "offer", 70, heard=3),
     ):
         assert found(seen) == Tally(1), seen
+    old = told(2, "offer", 5, heard=2)._replace(part="too-old.jsonl")
+    assert found(old, told(3, "offer", 5, heard=0)) == Tally(1)
     text = "capture.jsonl line 3: copy 2 was taken, and the plant counts 3"
     late = told(3, "measurement", 6, applied_k=5, applied_copy=2)
     assert found(late) == Tally(1, 1, first(5, text, j=1))
@@ -256,6 +260,14 @@ def test_a_block_that_is_not_whole_makes_no_key() -> None:
     poor: list[Item] = block_items(0, 1, counts=0)
     found = judge(key_blocks.blocks, evidence(), Part(poor, [], [], []))
     assert found.first == first(-1, "the plant made 1 keys of block 0, expected 0")
+
+
+def test_a_block_that_began_before_what_is_left_of_a_trace_is_not_judged() -> None:
+    items: list[Item] = [stored(0, 5), stored(1, 5), stored(0, 5, B), *block_items(2, 0)]
+    for at, expected in {None: 4, 0: 3, 3: 3, 4: 2, 11: 2, 12: 1}.items():
+        cut = None if at is None else SimpleNamespace(session=A, j=at)
+        judged = judge(key_blocks.blocks, evidence(cut=cut), Part(items, [], [], []))
+        assert judged.counted == expected, at
 
 
 # --- tags -----------------------------------------------------------------------------------------
