@@ -215,19 +215,18 @@ class ControllerEndpoint:
                 self._telemetry.detail = effects.refusal
             notices.append(Notice(effects.refusal, "warning", "refusals"))
         if effects.delivered is not None:
-            notices.append(self._delivered(effects.delivered))
+            delivered = self._delivered(effects.delivered)
+            events = (*events, delivered)
+            notices.append(Notice(f"message {delivered.identifier} delivered"))
             status, health = self._status(force=True)
             publish += status
         write = Keep(self.sender.record) if effects.save else None
         return Actions(events, write, tuple(publish), tuple(notices), health)
 
-    def _delivered(self, number: int) -> Notice:
+    def _delivered(self, number: int) -> Delivered:
         payload = self.messages.payload(number)
         assert payload is not None
-        identifier = self.messages.identifier(number)
-        return Notice(
-            f"message {identifier} delivered", event=Delivered(number, identifier, payload)
-        )
+        return Delivered(number, self.messages.identifier(number), payload)
 
     # --- sessions and commands --------------------------------------------------------------------
 

@@ -359,15 +359,15 @@ class PlantEndpoint:
         )
         if not frame.intact:
             refused = FrameRefused(record.session, record.p)
-            notice = Notice("a frame failed its check and was refused", "error", event=refused)
-            return Actions((applied,), write, notices=(notice,))
+            notice = Notice("a frame failed its check and was refused", "error")
+            return Actions((applied, refused), write, notices=(notice,))
         if self._news is not None:
             self._news.last_message = readable(frame.payload)
             self._news.message_k = k
         text = f"message recovered at step {k}: {len(frame.payload)} bytes"
-        notice = Notice(text, event=Recovered(frame.payload))
         publish, health = self._status(force=True)
-        return Actions((applied,), write, publish, (notice,), health)
+        events = (applied, Recovered(frame.payload))
+        return Actions(events, write, publish, (Notice(text),), health)
 
     def _missed(self) -> Actions:
         step = self.plant.miss()

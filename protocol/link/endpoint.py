@@ -61,15 +61,11 @@ class Outgoing(NamedTuple):
 
 
 class Notice(NamedTuple):
-    """A line for the log, and what of it the trace must have as well.
-
-    Lines of one ``subject`` are logged once a second at most.
-    """
+    """A line for the log; those of one ``subject`` are logged once a second at most."""
 
     text: str
     level: Literal["info", "warning", "error"] = "info"
     subject: str = ""
-    event: Event | None = None
 
 
 class Actions(NamedTuple):

@@ -62,8 +62,6 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
         for task in actions.keys:
             ports.keep(task)
         for notice in actions.notices:
-            if notice.event is not None:
-                ports.trace(notice.event)
             ports.tell(notice)
         if actions.health:
             ports.health(actions.health)

@@ -17,6 +17,9 @@ from protocol.runtime.parts import Bounds, Parts, number_of, part_path, parts_of
 TRACE_FORMAT: Final = "wyner-trace"
 TRACE_VERSION: Final = 1
 
+REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
+"""Events that report on the transition before them, which completed a frame."""
+
 # Events of the plant's and the controller's trace.
 #   transition   one offer that the plant applied, from either side:
 #                session, j, k, x, candidates, cipher, x_next, role ("test" | "message"),
@@ -36,6 +39,8 @@ TRACE_VERSION: Final = 1
 #   delivered    every symbol of a frame was counted (controller): id, payload (base64)
 #   recovered    a whole frame passed its check (plant): payload (base64)
 #   refused      a frame failed its check (plant): session, p
+#                the last three are reports on the transition before them; one that was written
+#                twice has its report twice
 #   block        a key block was stored (either): session, number, keys
 #   judged       the partner's word on it is on disk (either): session, number, what
 #                ("confirmed" | "unequal")
@@ -139,6 +144,8 @@ class Trace:
 class TraceReader:
     """A trace, read line by line: iterate once over its events, then look at ``torn``.
 
+    A report that a killed writer wrote again, with its transition, is read once.
+
     Parameters
     ----------
     path : Path
@@ -169,7 +176,17 @@ class TraceReader:
             raise TraceError(f"{parts[0]}: line 1: {said}")
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (event for event in self._events if event["event"] not in MARKS)
+        at = reported = None
+        for event in self._events:
+            if event["event"] in MARKS:
+                continue
+            if event["event"] == "transition":
+                at = event.get("session"), event.get("j")
+            elif event["event"] in REPORTS:
+                if at is not None and at == reported:
+                    continue
+                reported = at
+            yield event
 
     def _read(self, parts: Sequence[Path]) -> Iterator[dict[str, Any]]:
         for path in parts:

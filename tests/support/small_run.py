@@ -124,14 +124,14 @@ class SmallRun:
     def step(self, fault: Fault = "none") -> None:
         """One step of the plant."""
         if fault == "controller forgets":
-            _kill(self._trace)
+            kill(self._trace)
             self._trace = self._writer("controller")
             self._tell_queue()
             self.sender = self._new_sender(None)
         if fault == "controller dies":
             before = self.sender.record
             self._measure()
-            _kill(self._trace)
+            kill(self._trace)
             self._trace = self._writer("controller")
             self.sender = self._new_sender(before)
             self._capture_back()
@@ -224,7 +224,7 @@ class SmallRun:
 
     def _new_plant(self, record: ReceiverRecord, reason: str) -> Plant:
         if self._lives > 1:
-            _kill(self._plant_trace)
+            kill(self._plant_trace)
             self._plant_trace = self._writer("plant")
         self._lives += 1
         self._plant_trace.write({"event": "session", "session": record.session, "reason": reason})
@@ -262,7 +262,7 @@ class SmallRun:
         del self._seen[-1]
 
 
-def _kill(writer: TraceWriter) -> None:
+def kill(writer: TraceWriter) -> None:
     """Close without an end mark."""
 
     def gone(_file: int, _data: bytes) -> int:

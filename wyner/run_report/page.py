@@ -112,7 +112,7 @@ class _Recorded:
     def take(self, part: Part) -> None:
         """Take a part of the run."""
         for item in (*part.plant, *part.controller):
-            if isinstance(item, Told):
+            if isinstance(item, Told) and not item.again:
                 self.payloads.setdefault(item.line.event, []).append(item.payload)
         for item in part.plant:
             if isinstance(item, Walked):

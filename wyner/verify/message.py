@@ -67,9 +67,9 @@ class Whole:
 class Framing:
     """A side's symbols put together, and its reports compared with them.
 
-    A report follows the transition that completed its frame, before the next step. It is missing
-    only where the side was killed in between. Of a cut trace nothing is known until a report or
-    another session says where a frame begins.
+    A report follows the transition that completed its frame, before either is in the journal. So
+    where the side was killed in between, both come again; never where the journal was lost. Of a
+    cut trace nothing is known until a report or another session says where a frame begins.
     """
 
     side: str
@@ -79,6 +79,8 @@ class Framing:
     session: str = ""
     due: Whole | None = None
     last: Whole | None = None
+    owed: Whole | None = None  # killed before the report; the transition must come again
+    forgotten: int = 0
     lost: int = 0
     deframer: Deframer = field(init=False)
 
@@ -88,18 +90,18 @@ class Framing:
     def feed(self, item: Item) -> Whole | None:
         """Take an item; a frame when it completed one."""
         if isinstance(item, Walked):
-            self._overdue()
+            self._goes_on(item.t.session)
             return self._push(item.t)
         if isinstance(item, Again):
-            if self.last is not None and item.after.j == self.last.at.j and self.due is None:
-                self.due, self.lost = self.last, self.lost - 1
+            if self.last is not None and item.before is self.last.at and not item.kept:
+                self.due, self.owed = self.last, None
         elif isinstance(item, Missed):
-            self._overdue()
+            self._goes_on(item.session)
         elif isinstance(item, Break):
             if item.ended:
-                self._overdue()
-            self.lost += self.due is not None
-            self.due = None
+                self._overdue(self.due)
+            self.owed, self.due = self.due or self.owed, None
+            self.lost = self.forgotten + (self.owed is not None)
         elif isinstance(item.line, Recovered | Refused) or item.line.event == "delivered":
             self._reported(item)
         return None
@@ -116,16 +118,22 @@ class Framing:
         self.due = self.last = Whole(frame, t)
         return self.due
 
-    def _overdue(self) -> None:
-        if self.due is not None:
-            at, what = self.due.at, REPORTS[self.side]
+    def _goes_on(self, session: str) -> None:
+        """A step after the last transition: what it completed must have been reported."""
+        if self.owed is not None and self.owed.at.session != session:
+            self.forgotten, self.owed = self.forgotten + 1, None
+        self._overdue(self.due or self.owed)
+
+    def _overdue(self, whole: Whole | None) -> None:
+        if whole is not None:
+            at, what = whole.at, REPORTS[self.side]
             text = f"{self.side}'s trace: a whole frame, and nothing {what}"
             self.tally.fail(at.session, at.j, at.k, text)
-            self.due = None
+        self.due = self.owed = None
 
     def _reported(self, item: Told) -> None:
         due, self.due = self.due, None
-        if self.cut:
+        if self.cut or (item.again and self.last is None):
             self.cut = False
             return
         refused = isinstance(item.line, Refused)
@@ -178,7 +186,10 @@ def _same_inbox(e: Evidence, journal: Kept, received: Sequence[bytes], tally: Ta
 
 @dataclass(slots=True)
 class _Queue:
-    """The controller's messages, as its trace tells them."""
+    """The controller's messages, as its trace tells them.
+
+    One that is a life's last word may be in no journal: ``doubtful``, until it is queued again.
+    """
 
     tally: Tally
     told: list[tuple[str, bytes]] = field(default_factory=list)
@@ -186,10 +197,16 @@ class _Queue:
     known: dict[str, bytes] = field(default_factory=dict)
     restarted: bool = True
     delivered: int = 0
+    doubtful: dict[str, int] = field(default_factory=dict)
+    void: set[int] = field(default_factory=set)
+    latest: str = ""
 
     def feed(self, item: Item) -> None:
+        latest, self.latest = self.latest, ""
         if isinstance(item, Break):
             self.restarted = True
+            if latest and not item.ended:
+                self.doubtful[latest] = len(self.told) - 1
         elif isinstance(item, Told) and isinstance(item.line, Queued):
             if item.line.event == "sent":
                 self._sent(item.line.id, item.payload)
@@ -197,7 +214,10 @@ class _Queue:
                 self._delivered(item.line.id, item.payload)
 
     def _sent(self, name: str, payload: bytes) -> None:
-        if name in self.known:
+        self.latest = name
+        if name in self.doubtful:
+            self.void.add(self.doubtful.pop(name))
+        elif name in self.known:
             # a controller that lost its journal is handed its messages again
             if not self.restarted:
                 self.tally.fail("", -1, -1, f"message {name} was queued twice without a restart")
@@ -206,6 +226,16 @@ class _Queue:
         self.restarted = False
         self.known[name] = payload
         self.told.append((name, payload))
+
+    def following(self, place: int) -> set[int]:
+        """Places of the messages that may come after the one at ``place``."""
+        found, doubtful = {b for b in self.begins if b > place}, self.doubtful.values()
+        place += 1
+        while place in self.void or place in doubtful:
+            if place in doubtful:
+                found.add(place)
+            place += 1
+        return found | {place}
 
     def _delivered(self, name: str, payload: bytes) -> None:
         self.delivered += 1
@@ -223,7 +253,7 @@ def messages(e: Evidence, tally: Tally) -> Judging:
         return
     queue = _Queue(tally)
     framing = Framing("plant", e.rules.size, Tally())
-    place, session = -1, ""
+    places, session = {-1}, ""  # of the last that was recovered: messages may be alike
     reached: set[int] = set()
     arrived: set[bytes] = set()
     while (part := (yield)) is not None:
@@ -238,16 +268,16 @@ def messages(e: Evidence, tally: Tally) -> Judging:
                 continue
             at, payload = whole.at, whole.frame.payload
             arrived.add(payload)
-            allowed = {place + 1} | {b for b in queue.begins if b > place}
-            if at.session != session and place >= 0:
-                allowed.add(place)  # received, but the session ended before the controller knew
+            allowed = set().union(*map(queue.following, places))
+            if at.session != session:
+                allowed |= places  # received, but the session ended before the controller knew
             told = queue.told
-            fits = sorted(i for i in allowed if i < len(told) and told[i][1] == payload)
+            fits = {i for i in allowed if 0 <= i < len(told) and told[i][1] == payload}
             text = f"recovered {payload!r}, which is not the next queued message"
             tally.count(bool(fits), at.session, at.j, at.k, text)
             if fits:
-                place = fits[-1] if place in fits else fits[0]
-                reached.add(place)
+                places = fits
+                reached.add(min(fits))
             session = at.session
         for item in late:
             if item.payload not in arrived:
@@ -258,9 +288,10 @@ def messages(e: Evidence, tally: Tally) -> Judging:
         for name, payload in e.controller_journal.messages:
             text = f"message {name} is in the controller's journal, and not in its trace"
             tally.count((name, payload) in told, "", -1, -1, text)
-    if not tally.counted and queue.told:
+    queued = len(queue.told) - len(queue.void)
+    if not tally.counted and queued:
         tally.skipped = "no message has arrived"
-    tally.note = f"{len(reached)} of {len(queue.told)} queued messages arrived"
+    tally.note = f"{len(reached)} of {queued} queued messages arrived"
 
 
 def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
@@ -299,7 +330,7 @@ def one_cipher(e: Evidence, tally: Tally) -> Judging:
         for name, items in part.sides():
             for item in items:
                 if isinstance(item, Again):
-                    before, after = item
+                    before, after = item.before, item.after
                     unlike = [
                         f
                         for f in TracedTransition.__dataclass_fields__

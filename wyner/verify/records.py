@@ -176,17 +176,23 @@ class Walked(NamedTuple):
 
 
 class Told(NamedTuple):
-    """Another line of a trace; ``payload`` is its message, where it has one."""
+    """Another line of a trace.
+
+    ``payload`` is its message, where it has one; ``again`` says that the report had been written
+    before, and so had its transition.
+    """
 
     line: EventLine
     payload: bytes
+    again: bool = False
 
 
 class Again(NamedTuple):
-    """A transition that was written a second time, after a restart."""
+    """A transition that was written a second time, after a restart; or ``kept`` in a journal."""
 
     before: TracedTransition
     after: TracedTransition
+    kept: bool
 
 
 class Break(NamedTuple):

@@ -11,6 +11,7 @@ from pydantic_core import to_json
 from protocol.link.session import Rules
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.parts import number_of, parts_of
+from protocol.runtime.trace import REPORTS
 from wyner.verify.journals import Kept
 from wyner.verify.records import (
     KINDS,
@@ -166,6 +167,7 @@ class SideReader:
         self._broken = True
         self._announce = side == "plant" and not self._seeking
         self._held: Missed | None = None
+        self._reported: TracedTransition | None = None
 
     @property
     def marks(self) -> Segments:
@@ -238,6 +240,10 @@ class SideReader:
                 yield from self._missed(number, line)
                 return
             told = Told(line, payload_of(line))
+            if kind in REPORTS:
+                again = self.last is not None and self._reported is self.last
+                told, self._reported = told._replace(again=again), self.last
+                self.overwritten += again
         except ValidationError as error:
             self.problem(number, f"{kind}: {wrong(error)}")
             return
@@ -305,7 +311,7 @@ class SideReader:
             elif number:
                 self.overwritten += 1
             self._broken = False
-            yield Again(last, t)
+            yield Again(last, t, not number)
             return
         yield from self._flush(t.session, t.k)
         self._broken = False

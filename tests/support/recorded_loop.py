@@ -1,0 +1,234 @@
+"""Both services' ends in one process, with their files on disk: a run's folder to be checked.
+
+Only time and network are make-believe. Journals, traces, statuses and key stores are the services'
+own, opened as the services open them; a capture has all that was on the field bus. So a test can
+kill an end at any of its ports, spoil a file between two lives, and ask ``wyner check``.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from controller_service.service import ControllerConfig, open_controller
+from plant_service.service import PlantConfig, open_plant
+from protocol.link.endpoint import Actions, Endpoint, Outgoing
+from protocol.link.events import Event
+from protocol.link.perform import Killed, Mortal, perform
+from protocol.messages import FIELD, Message, SendCommand
+from protocol.runtime.ports import Files, LoopPorts
+from protocol.runtime.process import Pace
+from protocol.runtime.run_folder import CAPTURE, SCENARIO
+from protocol.runtime.trace import TraceWriter
+from protocol.secret.tasks import Task
+from protocol.secret.worker import work
+from tap_service.capture.recording import mirror_line
+from tests.support.small_run import SCENARIOS, kill, law_of
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
+
+Side = Literal["plant", "controller"]
+
+SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
+QUIET_S: Final = 60.0
+"""Virtual seconds without a transition after which a loop is stuck."""
+
+log = logging.getLogger("recorded loop")
+
+
+@dataclass
+class _Publisher:
+    """Puts what an end says into the other's mail, and on record."""
+
+    loop: "RecordedLoop"
+    side: Side
+    kind: type[Message]
+
+    def put(self, payload: bytes) -> None:
+        self.loop.said(self.side, Outgoing(self.kind, payload))
+
+
+class _Keeper:
+    """Takes tasks and lets them wait, as the keeper's thread does."""
+
+    def __init__(self) -> None:
+        self.tasks: deque[Task] = deque()
+
+    def put(self, task: Task) -> None:
+        self.tasks.append(task)
+
+
+class _Ports(Mortal):
+    """Ports of a process that dies so many things after an event's turn has come."""
+
+    since: type[Event] | None = None
+    after = 0
+
+    def trace(self, event: Event) -> None:
+        """Die, or trace."""
+        if self.since is not None and isinstance(event, self.since):
+            self.since = None
+            self.doom(after=self.after)
+        super().trace(event)
+
+
+@dataclass
+class _End:
+    endpoint: Endpoint
+    files: Files
+    ports: _Ports
+    keeper: _Keeper
+
+
+class RecordedLoop:
+    """One loop of the shipped scenario ``name`` whose run is kept in ``folder``.
+
+    Parameters
+    ----------
+    folder : Path
+        New, or that of a run to go on with.
+    message : bytes
+        The controller's first.
+    name : str
+    """
+
+    def __init__(self, folder: Path, message: bytes = b"", name: str = "sustained") -> None:
+        self.folder = folder
+        self.now = 0.0
+        self.lives = dict.fromkeys(SIDES, 0)
+        self._message = message
+        self._scenario, self._law = law_of(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SCENARIO).write_bytes((SCENARIOS / f"{name}.toml").read_bytes())
+        view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
+        header = {"capture_version": 1, "part": 0, "view": view}
+        self._capture = TraceWriter(folder / CAPTURE, "tap", header)
+        self._mail: dict[Side, deque[Outgoing]] = {side: deque() for side in SIDES}
+        self._ends: dict[Side, _End] = {}
+        for side in SIDES:
+            self.start(side)
+
+    # --- lives ------------------------------------------------------------------------------------
+
+    def start(self, side: Side) -> None:
+        """Begin a life of one end, from what its files hold."""
+        self.lives[side] += 1
+        if side == "plant":
+            plant = PlantConfig(self._scenario, self.folder, "loop", Pace("fast"))
+            endpoint, files = open_plant(plant, self.now)
+        else:
+            made = ControllerConfig(self._scenario, self._law, self.folder, "loop", self._message)
+            endpoint, files = open_controller(made)  # type: ignore[assignment]
+        publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
+        keeper = _Keeper()
+        ports = LoopPorts(files, publishers, log, keeper)  # type: ignore[arg-type]
+        self._ends[side] = _End(endpoint, files, _Ports(ports), keeper)
+        self._do(side, endpoint.start)
+
+    def kill(self, side: Side) -> None:
+        """As SIGKILL: what was written stays, what was on its way to it is lost."""
+        end = self._ends.pop(side)
+        kill(end.files.trace)
+        end.files.journal.close()
+        if end.files.keeper is not None:
+            end.files.keeper.store.close()
+        self._mail[side].clear()
+
+    def stop(self) -> None:
+        """Let both ends say their last word."""
+        for side, end in tuple(self._ends.items()):
+            self._do(side, end.endpoint.stop)
+            end.files.close()
+            if end.files.keeper is not None:
+                end.files.keeper.store.close()
+        self._capture.close()
+
+    def queue(self, identifier: str, payload: bytes) -> None:
+        """The operator hands over a message."""
+        command = SendCommand(id=identifier, payload=payload)
+        self._mail["controller"].append(Outgoing(SendCommand, command.wire()))
+
+    def doom(self, side: Side, after: int, since: type[Event] | None = None) -> None:
+        """Let an end die after so many things asked of its ports, from now or from an event on.
+
+        The event itself is the first of them: 0 is before it is traced, 1 before it is saved.
+        """
+        ports = self._ends[side].ports
+        if since is None:
+            ports.doom(after=after)
+        else:
+            ports.since, ports.after = since, after
+
+    # --- what happens -----------------------------------------------------------------------------
+
+    def said(self, side: Side, message: Outgoing) -> None:
+        """A message on its way: the tap hears it, and the other end if it is for it."""
+        if message.kind in FIELD:
+            line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
+            self._capture.lines.append(line)
+        partner: Side = "controller" if side == "plant" else "plant"
+        end = self._ends.get(partner)
+        if end is not None and message.kind in end.endpoint.hears:
+            self._mail[partner].append(message)
+
+    def _t_ns(self) -> int:
+        return round(self.now * 1e9)
+
+    def _do(self, side: Side, act: Callable[[float], Actions]) -> None:
+        """Let an end act; one that dies over it is started again at once."""
+        end = self._ends[side]
+        try:
+            perform(act(self.now), end.endpoint, end.ports)
+        except Killed:
+            self.kill(side)
+            self.start(side)
+
+    def step(self) -> None:
+        """Deliver a message to each end, or let time pass."""
+        quiet = True
+        for side in SIDES:
+            end = self._ends[side]
+            if end.keeper.tasks and end.files.keeper is not None:
+                done = work(end.files.keeper, end.keeper.tasks.popleft())
+                self._do(side, lambda now, e=end, d=done: e.endpoint.kept(d, now))  # type: ignore[misc]
+                quiet = False
+            elif self._mail[side]:
+                kind, payload = self._mail[side].popleft()
+                self._do(side, lambda now, e=end, m=(kind, payload): e.endpoint.receive(*m, now))  # type: ignore[misc]
+                quiet = False
+        if quiet:
+            due = {side: end.endpoint.wake_at() for side, end in self._ends.items()}
+            side = min(due, key=lambda s: due[s])
+            self.now = max(self.now, due[side])
+            self._do(side, self._ends[side].endpoint.wake)
+
+    def run(self, over: Callable[[], bool]) -> None:
+        """Go on until ``over``; an error where nothing moves any more."""
+        moved, at = -1, self.now
+        while not over():
+            self.step()
+            if (transitions := self.transitions) != moved:
+                moved, at = transitions, self.now
+            assert self.now - at < QUIET_S, "the loop stands still"
+
+    @property
+    def transitions(self) -> int:
+        """Transitions that the plant has made in its session."""
+        return self._ends["plant"].endpoint.plant.receiver.record.transitions  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def received(self) -> list[bytes]:
+        """What the plant's journal has received."""
+        return self._ends["plant"].files.journal.inbox()  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def delivered(self) -> int:
+        """Messages that the controller knows to be delivered."""
+        return self._ends["controller"].endpoint.sender.record.message  # type: ignore[attr-defined,no-any-return]
+
+    def wrong(self) -> list[str]:
+        """What ``wyner check`` says of the run, once it is over."""
+        findings = check(read_evidence(self.folder))
+        return [f"{f.clause.name}: {f.tally.first}" for f in findings if f.result == "FAIL"]
