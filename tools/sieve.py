@@ -196,7 +196,8 @@ def main(argv: Iterable[Any]) -> int:
     """Sift the chosen mutants through the tests."""
     chosen, tried, *tests = map(str, argv)
     sieve = Sieve([tuple(row) for row in json.loads(Path(chosen).read_text())], Path(tried))
-    return int(pytest.main([*ARGUMENTS, *tests], plugins=[sieve]))
+    apart = f"--basetemp={Path(tried).with_name('tmp')}"  # other runs' clean-ups leave it alone
+    return int(pytest.main([*ARGUMENTS, apart, *tests], plugins=[sieve]))
 
 
 if __name__ == "__main__":
