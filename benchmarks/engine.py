@@ -14,11 +14,14 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import Design
 from plant_service.disturbance import disturbance
-from protocol.agreement import NO_SYMBOL, predict
+from plant_service.plant import linear_advance
+from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, Stream
+from protocol.vectors import Vector
 from wyner.simulate.engine import chunks, follow, simulate_runs
+from wyner.simulate.single import closed_loop
 from wyner.studies.grid import ROOT
 
 SEED: Final = 1
@@ -50,19 +53,18 @@ def shipped(name: str) -> Scenario:
 
 def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> list[int]:
     """One run through the functions of the services, step by step."""
-    rule = rules_of(scenario).agreement
     noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
-    size = scenario.secrecy.candidates
-    x = scenario.initial_state
-    symbols = []
-    for k in range(steps):
-        u = law.candidates(x)
-        d = disturbance(scenario.plant.disturbance, k, noise.at(k))
-        centre = predict(*scenario.plant_model, x, u[int(coins.at(k)[0] * size)])
-        x_next = tuple([c + e for c, e in zip(centre, d, strict=True)])
-        symbols.append(rule.verdict(x, u, x_next).symbol)
-        x = x_next
-    return symbols
+    size, advance = scenario.secrecy.candidates, linear_advance(scenario)
+
+    def toss(k: int) -> int:
+        return int(coins.at(k)[0] * size)
+
+    def move(k: int, x: Vector, u: Vector) -> Vector:
+        return advance(k, x, u, disturbance(scenario.plant.disturbance, k, noise.at(k)))
+
+    judge, x = rules_of(scenario).judge, scenario.initial_state
+    loop = closed_loop(law.candidates, judge, toss, move, x, steps)
+    return [t.verdict.symbol for t in loop]
 
 
 def engine_run(scenario: Scenario, law: CandidateLaw, runs: int, steps: int) -> None:

@@ -10,11 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, Verdict, predict
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
+from protocol.vectors import Vector
 from wyner.dashboard.model import Arrival
+from wyner.simulate.single import closed_loop
 
 MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
 PERIOD_S: Final = 0.1
@@ -68,17 +70,30 @@ class Rehearsal:
         pictured: dict[str, object] = {}
         tail: list[tuple[int, tuple[float, ...], str, int, int, int]] = []
         solved_k = -1
-        for k in range(steps):
+
+        def candidates(x: Vector) -> tuple[Vector, ...]:
             quiet = [sum(g * v for g, v in zip(row, x, strict=True)) for row in self.gain]
             first = tuple(max(-6.0, min(6.0, v)) for v in quiet)
-            second = tuple(v + draw.uniform(0.1, 1.4) for v in first)
+            return first, tuple(v + draw.uniform(0.1, 1.4) for v in first)
+
+        def toss(_k: int) -> int:
             coin = draw.randrange(2)
             draw.randrange(2)  # the cover
-            m_p = frame[p] if p < len(frame) else IDLE
+            return coin
+
+        def move(_k: int, x: Vector, u: Vector) -> Vector:
             d = [draw.uniform(-w, w) * 0.83 for w in self.half_widths]
-            centre = predict(self.A, self.B, x, (first, second)[coin])
-            x_next = tuple(c + v for c, v in zip(centre, d, strict=True))
-            verdict = rule.verdict(x, (first, second), x_next)
+            centre = predict(self.A, self.B, x, u)
+            return tuple(c + v for c, v in zip(centre, d, strict=True))
+
+        def judge(
+            x: Vector, offered: tuple[Vector, ...], _centres: object, x_next: Vector
+        ) -> Verdict:
+            return rule.verdict(x, offered, x_next)
+
+        for step in closed_loop(candidates, judge, toss, move, x, steps):
+            k, x, offered, coin, x_next, verdict = step
+            m_p = frame[p] if p < len(frame) else IDLE
             tested = scheme.tests(state)
             state, (symbol, pad) = scheme.advance(state, verdict.symbol)
             role = "test" if pad == NO_SYMBOL else "message"
@@ -88,7 +103,7 @@ class Rehearsal:
                 pictured = {
                     "pictured_k": k,
                     "pictured_x": x,
-                    "pictured_candidates": (first, second),
+                    "pictured_candidates": offered,
                     "pictured_x_next": x_next,
                     "pictured_gauges": verdict.gauges,
                     "pictured_symbol": verdict.symbol,

@@ -1,19 +1,20 @@
-"""The closed loop of any plant, one run after the other, with what the engine keeps of a run.
+"""The scalar closed loop, and the runs of any plant in it, with what the engine keeps of a run.
 
 For plants that the engine cannot step: a function, an object, an FMU, an environment. The numbers
 drawn are those of the engine and of the services with a seed, so that a linear plant gives the same
 run here, there and on the network.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
-from protocol.agreement import INSIDE, NO_SYMBOL
+from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
 from protocol.link.model import load_model
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -28,6 +29,55 @@ class Law(Protocol):
 
     def candidates(self, x: Vector, /) -> tuple[Vector, ...]:
         """The M candidate inputs at ``x``."""
+
+
+class Moved(NamedTuple):
+    """A step of the loop: where the plant was, what it could choose from, and what came of it."""
+
+    k: int
+    x: Vector
+    candidates: tuple[Vector, ...]
+    coin: int
+    x_next: Vector
+    verdict: Verdict
+
+
+Judge = Callable[[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector], Verdict]
+
+
+def closed_loop(
+    candidates: Callable[[Vector], tuple[Vector, ...]],
+    judge: Judge,
+    coin: Callable[[int], int],
+    move: Callable[[int, Vector, Vector], Vector],
+    x: Vector,
+    steps: int,
+    predict: Callable[[Vector, Vector], Vector] | None = None,
+) -> Iterator[Moved]:
+    """The loop itself: propose, choose, move, judge; whatever draws numbers is handed in.
+
+    Parameters
+    ----------
+    candidates : callable
+        x to the M inputs.
+    judge : callable
+        (x, candidates, centres, x_next) to the verdict: :attr:`protocol.link.session.Rules.judge`.
+    coin : callable
+        k to b_r, the index of the input to apply.
+    move : callable
+        (k, x, u) to x_next.
+    x : tuple of float, shape (n,)
+    steps : int
+    predict : callable, optional
+        A nonlinear f_c: (x, u) to where it predicts the next state.
+    """
+    for k in range(steps):
+        offered = candidates(x)
+        centres = () if predict is None else tuple([predict(x, u) for u in offered])
+        b = coin(k)
+        x_next = move(k, x, offered[b])
+        yield Moved(k, x, offered, b, x_next, judge(x, offered, centres, x_next))
+        x = x_next
 
 
 def simulate_plant(
@@ -76,28 +126,29 @@ def simulate_plant(
     for place, run in enumerate(runs):
         coins = SeededSymbols(seed, COIN, run=run)
         noise = Stream(seed, DISTURBANCE, width=width, run=run)
-        plant = open_plant()
+        plant, k = open_plant(), -1
+
+        def move(
+            k: int, _x: Vector, u: Vector, plant: Operated = plant, noise: Stream = noise
+        ) -> Vector:
+            d = None if width == 0 else disturbance(spec, k, noise.at(k))
+            plant.apply(u, d if spec.enters == "input" else None)
+            return plant.sample(d if in_state else None)
+
         try:
             x = plant.start(seed + run)
             xs[0, :, place] = x
-            for k in range(steps):
-                try:
-                    candidates = law.candidates(x)
-                    centres = () if predict is None else tuple([predict(x, u) for u in candidates])
-                    b = coins.symbol(k, M)
-                    d = None if width == 0 else disturbance(spec, k, noise.at(k))
-                    plant.apply(candidates[b], d if spec.enters == "input" else None)
-                    x_next = plant.sample(d if in_state else None)
-                except (LookupError, PlantError) as error:
-                    raise SimulationError(f"run {run}, step {k}: {error}") from None
-                verdict = judge(x, candidates, centres, x_next)
-                inside = [i for i, g in enumerate(verdict.gauges) if g <= INSIDE]
-                coin[k, place] = b
+            toss = partial(coins.symbol, size=M)
+            for t in closed_loop(law.candidates, judge, toss, move, x, steps, predict):
+                k, gauges = t.k, t.verdict.gauges
+                inside = [i for i, g in enumerate(gauges) if g <= INSIDE]
+                coin[k, place] = t.coin
                 symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
-                xs[k + 1, :, place] = x_next
-                us[k, :, :, place] = candidates
-                gs[k, :, place] = verdict.gauges
-                x = x_next
+                xs[k + 1, :, place] = t.x_next
+                us[k, :, :, place] = t.candidates
+                gs[k, :, place] = gauges
+        except (LookupError, PlantError) as error:
+            raise SimulationError(f"run {run}, step {k + 1}: {error}") from None
         finally:
             plant.close()
     applied = np.take_along_axis(us, coin[:, None, None, :].astype(np.intp), axis=1)[:, 0]

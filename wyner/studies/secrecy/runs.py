@@ -13,14 +13,16 @@ from typing import Final
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
+from protocol.agreement import NO_SYMBOL, predict
+from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.base import encrypt
 from protocol.schemes.framing import IDLE, encode_frame, frame_length
-from protocol.schemes.registry import make_scheme
 from protocol.shipped import SCENARIOS
+from protocol.vectors import Vector
 from wyner.scoring.score import Truth
+from wyner.simulate.single import closed_loop
 
 SENTENCES: Final = (
     "We sail at dawn.",
@@ -132,26 +134,36 @@ def simulate(
     for payload in payloads:
         end += frame_length(len(payload), size)
         ends.append(end)
-    H, h = scenario.defender.disturbance.rows()
-    rule = AgreementRule(scenario.A, scenario.B, Gauge.from_rows(H, h), alpha)
     widths = scenario.plant.disturbance.half_widths
     session = f"{rng.getrandbits(64):016x}"
-    x = scenario.initial_state
-    scheme = make_scheme(scenario.secrecy.scheme, size)
+    rules = rules_of(scenario)
+    scheme, judge = rules.scheme, rules.judge
     state = scheme.initial
-    applied = -1
-    after: tuple[float, ...] = ()
     messages: list[Measurement | Offer] = []
     keys: dict[tuple[str, int], int] = {}
     symbols: dict[tuple[str, int], int] = {}
     whole: list[tuple[int, bytes]] = []
     sent = bytearray()
-    for k in range(steps):
-        messages.append(
-            Measurement.model_construct(session=session, k=k, x=x, applied_k=applied, x_after=after)
+    cover = 0
+
+    def toss(_k: int) -> int:
+        nonlocal cover
+        if scheme.pad(state) == NO_SYMBOL:
+            cover = rng.randrange(size)
+        return rng.randrange(size)
+
+    def move(_k: int, x: Vector, u: Vector) -> Vector:
+        centre = predict(scenario.A, scenario.B, x, u)
+        return tuple(c + rng.uniform(-w, w) for c, w in zip(centre, widths, strict=True))
+
+    def measured(k: int, x: Vector, after: Vector) -> Measurement:
+        return Measurement.model_construct(
+            session=session, k=k, x=x, applied_k=k - 1, x_after=after
         )
-        candidates = law.candidates(x)
-        pad = scheme.pad(state)
+
+    for t in closed_loop(law.candidates, judge, toss, move, scenario.initial_state, steps):
+        messages.append(measured(t.k, t.x, t.x if t.k else ()))
+        pad, cipher = scheme.pad(state), cover
         if pad != NO_SYMBOL:
             p = len(sent)
             symbol = stream[p] if p < len(stream) else IDLE
@@ -159,24 +171,15 @@ def simulate(
             if corrupt == p:
                 cipher = (cipher + 1) % size
             sent.append(symbol)
-            symbols[session, k] = symbol
+            symbols[session, t.k] = symbol
             if not raw and corrupt is None and len(sent) in ends:
-                whole.append((k, payloads[ends.index(len(sent))]))
-        else:
-            cipher = rng.randrange(size)
+                whole.append((t.k, payloads[ends.index(len(sent))]))
         messages.append(
-            Offer.model_construct(session=session, k=k, candidates=candidates, cipher=cipher)
+            Offer.model_construct(session=session, k=t.k, candidates=t.candidates, cipher=cipher)
         )
-        coin = rng.randrange(size)
-        centre = predict(scenario.A, scenario.B, x, candidates[coin])
-        x_next = tuple(c + rng.uniform(-w, w) for c, w in zip(centre, widths, strict=True))
-        verdict = rule.verdict(x, candidates, x_next)
-        state, carry = scheme.advance(state, verdict.symbol)
+        state, carry = scheme.advance(state, t.verdict.symbol)
         if carry.agreed != NO_SYMBOL:
-            keys[session, k] = carry.agreed
-        applied, after, x = k, x_next, x_next
-    messages.append(
-        Measurement.model_construct(session=session, k=steps, x=x, applied_k=applied, x_after=after)
-    )
+            keys[session, t.k] = carry.agreed
+    messages.append(measured(steps, t.x_next, t.x_next))
     truth = Truth(size, keys, symbols, tuple(whole), steps)
     return Run(scenario, tuple(messages), truth, bytes(sent), tuple(payloads))
