@@ -100,7 +100,7 @@ def difference(first: Sequence[float], second: Sequence[float]) -> Difference:
     return Difference(means[1] - means[0], math.sqrt(sum(variances)))
 
 
-class _Ports:
+class Ports:
     """An end's ports; notes when a field message leaves, and what all of them say."""
 
     def __init__(self, files: "Files") -> None:
@@ -167,9 +167,9 @@ class _End:
         self._again = iter(life.drawn) if again else None
         self._perform = perform
         with self._drawing():
-            self.endpoint, files, end = _open(side, scenario, folder, life.began)
+            self.endpoint, files, end = open_end(side, scenario, folder, life.began)
             self.end: Sender | Receiver = end
-            self.ports = _Ports(files)
+            self.ports = Ports(files)
             perform(self.endpoint.start(life.began), self.endpoint, self.ports)
 
     @contextmanager
@@ -223,7 +223,7 @@ class _End:
             self.ports.files.keeper.store.close()
 
 
-def _open(
+def open_end(
     side: str, name: str, folder: Path, now: float
 ) -> "tuple[Endpoint, Files, Sender] | tuple[Endpoint, Files, Receiver]":
     """An end of the scenario's link as the services open it."""
