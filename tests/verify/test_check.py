@@ -515,9 +515,30 @@ def test_no_run_is_one_line_and_2(
     assert len(err.splitlines()) == 1
 
 
-def test_a_trace_that_is_none_is_one_line_and_2(
-    copied: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("beginning", "said"),
+    [
+        (b"nothing of the kind\n", "line 1: not a JSON object"),
+        (b'{"event":"missed"}\n', "line 1: expected a header"),
+        (b'{"event":"continued"}\n', "line 1: expected a header"),
+        (b'{"event":"header","format":"wyner-trace","version":2}\n', "line 1: version"),
+        (b"[" * 100_000 + b"\n", "line 1: not a JSON object"),
+    ],
+)
+def test_a_trace_without_its_header_fails_and_the_line_is_named(
+    copied: Path, capsys: pytest.CaptureFixture[str], beginning: bytes, said: str
 ) -> None:
-    (copied / PLANT_TRACE).write_text("nothing of the kind\n")
-    assert main(["check", str(copied)]) == 2
-    assert "expected a header" in capsys.readouterr().err
+    (copied / PLANT_TRACE).write_bytes(beginning)
+    assert main(["check", str(copied)]) == 1
+    out, err = capsys.readouterr()
+    assert said in out
+    assert "PASS" in out
+    assert err == ""
+
+
+def test_a_service_that_was_killed_before_its_first_line_is_honest(copied: Path) -> None:
+    for trace in (PLANT_TRACE, CONTROLLER_TRACE):
+        (copied / trace).write_bytes(b"")
+    findings = {f.clause.name: f for f in check(read_evidence(copied))}
+    assert findings["whole"].result != "FAIL" or "journal" in str(findings["whole"].tally.first)
+    assert "header" not in str([f.tally.first for f in findings.values()])

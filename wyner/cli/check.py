@@ -70,7 +70,6 @@ def findings_of(folder: Path) -> "list[Finding]":
     UsageError
         When there is no run that can be read.
     """
-    from protocol.runtime.trace import TraceError
     from protocol.scenario import ScenarioError
     from wyner.verify import check
     from wyner.verify.evidence import read_evidence
@@ -79,7 +78,7 @@ def findings_of(folder: Path) -> "list[Finding]":
         return list(check(read_evidence(folder)))
     except ScenarioError as error:
         raise UsageError(error.problems) from None
-    except (TraceError, OSError) as error:
+    except OSError as error:
         raise UsageError(str(error)) from None
 
 

@@ -130,6 +130,7 @@ def conduct(
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
     from wyner.scoring.summary import summarise, verdict_lines
+    from wyner.verify.seal import seal
 
     for option, least in (("steps", 1), ("seed", 0)):
         value = getattr(args, option)
@@ -199,6 +200,7 @@ def conduct(
     write_atomically(
         run_dir / SUMMARY, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n"
     )
+    seal(run_dir)
     return Outcome(scenario, summary, failure, ending is Ending.INTERRUPTED)
 
 

@@ -23,6 +23,7 @@ from wyner.verify import check
 from wyner.verify.clause import Finding
 from wyner.verify.evidence import Evidence, Part, read_evidence
 from wyner.verify.records import Missed, Told, TracedTransition, Walked
+from wyner.verify.seal import FILES, ITSELF
 
 PAGE: Final = Path("report.html")
 
@@ -267,7 +268,8 @@ def _about(e: Evidence) -> Iterator[str]:
         manifest = json.loads((e.run_dir / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         manifest = {}
-    body = [(str(k), json.dumps(v, ensure_ascii=False)) for k, v in manifest.items()]
+    told = {name: value for name, value in manifest.items() if name not in (FILES, ITSELF)}
+    body = [(str(k), json.dumps(v, ensure_ascii=False)) for k, v in told.items()]
     body.append(("fingerprint", e.rules.fingerprint))
     yield _table(("field", "value"), body)
 

@@ -33,8 +33,8 @@ CLAUSES: Final[tuple[Clause, ...]] = (
     Clause(
         "whole",
         "rule 6",
-        "every recording is as its writer left it, as far on as its journal",
-        "recordings",
+        "every file is as its writer left it, every trace as far on as its journal",
+        "files",
         files.whole,
     ),
     Clause(

@@ -10,20 +10,14 @@ from pydantic_core import from_json, to_json
 
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.parts import number_of, parts_of
-from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
 from tap_service.capture.recording import CAPTURE_VERSION
 from wyner.verify.records import Problem
-from wyner.verify.sides import Segments
+from wyner.verify.sides import HEADS, Segments
 
 SHOWN: Final = 60
 """Bytes of garbage that are shown."""
 
-HEADS: Final = {
-    "format": TRACE_FORMAT,
-    "version": TRACE_VERSION,
-    "vantage": "tap",
-    "capture_version": CAPTURE_VERSION,
-}
+CAPTURE_HEADS: Final = {**HEADS, "vantage": "tap", "capture_version": CAPTURE_VERSION}
 
 _LINE: Final = re.compile(
     rb'\{"event":"field","t_ns":(?P<t>\d+),"topic":"(?P<topic>[a-z]+)","message":(?P<message>.*)\}'
@@ -104,8 +98,6 @@ class CaptureLines:
                 seen = self._line(part, marks, number, raw)
                 if seen is not None:
                     yield seen
-            if not marks.lives and marks.newline:
-                marks.problem(1, f"expected a header of format {TRACE_FORMAT!r}")
             marks.finish()
 
     def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> Seen | None:
@@ -127,7 +119,7 @@ class CaptureLines:
             if kind in (HEADER, CONTINUED, END):
                 self.last = value.get("last") is True
                 if kind == HEADER:
-                    expected = {**HEADS, "part": number_of(part)}
+                    expected = {**CAPTURE_HEADS, "part": number_of(part)}
                     for name in [n for n, v in expected.items() if value.get(n) != v]:
                         marks.problem(number, f"{name}: got {value.get(name)!r}")
                 marks.mark(number, raw, value)

@@ -20,7 +20,6 @@ from protocol.runtime.run_folder import (
     PLANT_TRACE,
     SCENARIO,
 )
-from protocol.runtime.trace import TraceReader
 from protocol.scenario import Scenario, load_scenario
 from wyner.verify.capture import CaptureLines, Seen
 from wyner.verify.journals import Kept, read_controller, read_plant
@@ -227,7 +226,7 @@ def read_evidence(run_dir: Path) -> Evidence:
     ------
     FileNotFoundError
         When there is no run: no scenario, or neither end's trace.
-    protocol.scenario.ScenarioError, protocol.runtime.trace.TraceError, OSError
+    protocol.scenario.ScenarioError, OSError
         When one of them cannot be read.
     """
     if not (run_dir / SCENARIO).is_file():
@@ -238,7 +237,6 @@ def read_evidence(run_dir: Path) -> Evidence:
     readers: dict[str, SideReader] = {}
     for side, path in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE)):
         if parts_of(run_dir / path):
-            TraceReader(run_dir / path)  # whether it is a trace at all
             kept = journals[side]
             journal = kept if isinstance(kept, Kept) else None
             readers[side] = SideReader(side, run_dir / path, rules, journal)

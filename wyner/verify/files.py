@@ -12,6 +12,7 @@ from wyner.verify.clause import Judging, Tally
 from wyner.verify.evidence import Evidence
 from wyner.verify.journals import Kept
 from wyner.verify.records import Walked
+from wyner.verify.seal import broken
 from wyner.verify.sides import Segments, SideReader
 
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
@@ -69,6 +70,8 @@ def scenario(e: Evidence, tally: Tally) -> Judging:
         tally.fail("", -1, -1, "manifest.json: it does not say of which scenario it is")
     compare("manifest.json", e.manifest)
     for name, reader in e.readers():
+        if not reader.header:
+            continue  # killed before it, or it is gone: another clause says
         compare(f"{name}'s trace", reader.header)
         if not reader.header.keys() >= set(IDENTITY):
             tally.fail("", -1, -1, f"{name}'s trace: line 1 does not say of which scenario it is")
@@ -83,7 +86,7 @@ def scenario(e: Evidence, tally: Tally) -> Judging:
 
 
 def whole(e: Evidence, tally: Tally) -> Judging:
-    """Every recording holds what its writer counted, and goes as far as its journal."""
+    """Every recording holds what its writer counted, and goes as far as its journal; the seal."""
     while (yield) is not None:
         pass
     killed = 0
@@ -97,6 +100,8 @@ def whole(e: Evidence, tally: Tally) -> Judging:
             tally.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
     if e.wire is not None:
         _as_the_tap_says(e, e.wire, tally)
+    for name, wrong in broken(e.run_dir, e.manifest):
+        tally.count(not wrong, "", -1, -1, f"{name}: {wrong}")
     tally.note = f"{killed} lives without an end mark: killed, or still running"
 
 

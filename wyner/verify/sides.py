@@ -11,7 +11,7 @@ from pydantic_core import to_json
 from protocol.link.session import Rules
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.parts import number_of, parts_of
-from protocol.runtime.trace import REPORTS
+from protocol.runtime.trace import REPORTS, TRACE_FORMAT, TRACE_VERSION
 from wyner.verify.journals import Kept
 from wyner.verify.records import (
     KINDS,
@@ -28,6 +28,8 @@ from wyner.verify.records import (
     payload_of,
     wrong,
 )
+
+HEADS: Final = {"format": TRACE_FORMAT, "version": TRACE_VERSION}
 
 _TRANSITION: Final = b'{"event":"transition",'
 
@@ -60,6 +62,7 @@ class Segments:
         if self.ended:
             self.problem(number, "a line after the end mark")
             self.ended = False
+        self._headless(number)
         if self._malformed:
             self.problem(self._malformed, "not a JSON object")
             self._malformed = 0
@@ -91,8 +94,10 @@ class Segments:
                 self.problem(number, "the lines before the end mark are not those it was made of")
             self.ended, self.next = True, value.get("next")
             return
-        if (kind == HEADER) != (self.lives == 0):
-            self.problem(number, f"{kind}: not expected here")
+        if kind != HEADER:
+            self._headless(number)
+        elif self.lives:
+            self.problem(number, "a second header")
         if self.lives:
             self._close()
         self.lives += 1
@@ -103,6 +108,11 @@ class Segments:
     def _close(self) -> None:
         self.torn += bool(self._malformed)
         self.unended += not self.ended
+
+    def _headless(self, number: int) -> None:
+        if not self.lives:
+            self.problem(number, f"expected a header of format {TRACE_FORMAT!r}")
+            self.lives = 1
 
     def finish(self) -> None:
         """The file is over; ``newline`` says whether its last line was finished."""
@@ -261,7 +271,7 @@ class SideReader:
         """A part's header: of this recording, and with this part's numbers."""
         part, oldest = number_of(self._part), header.get("oldest", 0)
         first = self.header or header
-        expected = {**first, "part": part, "oldest": oldest}
+        expected = {**first, "part": part, "oldest": oldest, **HEADS}
         for name in expected.keys() | header.keys():
             if header.get(name, 0) != expected.get(name, 0):
                 self.problem(number, f"{name}: not as expected of part {part}")

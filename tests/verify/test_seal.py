@@ -1,0 +1,154 @@
+"""Nothing in a run's folder changes after the run without the check naming the file."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.check import make_run
+from protocol.runtime.run_folder import (
+    BELIEFS,
+    CONTROLLER_JOURNAL,
+    CONTROLLER_KEYS,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_JOURNAL,
+    PLANT_STATUS,
+    SCENARIO,
+    SUMMARY,
+    TAP_STATUS,
+    write_atomically,
+)
+from protocol.scenario import load_scenario
+from tests.verify.mutants import ALTERATIONS
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
+from wyner.verify.seal import broken, seal
+
+OTHERS: dict[Path, dict[str, Any]] = {
+    CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
+    PLANT_STATUS: {"k": 60, "x": [0.5, 1e-3], "last_message": "", "tail_symbol": [-1, 1]},
+    TAP_STATUS: {"t_ns": 0, "first_part": 0, "captured": 120, "dropped": 0},
+    BELIEFS: {"smoother": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
+    SUMMARY: {"delivered": True, "bits_per_second": 1.5, "taps": {"oracle": {"solved_k": 7}}},
+    KNOWLEDGE: {"A": [[1.0, 0.0], [0.0, 1.0]], "alpha": None, "noise": 0.0},
+}
+
+
+def put(run: Path, name: Path, content: Any) -> None:
+    write_atomically(run / name, json.dumps(content).encode())
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "sealed"
+    make_run(run, 60)
+    for name, content in OTHERS.items():
+        put(run, name, content)
+    for name, text in ((MESSAGE, b"hi"), (Path("plant/log"), b"all is well\n")):
+        write_atomically(run / name, text)
+    identity = load_scenario(run / SCENARIO).identity()
+    put(run, MANIFEST, {"wyner": "0", "seed": None, "command": ["up"], **identity})
+    write_atomically(run / CONTROLLER_KEYS, b"keys")
+    seal(run)
+    return run
+
+
+@pytest.fixture
+def run(sealed: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sealed, tmp_path / "run"))
+
+
+def wrong(run: Path) -> dict[str, str]:
+    manifest = json.loads((run / MANIFEST).read_bytes()) if (run / MANIFEST).exists() else None
+    return {name: text for name, text in broken(run, manifest) if text}
+
+
+def failed(run: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(run)) if f.result == "FAIL"}
+
+
+def fields(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Every place in a JSON value: what holds it, and its name or number there."""
+    places = value.items() if isinstance(value, dict) else enumerate(value)
+    for name, inner in list(places):
+        yield value, name
+        if isinstance(inner, dict | list):
+            yield from fields(inner)
+
+
+def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(run: Path) -> None:
+    assert failed(run) == set()
+    (run / CONTROLLER_KEYS).write_bytes(b"fewer")
+    (run / "plant" / "steps.csv").write_text("made later")
+    assert wrong(run) == {}
+    assert failed(run) == set()
+
+
+@pytest.mark.parametrize("name", [*OTHERS, MANIFEST])
+def test_every_field_of_every_small_file(run: Path, name: Path) -> None:
+    before = (run / name).read_bytes()
+    count = sum(1 for _ in fields(json.loads(before)))
+    tried = 0
+    for number in range(count):
+        for alter in (*ALTERATIONS.values(), None):
+            content = json.loads(before)
+            holder, place = list(fields(content))[number]
+            if alter is None:
+                del holder[place]
+            elif alter(holder[place]) == holder[place]:
+                continue
+            else:
+                holder[place] = alter(holder[place])
+            put(run, name, content)
+            assert wrong(run), (name, place, alter)
+            tried += 1
+    assert tried > 2 * count
+    (run / name).write_bytes(before)
+    assert wrong(run) == {}
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 1)
+
+
+def flip(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+
+@pytest.mark.parametrize("how", [cut, flip, Path.unlink])
+@pytest.mark.parametrize(
+    "name", [CONTROLLER_JOURNAL, PLANT_JOURNAL, MESSAGE, Path("plant/log"), CONTROLLER_TRACE]
+)
+def test_every_other_file(run: Path, name: Path, how: Callable[[Path], None]) -> None:
+    how(run / name)
+    assert str(name) in wrong(run)
+
+
+def test_the_check_names_the_file(run: Path) -> None:
+    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
+    found = {f.clause.name: f for f in check(read_evidence(run)) if f.result == "FAIL"}
+    assert set(found) == {"whole"}
+    first = found["whole"].tally.first
+    assert first is not None
+    assert first.text == "plant/status.json: it is not as the run left it"
+
+
+def test_a_seal_that_is_gone_is_missed(run: Path) -> None:
+    manifest = json.loads((run / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    put(run, MANIFEST, manifest)
+    assert wrong(run) == {"manifest.json": "the run was summed up, and its seal is gone"}
+    (run / MANIFEST).unlink()
+    assert "whole" in failed(run)
+    (run / SUMMARY).unlink()  # killed as a whole
+    assert wrong(run) == {}
