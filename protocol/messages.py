@@ -7,7 +7,7 @@ guesses.
 Models are flat (no nested model), so that a recorder's schema of each needs no reference.
 """
 
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -240,10 +240,10 @@ class PlantStatus(Message):
     automaton: Count
     recovered_symbols: Count
     messages: Count
-    last_message: str
+    last_message: str = ""
     message_k: Annotated[int, Field(ge=-1)] = -1
     latency_counts: tuple[Count, ...] = ()
-    partial: str
+    partial: str = ""
     frame_symbols: Count
     frame_length: Count
     frames_refused: Count
@@ -296,12 +296,26 @@ class ControllerStatus(Message):
     garbage: Count
     automaton: Count
     sent_symbols: Count
-    sending: str
+    sending: str = ""
     frame_symbols: Count
     frame_length: Count
     queue: Count
     delivered: Count
     unexplained: Count = 0
+
+
+SECRET_FIELDS: Final = frozenset({"last_message", "partial", "sending"})
+SECRET_PREFIXES: Final = ("tail_", "pictured_")
+"""What a status says on ops and no file keeps: texts, and the last keys and coins."""
+
+
+def without_secrets(status: dict[str, Any]) -> dict[str, Any]:
+    """A status as a file may keep it."""
+    return {
+        name: value
+        for name, value in status.items()
+        if name not in SECRET_FIELDS and not name.startswith(SECRET_PREFIXES)
+    }
 
 
 # --- intel: the tap and whoever watches it -------------------------------------------------------

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -15,12 +15,19 @@ from protocol.runtime.process import Pace, UsageError
 from protocol.runtime.run_folder import PRIVATE_FOLDER, make_folder, open_private
 from protocol.schemes.framing import MAX_PAYLOAD
 
+STDIN: Final = "-"
+"""In place of a text or a file: no other process can read it, as all can a command line."""
+
 
 def add_message_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--message`` and ``--message-file``."""
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--message", metavar="TEXT", help="the message to deliver")
-    group.add_argument("--message-file", metavar="F", help="a file that holds the message")
+    group.add_argument(
+        "--message", metavar="TEXT", help="the message to deliver; - reads standard input"
+    )
+    group.add_argument(
+        "--message-file", metavar="F", help="a file that holds the message; - as above"
+    )
 
 
 def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +73,7 @@ def checked(kind: type[M], **values: object) -> M:
 
 
 def message_of(text: str | None, file: str | None) -> bytes | None:
-    """The message given as text or as a file, if any.
+    """The message given as text or as a file, if any; `STDIN` for either is standard input.
 
     Raises
     ------
@@ -75,14 +82,17 @@ def message_of(text: str | None, file: str | None) -> bytes | None:
     """
     if text is None and file is None:
         return None
-    if file is not None:
-        try:
-            payload = Path(file).read_bytes()
-        except OSError as error:
-            raise UsageError(f"{file}: cannot be read: {error.strerror}") from None
-    else:
-        assert text is not None
+    if text is not None and text != STDIN:
         payload = text.encode("utf-8", errors="surrogateescape")
+    else:
+        path = "/dev/stdin" if file in (None, STDIN) else file
+        try:
+            with Path(str(path)).open("rb") as source:
+                payload = source.read(MAX_PAYLOAD + 1)
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+        if len(payload) > MAX_PAYLOAD:
+            raise UsageError(f"message: got more than {MAX_PAYLOAD} bytes, expected 1 to so many")
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
     return payload

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from pydantic_core import from_json
+from pydantic_core import from_json, to_json
 
 from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
-from protocol.messages import Message
+from protocol.messages import Message, without_secrets
 from protocol.runtime.bus import Publisher
 from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
@@ -94,9 +94,12 @@ class LoopPorts:
         return self.limited[subject]
 
     def health(self, status: bytes) -> None:
-        """Replace the status file and the line beside it that says whether this end keeps up."""
-        write_atomically(self.files.health, status)
+        """Replace the status file, and the line beside it that says whether this end keeps up.
+
+        The file holds no text, key or coin: whoever may read it need not be on ops.
+        """
         told = from_json(status)
+        write_atomically(self.files.health, to_json(without_secrets(told)))
         beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
         folder = self.files.health.parent
         write_atomically(folder / HEALTH, f"{beat.line}\n".encode())

@@ -36,7 +36,7 @@ def hide_message() -> None:
         return
     reading, writing = os.pipe()
     arguments, text = without_message(sys.orig_argv[1:], f"/dev/fd/{reading}")
-    payload = b"" if text is None else os.fsencode(text)
+    payload = b"" if text in (None, "-") else os.fsencode(text)
     os.set_blocking(writing, False)
     try:
         fits = bool(payload) and os.write(writing, payload) == len(payload)

@@ -20,14 +20,15 @@ def under_way(system: Composition, text: str) -> None:
     system.send(text)
     begun = wait_for(
         lambda: (
-            (s := system.status("controller", "controller"))["sending"] == text
-            and s["frame_symbols"] >= SYMBOLS_BEFORE
+            SYMBOLS_BEFORE
+            <= (s := system.status("controller", "controller"))["frame_symbols"]
+            < s["frame_length"]
             and s
         ),
         30,
         f"{text!r} under way",
     )
-    assert begun["frame_symbols"] < begun["frame_length"]
+    assert begun["queue"] == 0
 
 
 @pytest.mark.parametrize("service", SERVICES)

@@ -1,15 +1,28 @@
 """What nobody may see is nowhere that anybody looks: process lists, manifests, logs, the tap."""
 
 import base64
+import json
 import os
+import re
+import sqlite3
 import subprocess
 import sys
+import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from protocol.runtime.options import message_of
 from protocol.runtime.private_arguments import without_message
-from protocol.runtime.run_folder import CONTROLLER_TRACE, MANIFEST, PLANT_TRACE
+from protocol.runtime.process import UsageError
+from protocol.runtime.run_folder import (
+    CONTROLLER_JOURNAL,
+    CONTROLLER_KEYS,
+    CONTROLLER_TRACE,
+    MANIFEST,
+    PLANT_TRACE,
+)
 from protocol.runtime.trace import read_trace
 
 SECRET = "q9"
@@ -40,6 +53,146 @@ def test_a_message_is_taken_off_the_arguments(
     arguments: list[str], kept: list[str], text: str | None
 ) -> None:
     assert without_message(arguments, "F") == (kept, text)
+
+
+def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
+    program = (
+        "import sys; from protocol.runtime.options import message_of;"
+        "sys.stdout.buffer.write(message_of(*[a or None for a in sys.argv[1:]]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], input=given, capture_output=True, check=False
+    )
+    return None if done.returncode else done.stdout
+
+
+@pytest.mark.parametrize("arguments", [["-", ""], ["", "-"]])
+def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None:
+    assert read_from_stdin(arguments, b"h\xffi\n") == b"h\xffi\n"
+    assert read_from_stdin(arguments, b"") is None
+    assert read_from_stdin(arguments, bytes(65_536)) is None
+    assert without_message(["up", "--message", "-"], "F")[1] == "-"
+
+
+def test_a_message_file_without_an_end_is_refused_at_once() -> None:
+    with pytest.raises(UsageError, match="more than 65535 bytes"):
+        message_of(None, "/dev/zero")
+
+
+class Seen:
+    """What anybody on the machine could look at while a run goes on."""
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self.pieces: dict[str, bytes] = {}
+        self.secret = b""
+
+    def look(self) -> None:
+        """Command lines and environments of the run's processes; statuses and health as of now."""
+        for entry in Path("/proc").iterdir():
+            try:
+                line = (entry / "cmdline").read_bytes() if entry.name.isdigit() else b""
+                if str(self.run).encode() in line:
+                    self.pieces[f"command line of {entry.name}"] = line
+                    self.pieces[f"environment of {entry.name}"] = (entry / "environ").read_bytes()
+            except OSError:
+                continue
+        for path in self.run.glob("*/secret"):  # each end takes it up once, and leaves a mark
+            word = path.read_bytes().split()[-1]
+            self.secret = word if len(word) > len(self.secret) else self.secret
+        for path in (*self.run.glob("*/status.json"), *self.run.glob("*/health")):
+            name = f"{path.relative_to(self.run)} at {len(self.pieces)}"
+            self.pieces[name] = path.read_bytes()
+
+    def look_back(self) -> None:
+        """What is left of it when it is over; traces, journals, stores and summary are its own."""
+        own = (
+            *(CONTROLLER_TRACE.name, CONTROLLER_JOURNAL.name, CONTROLLER_KEYS.name),
+            *("message", "secret", "summary.json"),
+        )
+        for path in self.run.rglob("*"):
+            if path.is_file() and (path.parent.name == "tap" or not path.name.startswith(own)):
+                self.pieces[str(path.relative_to(self.run))] = path.read_bytes()
+
+
+def forms(value: bytes) -> set[bytes]:
+    """A value as it could stand in a text."""
+    return {value, base64.b64encode(value), value.hex().encode(), value.hex().upper().encode()}
+
+
+def in_a_row(symbols: list[int]) -> set[bytes]:
+    """Any forty symbols in a row, as a list or as digits."""
+    found = set()
+    for start in range(0, len(symbols) - 40, 20):
+        digits = [str(symbol) for symbol in symbols[start : start + 40]]
+        found |= {s.join(digits).encode() for s in ("", ",", ", ", " ")}
+    return found
+
+
+def secrets_of(run: Path) -> dict[str, set[bytes]]:
+    """Every secret value of a run, by kind, from where it is kept."""
+    keys: set[bytes] = set()
+    raws: set[bytes] = set()
+    for side in ("controller", "plant"):
+        with closing(sqlite3.connect(run / side / "keys.sqlite3")) as store:
+            for table in ("key", "pad"):
+                rows = store.execute(f"SELECT body FROM {table} WHERE body IS NOT NULL")
+                keys |= {bytes(body) for (body,) in rows if len(body) >= 8}
+    for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
+        message = json.loads(line).get("message") or {}
+        raws |= {message["nonce"].encode()} if message.get("nonce") else set()
+    transitions = list(read_trace(run / PLANT_TRACE).of("transition"))
+    return {
+        "plaintext": forms(TEXT.encode()),
+        "keys of the store": {form for key in keys for form in forms(key)},
+        "nonces": raws,
+        "coins": in_a_row([t["coin"] for t in transitions]),
+        "key symbols": in_a_row([t["symbol"] for t in transitions if t["symbol"] >= 0]),
+    }
+
+
+TEXT = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
+
+
+@pytest.mark.slow
+def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
+    run, file = tmp_path / "run", tmp_path / "message"
+    file.write_text(TEXT)
+    arguments = ["--scenario", "keys", "--secret", "--message-file", str(file), "--pace", "fast"]
+    arguments += ["--steps", "700", "--eavesdropper", "nearest-centre", "--run-dir", str(run)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    seen = Seen(run)
+    try:
+        while process.poll() is None:
+            if (run / MANIFEST).exists():
+                seen.look()
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
+    live = set(seen.pieces)
+    seen.look_back()
+    secrets = secrets_of(run)
+    secrets["secret"] = {seen.secret}
+    assert len(seen.secret) > 100
+    assert all(secrets.values())
+    assert len(secrets["keys of the store"]) > 20
+    assert {"manifest.json", "tap/capture.jsonl", "plant/log", "plant/status.json"} <= set(
+        seen.pieces
+    )
+    assert len([name for name in live if name.startswith("environment")]) >= 4
+    for kind, values in secrets.items():
+        pattern = re.compile(b"|".join(map(re.escape, values)))
+        for name, content in seen.pieces.items():
+            if kind == "nonces" and name.startswith("tap/capture"):
+                continue  # they are public: she may miss them, and not what she heard
+            assert not pattern.search(content), (kind, name)
+    modes = {path.stat().st_mode & 0o077 for path in (run, *run.rglob("*"))}
+    assert modes == {0}
 
 
 @pytest.mark.slow

@@ -24,8 +24,10 @@ REPEAT_S: Final = 0.1
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the subcommand."""
     parser = subparsers.add_parser("send", help="hand a running controller a message to deliver")
-    parser.add_argument("text", nargs="?", metavar="TEXT", help="the message")
-    parser.add_argument("--file", metavar="F", help="a file that holds the message")
+    parser.add_argument(
+        "text", nargs="?", metavar="TEXT", help="the message; - reads standard input"
+    )
+    parser.add_argument("--file", metavar="F", help="a file that holds the message; - as above")
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument(
         "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
