@@ -1,12 +1,14 @@
-"""Journals: what each end must not forget, in SQLite, saved before anything is sent.
+"""Journals: what each end must not forget, saved before anything is sent.
 
 What a step hangs on is kept as it passed: the record that stood before it, the message heard and
 the message about to be said. That is all it takes to count the step again, so a side may send
 first and count afterwards, while its partner works. The next save brings the record up to date.
 
-Write-ahead logging makes a save cost some ten microseconds and survive ``kill -9`` of the process
-at any instant. After a power failure the last saves may be missing; the two journals then do not
-fit together and the session ends, as rule 6 says. A journal is held by one process at a time.
+A step is one write to a file (:mod:`protocol.runtime.step_log`). What is rare goes to a database
+(SQLite): messages, symbols that have left the record, settled rows, a new session. It has the
+record too, as of then; the steps are what came after. Both survive ``kill -9`` of the process at
+any instant. After a power failure the last saves may be missing; the two journals then do not fit
+together and the session ends, as rule 6 says. A journal is held by one process at a time.
 """
 
 import os
@@ -25,9 +27,10 @@ from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import make_folder, open_private
+from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
 from protocol.secret.nonces import Raw
 
-JOURNAL_VERSION: Final = 6
+JOURNAL_VERSION: Final = 7
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)
@@ -37,8 +40,6 @@ _RAW: Final = (
     "measurement BLOB, PRIMARY KEY (session, j)) WITHOUT ROWID"
 )
 """Rows of key blocks under way; they cannot be in the record, which is rewritten at each step."""
-
-_SAVE: Final = "INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?, ?)"
 
 
 class JournalError(Failure):
@@ -68,7 +69,7 @@ class BegunStep(NamedTuple):
 
 
 class _Journal:
-    """A SQLite file with one record and the step that followed it, held exclusively."""
+    """A SQLite file with what is rare, and beside it the steps since; held exclusively."""
 
     kind = ""
     tables = ""
@@ -76,6 +77,7 @@ class _Journal:
 
     def __init__(self, path: Path, scenario: str) -> None:
         self.path = path
+        self._beside = path.with_name(path.name + STEPS)
         self._body: bytes | None = None
         self._rows: list[Keep] = []
         self._rows_of: str | None = None
@@ -89,7 +91,8 @@ class _Journal:
         except (OSError, sqlite3.Error) as error:
             raise JournalError(f"{path}: cannot be opened: {error}") from None
         try:
-            self._open(scenario)
+            self._steps = StepLog(self._beside, self._open(scenario))
+            self._read()
         except sqlite3.Error as error:
             self._db.close()
             reason = (
@@ -98,11 +101,15 @@ class _Journal:
                 else f"not a journal: {error}"
             )
             raise JournalError(f"{path}: {reason}") from None
+        except OSError as error:
+            self._db.close()
+            raise JournalError(f"{self._beside}: cannot be opened: {error}") from None
         except JournalError:
             self._db.close()
             raise
 
-    def _open(self, scenario: str) -> None:
+    def _open(self, scenario: str) -> bytes:
+        """Open or make the database; returns the tag of its steps."""
         db = self._db
         # A save rewrites one page and a checkpoint flushes them all: small pages cost less of both.
         db.execute("PRAGMA page_size=1024")
@@ -112,21 +119,34 @@ class _Journal:
         db.execute("PRAGMA secure_delete=ON")
         db.execute("BEGIN IMMEDIATE")
         db.execute("CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT)")
+        expected = {"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario}
+        found = dict(db.execute("SELECT name, value FROM meta"))
+        for name, value in expected.items():
+            if found.setdefault(name, value) != value:
+                db.execute("ROLLBACK")
+                raise JournalError(f"{self.path}: {name}: got {found[name]!r}, expected {value!r}")
+        found.setdefault("tag", os.urandom(TAG_BYTES).hex())
+        db.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?)", found.items())
         db.execute(
-            "CREATE TABLE IF NOT EXISTS record "
-            "(id INTEGER PRIMARY KEY, body BLOB, heard BLOB, said BLOB, coin INTEGER)"
+            "CREATE TABLE IF NOT EXISTS record (id INTEGER PRIMARY KEY, number INTEGER, body BLOB)"
         )
         for table in (_RAW, *self.tables.split(";")):
             db.execute(table)
-        expected = {"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario}
-        for name, value in expected.items():
-            row = db.execute("SELECT value FROM meta WHERE name = ?", (name,)).fetchone()
-            if row is None:
-                db.execute("INSERT INTO meta VALUES (?, ?)", (name, value))
-            elif row[0] != value:
-                db.execute("ROLLBACK")
-                raise JournalError(f"{self.path}: {name}: got {row[0]!r}, expected {value!r}")
         db.execute("COMMIT")
+        return bytes.fromhex(found["tag"])
+
+    def _read(self) -> None:
+        """Find the last write: in the database, or among the steps that follow it."""
+        row = self._db.execute("SELECT number, body FROM record WHERE id = 0").fetchone()
+        self._last = None if row is None else Step(row[0], bytes(row[1]))
+        try:
+            steps = self._steps.read(0 if row is None else row[0])
+        except Damaged as error:
+            self._steps.close()
+            raise JournalError(f"{self._beside}: {error}") from None
+        self._logged = [step.row for step in steps if step.row is not None]
+        if steps:
+            self._last = steps[-1]
 
     def _execute(self, statement: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         try:
@@ -135,19 +155,19 @@ class _Journal:
             raise JournalError(f"{self.path}: {error}") from None
 
     def _load(self) -> Any:
-        row = self._execute("SELECT body FROM record WHERE id = 0").fetchone()
-        if row is None:
+        if self._last is None:
             return None
-        self._body = bytes(row[0])
+        self._body = self._last.record
         with self._readable():
-            return self.adapter.validate_json(row[0])
+            return self.adapter.validate_json(self._body)
 
     def _step(self, heard: type[_M], said: type[_N]) -> tuple[_M, _N, int] | None:
-        row = self._execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
-        if row is None or row[0] is None or row[1] is None:
+        last = self._last
+        if last is None or not last.said:
             return None
         with self._readable():
-            return heard.model_validate_json(row[0]), said.model_validate_json(row[1]), row[2]
+            both = heard.model_validate_json(last.heard), said.model_validate_json(last.said)
+        return *both, last.coin
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -164,61 +184,101 @@ class _Journal:
         rows = self._execute(
             "SELECT j, steps, offer, measurement FROM raw WHERE session = ? ORDER BY j", (session,)
         )
-        return [Raw(*row) for row in rows]
+        found = {row[0]: Raw(*row) for row in rows} | {raw.j: raw for raw in self._logged}
+        return [found[j] for j in sorted(found)]
 
-    def _stage_rows(self, keep: Keep) -> None:
-        """What ``keep`` means for the rows goes with the next write."""
+    def _stage(self, keep: Keep) -> None:
+        """What ``keep`` has goes with the next write, its record as what the next step follows."""
+        self._body = self.adapter.dump_json(keep.record)
         session = keep.record.session
         if session != self._rows_of:
-            self._rows.append(keep)
             self._rows_of, self._forget = session, True
-        elif keep.raw is not None or keep.settled:
+            self._logged.clear()
+        if keep.raw is not None or keep.settled:
             self._rows.append(keep)
 
     def _write_rows(self) -> None:
         """Within a transaction."""
         if self._forget:
             self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
-            self._forget = False
-        for keep in self._rows:
-            session = keep.record.session
-            if session != self._rows_of:
-                continue
-            if keep.raw is not None:
-                self._execute(
-                    "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?)", (session, *keep.raw)
-                )
-            for over in keep.settled:
-                self._execute(
-                    "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
-                    (session, over.start, over.stop),
-                )
-        self._rows.clear()
+        staged = [keep for keep in self._rows if keep.record.session == self._rows_of]
+        for raw in (*self._logged, *(keep.raw for keep in staged if keep.raw is not None)):
+            self._execute(
+                "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?)", (self._rows_of, *raw)
+            )
+        for over in (over for keep in staged for over in keep.settled):
+            self._execute(
+                "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
+                (self._rows_of, over.start, over.stop),
+            )
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
+        """A rare write: all or nothing; the staged record is in it, and no step is left."""
+        last = self._following(b"", b"", NO_SYMBOL)
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
+        self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?)", last[:2])
         self._execute("COMMIT")
+        self._last, self._forget = last, False
+        self._rows.clear()
+        self._logged.clear()
+        with self._named():
+            self._steps.clear()
 
-    def _stage(self, record: Any) -> bytes:
-        self._body = body = self.adapter.dump_json(record)
-        return body
+    def _following(self, heard: bytes, said: bytes, coin: int) -> Step:
+        assert self._body is not None, "the step before has not been counted"
+        number = 1 if self._last is None else self._last.number + 1
+        return Step(number, self._body, heard, said, coin)
 
     def _append(self, heard: bytes, said: bytes, coin: int) -> None:
-        assert self._body is not None, "the step before has not been counted"
-        row = (self._body, heard, said or None, coin)
-        if self._rows:
-            with self._transaction():
-                self._execute(_SAVE, row)
-        else:
-            self._execute(_SAVE, row)
+        """The staged record and what followed it."""
+        if self._rare and not (self._last is not None and self._last.begun):
+            self._keep()
+        self._log(self._following(heard, said, coin))
         if said:
             self._body = None
 
+    def _keep(self) -> None:
+        """The staged record, and nothing after it."""
+        if self._rare:
+            with self._transaction():
+                pass
+        else:
+            self._log(self._following(b"", b"", NO_SYMBOL))
+
+    @property
+    def _rare(self) -> bool:
+        """Whether what is staged needs a rare write."""
+        rows = self._rows
+        return (
+            self._forget
+            or len(rows) > 1
+            or any(keep.settled for keep in rows)
+            or self._steps.size > LARGEST
+        )
+
+    def _log(self, step: Step) -> None:
+        if len(self._rows) == 1:
+            step = step._replace(row=self._rows[0].raw)
+        with self._named():
+            self._steps.append(step)
+        self._last = step
+        if step.row is not None:
+            self._logged.append(step.row)
+            self._rows.clear()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise JournalError(f"{self._beside}: {error.strerror}") from None
+
     def close(self) -> None:
-        """Close the file; it can be opened again."""
+        """Close the files; they can be opened again."""
+        self._steps.close()
         self._db.close()
 
     def __enter__(self) -> Self:
@@ -270,30 +330,12 @@ class ControllerJournal(_Journal):
         if isinstance(write, Append):
             self._append(write.heard, write.said, write.coin)
             return
-        self._stage_rows(write)
-        if write.later:
-            self._stage(write.record)
-            return
-        with self._transaction():
-            self._execute(_SAVE, (self._stage(write.record), None, None, None))
-            if write.queued is not None:
+        self._stage(write)
+        if write.queued is not None:
+            with self._transaction():
                 self.enqueue(*write.queued)
-
-    def save(self, record: SenderRecord) -> None:
-        """Keep ``record``; on return it survives the death of this process."""
-        self._execute(_SAVE, (self._stage(record), None, None, None))
-
-    def stage(self, record: SenderRecord) -> None:
-        """``record`` is what :meth:`append` will build on; nothing is written yet."""
-        self._stage(record)
-
-    def append(self, measurement: bytes, offer: bytes) -> None:
-        """Keep the last record, the measurement that followed it, and the offer in answer.
-
-        On return it survives the death of this process. The record is the one that was last
-        loaded, saved or staged; the next one must be staged or saved before the next step.
-        """
-        self._append(measurement, offer, NO_SYMBOL)
+        elif not write.later:
+            self._keep()
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
@@ -362,11 +404,11 @@ class PlantJournal(_Journal):
         JournalError
             When it is not one.
         """
-        row = self._execute("SELECT heard, said, coin FROM record WHERE id = 0").fetchone()
-        if row is None or row[0] is None or row[1] is not None:
+        last = self._last
+        if last is None or not last.begun:
             return None
         with self._readable():
-            return BegunStep(Offer.model_validate_json(row[0]), row[2])
+            return BegunStep(Offer.model_validate_json(last.heard), last.coin)
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
@@ -385,59 +427,14 @@ class PlantJournal(_Journal):
         if isinstance(write, Append):
             self._append(write.heard, write.said, write.coin)
             return
-        self._stage_rows(write)
-        if write.later:
-            self._stage(write.record)
-            return
-        assert isinstance(write.record, ReceiverRecord)
-        self.save(
-            write.record,
-            chunk=write.chunk,
-            drop_chunks=write.drop_chunks,
-            received=write.received,
-        )
-
-    def save(
-        self,
-        record: ReceiverRecord,
-        *,
-        chunk: str = "",
-        drop_chunks: bool = False,
-        received: bytes | None = None,
-    ) -> None:
-        """Keep ``record`` and what came with it, all or nothing.
-
-        Parameters
-        ----------
-        record : ReceiverRecord
-        chunk : str
-            Symbols of the frame under way that have left the record.
-        drop_chunks : bool
-            The frame under way ended or was given up.
-        received : bytes, optional
-            The payload of a whole frame.
-        """
-        row = (self._stage(record), None, None, None)
-        if not (chunk or drop_chunks or self._rows) and received is None:
-            self._execute(_SAVE, row)
-            return
-        with self._transaction():
-            self._execute(_SAVE, row)
-            if drop_chunks:
-                self._execute("DELETE FROM chunk")
-            if chunk:
-                self._execute("INSERT INTO chunk (symbols) VALUES (?)", (chunk,))
-            if received is not None:
-                self._execute("INSERT INTO inbox (payload) VALUES (?)", (received,))
-
-    def stage(self, record: ReceiverRecord) -> None:
-        """``record`` is what :meth:`append` will build on; nothing is written yet."""
-        self._stage(record)
-
-    def append(self, offer: bytes, measurement: bytes, coin: int) -> None:
-        """Keep the last record, the offer applied by ``coin``, and the measurement of where it led.
-
-        On return it survives the death of this process. The record is the one that was last
-        loaded, saved or staged; the next one must be staged or saved before the next step.
-        """
-        self._append(offer, measurement, coin)
+        self._stage(write)
+        if write.chunk or write.drop_chunks or write.received is not None:
+            with self._transaction():
+                if write.drop_chunks:
+                    self._execute("DELETE FROM chunk")
+                if write.chunk:
+                    self._execute("INSERT INTO chunk (symbols) VALUES (?)", (write.chunk,))
+                if write.received is not None:
+                    self._execute("INSERT INTO inbox (payload) VALUES (?)", (write.received,))
+        elif not write.later:
+            self._keep()

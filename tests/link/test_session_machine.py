@@ -23,6 +23,7 @@ from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlant
 from protocol.schemes.pipelined import Pipelined
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
+from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
@@ -46,12 +47,12 @@ class Chosen:
         return self.next % size
 
 
-class PlantJournal(MemoryPlantJournal):
-    """A plant's journal; what it ever received is known to the test, whatever it forgets."""
+class PlantPorts(ToldPorts):
+    """The plant's; what it ever received is known to the test, whatever its journal forgets."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.ever: list[bytes] = []
+    def __init__(self, link: "Link") -> None:
+        super().__init__(link.plant_journal, link.to_controller.append, link.counted)
+        self.ever = link.ever
 
     def write(self, write: Write) -> None:
         super().write(write)
@@ -64,7 +65,7 @@ class Controller:
 
     def __init__(self, number: int, link: "Link") -> None:
         self.shift = SHIFTS[number]
-        self.journal = MemoryControllerJournal(*PAYLOADS[number])
+        self.journal = link.controller_journal(*PAYLOADS[number])
         self.ports = Mortal(ToldPorts(self.journal, self.said, link.counted))
         self.endpoint: ControllerEndpoint
         self.offered: list[Offer] = []
@@ -84,6 +85,8 @@ class Link(RuleBasedStateMachine):
     controllers = 1
     shared = RULES
     step_s: ClassVar[float | None] = None
+    controller_journal = MemoryControllerJournal
+    plants_journal = MemoryPlantJournal
 
     def __init__(self) -> None:
         super().__init__()
@@ -99,10 +102,9 @@ class Link(RuleBasedStateMachine):
             self.controllers > 1
         )  # one takes over from the other before it knows of a frame
         self.late_hello = False  # a hello of a plant's former life may end a session
-        self.plant_journal = PlantJournal()
-        self.plant_ports = Mortal(
-            ToldPorts(self.plant_journal, self.to_controller.append, self.counted)
-        )
+        self.ever: list[bytes] = []
+        self.plant_journal = self.plants_journal()
+        self.plant_ports = Mortal(PlantPorts(self))
         self.each = [Controller(number, self) for number in range(self.controllers)]
         for controller in self.each:
             self.start_controller(controller)
@@ -271,7 +273,7 @@ class Link(RuleBasedStateMachine):
 
     @invariant()
     def messages_arrive_in_order_and_once(self) -> None:
-        inbox = self.plant_journal.ever
+        inbox = self.ever
         sent = sum(PAYLOADS[: self.controllers], ())
         assert set(inbox) <= set(sent)
         for payloads in PAYLOADS:
@@ -294,6 +296,18 @@ class TwoControllers(Deadlines):
     """A second controller, with a journal of its own, on the same loop."""
 
     controllers = 2
+
+
+class OnDisk(TwoControllers):
+    """Journals as the services have them, opened anew from their files after each death."""
+
+    controller_journal = TwinControllerJournal
+    plants_journal = TwinPlantJournal
+
+    def teardown(self) -> None:
+        for journal in (self.plant_journal, *(one.journal for one in self.each)):
+            assert isinstance(journal, TwinControllerJournal | TwinPlantJournal)
+            journal.close()
 
 
 class PipelinedLink(Deadlines):
@@ -324,3 +338,5 @@ TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = setti
     suppress_health_check=list(HealthCheck),
 )
 TestPipelinedLink.settings = TestLink.settings
+TestOnDisk = OnDisk.TestCase
+TestOnDisk.settings = settings(TestLink.settings, max_examples=20)

@@ -1,5 +1,6 @@
 """Journals: what was saved survives kill -9, one process at a time, and only its own scenario."""
 
+import os
 import signal
 import sqlite3
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.link.endpoint import Append, Keep
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Message, Offer
@@ -41,13 +43,13 @@ SENDER = SenderRecord(
 def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() is None
-        journal.save(SENDER)
+        journal.write(Keep(SENDER))
         assert journal.load() == SENDER
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() is None
-        journal2.save(RECEIVER)
+        journal2.write(Keep(RECEIVER))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
 
@@ -55,7 +57,7 @@ def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_the_last_save_counts(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for k in range(100):
-            journal.save(RECEIVER._replace(k=k))
+            journal.write(Keep(RECEIVER._replace(k=k)))
         record = journal.load()
         assert record is not None
         assert record.k == 99
@@ -64,12 +66,12 @@ def test_the_last_save_counts(tmp_path: Path) -> None:
 def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for chunk in ("100", "11", ""):
-            journal.save(RECEIVER, chunk=chunk)
+            journal.write(Keep(RECEIVER, chunk=chunk))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.chunks() == "10011"
-        journal.save(RECEIVER, drop_chunks=True, received=b"whole")
+        journal.write(Keep(RECEIVER, drop_chunks=True, received=b"whole"))
         assert journal.chunks() == ""
-        journal.save(RECEIVER, chunk="1", drop_chunks=True)
+        journal.write(Keep(RECEIVER, chunk="1", drop_chunks=True))
         assert journal.chunks() == "1"
         assert journal.inbox() == [b"whole"]
 
@@ -77,7 +79,7 @@ def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: 
 def test_the_inbox_gives_the_newest_oldest_first(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for i in range(10):
-            journal.save(RECEIVER, received=b"%d" % i, drop_chunks=True)
+            journal.write(Keep(RECEIVER, received=b"%d" % i, drop_chunks=True))
         assert journal.inbox(3) == [b"7", b"8", b"9"]
 
 
@@ -109,15 +111,15 @@ def wire(message: Message) -> bytes:
 def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.step() is None
-        journal.save(SENDER)
-        journal.append(wire(MEASUREMENT), wire(OFFER))
+        journal.write(Keep(SENDER))
+        journal.write(Append(wire(MEASUREMENT), wire(OFFER)))
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
         assert journal.step() == (MEASUREMENT, OFFER)
-        journal.append(wire(MEASUREMENT), wire(OFFER))  # what was loaded can be built on
+        journal.write(Append(wire(MEASUREMENT), wire(OFFER)))  # what was loaded can be built on
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        journal2.save(RECEIVER, chunk="10")
-        journal2.append(wire(OFFER), wire(MEASUREMENT), 1)
+        journal2.write(Keep(RECEIVER, chunk="10"))
+        journal2.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
         assert journal2.step() == (OFFER, MEASUREMENT, 1)
@@ -128,26 +130,26 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
     tmp_path: Path,
 ) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(RECEIVER)
-        journal.append(wire(OFFER), wire(MEASUREMENT), 1)
+        journal.write(Keep(RECEIVER))
+        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
         with pytest.raises(AssertionError, match="not been counted"):
-            journal.append(wire(OFFER), wire(MEASUREMENT), 1)
-        journal.stage(RECEIVER._replace(k=5))
+            journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+        journal.write(Keep(RECEIVER._replace(k=5), later=True))
         assert journal.load() == RECEIVER
         assert journal.step() is not None
-        journal.stage(RECEIVER._replace(k=5))
-        journal.append(wire(OFFER), wire(MEASUREMENT), 0)
+        journal.write(Keep(RECEIVER._replace(k=5), later=True))
+        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))
         assert journal.load() == RECEIVER._replace(k=5)
         assert journal.step() == (OFFER, MEASUREMENT, 0)
-        journal.save(RECEIVER._replace(k=6))
+        journal.write(Keep(RECEIVER._replace(k=6)))
         assert journal.step() is None
 
 
 @pytest.mark.parametrize("heard", [b"{}", b"not json", wire(MEASUREMENT)])
 def test_a_step_that_is_none_is_refused(tmp_path: Path, heard: bytes) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(RECEIVER)
-        journal.append(heard, wire(MEASUREMENT), 0)
+        journal.write(Keep(RECEIVER))
+        journal.write(Append(heard, wire(MEASUREMENT), 0))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
         journal.step()
     assert "record" in one_line(error, tmp_path / "p")
@@ -185,7 +187,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
 
 def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(RECEIVER)
+        journal.write(Keep(RECEIVER))
     with pytest.raises(JournalError) as error:
         PlantJournal(tmp_path / "p", "0" * 64)
     assert "scenario: got" in one_line(error, tmp_path / "p")
@@ -217,7 +219,7 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
 def test_a_record_that_is_none_is_refused(tmp_path: Path, body: bytes) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(RECEIVER)
+        journal.write(Keep(RECEIVER))
     database = sqlite3.connect(path)
     database.execute("UPDATE record SET body = ?", (body,))
     database.commit()
@@ -232,6 +234,7 @@ def test_a_record_that_is_none_is_refused(tmp_path: Path, body: bytes) -> None:
 WRITER = """
 import sys
 from pathlib import Path
+from protocol.link.endpoint import Append, Keep
 from protocol.runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
 from protocol.link.receiver import ReceiverRecord
@@ -239,18 +242,18 @@ from protocol.link.receiver import ReceiverRecord
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
     if record.p % 50 == 0:
-        journal.save(record, drop_chunks=True, received=b"%d" % record.p)
+        journal.write(Keep(record, drop_chunks=True, received=b"%d" % record.p))
     elif record.p % 7 == 0:
-        journal.save(record, chunk="1")
+        journal.write(Keep(record, chunk="1"))
     else:
-        journal.stage(record)
+        journal.write(Keep(record, later=True))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
 record = journal.load()
 if record is None:
     record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
-    journal.save(record)
+    journal.write(Keep(record))
 if journal.step() is not None:
     record = count(record)
 while True:
@@ -259,7 +262,7 @@ while True:
         session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
     )
     said = measurement.wire()
-    journal.append(offer.wire(), said, record.k % 2)
+    journal.write(Append(offer.wire(), said, record.k % 2))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -301,15 +304,23 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             assert len(journal.chunks()) == chunks
 
 
-def test_a_journal_that_cannot_be_written_any_more_names_its_file(tmp_path: Path) -> None:
+def test_a_journal_that_cannot_be_written_any_more_names_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "j"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(RECEIVER)
+        journal.write(Keep(RECEIVER))
+        pwrite = os.pwrite
+        with monkeypatch.context() as full:
+            full.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:40], at))
+            with pytest.raises(JournalError, match="No space left") as error:
+                journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+        one_line(error, tmp_path / "j-steps")
+        assert journal.step() is None
+        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))  # over what was torn
         journal._db.execute("PRAGMA query_only = 1")
         with pytest.raises(JournalError) as error:
-            journal.append(b"{}", b"{}", 0)
+            journal.write(Keep(RECEIVER, chunk="01"))
         one_line(error, path)
-        for chunk in ("", "01"):
-            with pytest.raises(JournalError) as error:
-                journal.save(RECEIVER, chunk=chunk)
-            one_line(error, path)
+    with PlantJournal(path, SCENARIO) as journal:
+        assert journal.step() == (OFFER, MEASUREMENT, 0)

@@ -39,10 +39,11 @@ PLACE = st.integers(0, 11)
 
 class KeyedLink(RuleBasedStateMachine):
     performer = staticmethod(perform)
+    on_disk = False
 
     def __init__(self) -> None:
         super().__init__()
-        self.world = World(RULES, self.performer)
+        self.world = World(RULES, self.performer, on_disk=self.on_disk)
 
     def teardown(self) -> None:
         self.world.close()
@@ -89,6 +90,12 @@ class KeyedLink(RuleBasedStateMachine):
         self.world.agree()
 
 
+class KeyedLinkOnDisk(KeyedLink):
+    """Journals as the services have them, opened anew from their files after each death."""
+
+    on_disk = True
+
+
 TestKeyedLink = KeyedLink.TestCase
 TestKeyedLink.settings = settings(
     max_examples=30,
@@ -96,6 +103,8 @@ TestKeyedLink.settings = settings(
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
+TestKeyedLinkOnDisk = KeyedLinkOnDisk.TestCase
+TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=10)
 
 
 def test_keys_are_made_and_served_once_all_is_well() -> None:

@@ -24,6 +24,7 @@ from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
 from protocol.secret.worker import work
 from tests.support.line_ends import line_controller, line_plant
+from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 Side = Literal["controller", "plant"]
 SIDES: tuple[Side, Side] = ("controller", "plant")
@@ -73,9 +74,18 @@ class World:
         :func:`protocol.link.perform.perform`, or a wrong one.
     period_s : float
         Between two steps.
+    on_disk : bool
+        Journals have twins on disk.
     """
 
-    def __init__(self, rules: Rules, performer: Performer = perform, period_s: float = 0.5) -> None:
+    def __init__(
+        self,
+        rules: Rules,
+        performer: Performer = perform,
+        period_s: float = 0.5,
+        *,
+        on_disk: bool = False,
+    ) -> None:
         self.rules = rules
         self.period_s = period_s
         self.performer = performer
@@ -84,8 +94,8 @@ class World:
         self.deaths = 0
         self.stores = {side: KeyStore(None, side) for side in SIDES}
         self.journals: dict[Side, MemoryControllerJournal | MemoryPlantJournal] = {
-            "controller": MemoryControllerJournal(),
-            "plant": MemoryPlantJournal(),
+            "controller": TwinControllerJournal() if on_disk else MemoryControllerJournal(),
+            "plant": TwinPlantJournal() if on_disk else MemoryPlantJournal(),
         }
         self.ports = {side: Mortal(Ports(self, side)) for side in SIDES}
         self.bag: dict[Side, list[tuple[type[Message], bytes]]] = {s: [] for s in SIDES}
@@ -101,8 +111,8 @@ class World:
             self.start(side)
 
     def close(self) -> None:
-        for store in self.stores.values():
-            store.close()
+        for kept in (*self.stores.values(), *self.journals.values()):
+            kept.close()
 
     def name(self) -> str:
         self.names += 1

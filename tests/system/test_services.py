@@ -21,6 +21,7 @@ from plant_service.plant import Plant, Step, first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
+from protocol.link.endpoint import Keep
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -294,7 +295,8 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
-        journal.save(first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0)))
+        record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
+        journal.write(Keep(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
         service = PlantService(

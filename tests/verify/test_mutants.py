@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from controller_service.laws import registry
+from protocol.link.endpoint import Keep
 from protocol.runtime.journal import ControllerJournal, PlantJournal
 from protocol.runtime.run_folder import (
     CAPTURE,
@@ -58,11 +59,10 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run.close()
     fingerprint = run.scenario.fingerprint()
     with ControllerJournal(run.folder / CONTROLLER_JOURNAL, fingerprint) as journal:
-        journal.enqueue("m0", b"")
-        journal.save(run.sender.record)
+        journal.write(Keep(run.sender.record, queued=("m0", b"")))
     with PlantJournal(run.folder / PLANT_JOURNAL, fingerprint) as journal:
         for payload in run.received:
-            journal.save(run.receiver.record, received=payload)
+            journal.write(Keep(run.receiver.record, received=payload))
     manifest = {"wyner": "0", **run.scenario.identity()}
     write_atomically(run.folder / MANIFEST, json.dumps(manifest).encode())
     messages = len(read_lines(run.folder / CAPTURE)) - 2

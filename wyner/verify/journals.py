@@ -17,6 +17,7 @@ from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
 from protocol.runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
+from protocol.runtime.step_log import STEPS
 from protocol.streams import SystemSymbols
 
 INSTANCE: Final = "0" * 16
@@ -125,13 +126,14 @@ def _from_copy(path: Path, read: Callable[[Path], Kept | None]) -> Kept | str | 
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         try:
-            for suffix in ("", "-wal"):
+            # Steps first: those that a process has since put into its database are then left out.
+            for suffix in (STEPS, "", "-wal"):
                 source = path.with_name(path.name + suffix)
                 if source.is_file():
                     shutil.copyfile(source, copy.with_name(copy.name + suffix))
             return read(copy)
         except JournalError as error:
-            return str(error).removeprefix(f"{copy}: ")
+            return str(error).removeprefix(f"{copy}: ").removeprefix(f"{folder}/")
         except OSError as error:
             return f"cannot be read: {error.strerror}"
         except (AssertionError, ArithmeticError, LookupError, TypeError, ValueError) as error:

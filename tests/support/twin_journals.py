@@ -1,0 +1,111 @@
+"""Journals in memory with a twin on disk, which must say the same after every death.
+
+A death is a copy of the twin's files as they lie there, half written if the test says so; the copy
+is opened, and goes on.
+"""
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from protocol.link.endpoint import Write
+from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.nonces import Raw
+
+SCENARIO = "f" * 64
+
+T = TypeVar("T", ControllerJournal, PlantJournal)
+
+
+def copied(journal: Path, folder: Path) -> Path:
+    """A copy of a journal's files, as a death leaves them."""
+    folder.mkdir()
+    for path in journal.parent.glob(f"{journal.name}*"):
+        shutil.copyfile(path, folder / path.name)
+    return folder / journal.name
+
+
+class _Twin(Generic[T]):
+    """What both kinds share; comes before the journal in memory among the bases."""
+
+    kind: type[T]
+
+    if TYPE_CHECKING:
+
+        def step(self) -> Any: ...
+
+    def __init__(self, *payloads: bytes) -> None:
+        super().__init__(*payloads)
+        self.folder = Path(tempfile.mkdtemp())
+        self.lives = 0
+        self.twin: T = self._new()
+
+    def _new(self) -> T:
+        self.lives += 1
+        twin = self.kind(self.folder / f"{self.lives}" / "journal", SCENARIO)
+        if isinstance(twin, ControllerJournal):
+            for identifier, payload in getattr(self, "_queue", ()):
+                twin.enqueue(identifier, payload)
+        return twin
+
+    def write(self, write: Write) -> None:
+        """Keep it in both."""
+        super().write(write)  # type: ignore[misc]
+        self.twin.write(write)
+
+    def load(self) -> Any:
+        """The record as last written: the process has died, and another one opens its files."""
+        self.lives += 1
+        path = copied(self.twin.path, self.folder / f"{self.lives}")
+        self.twin.close()
+        self.twin = self.kind(path, SCENARIO)
+        record = super().load()  # type: ignore[misc]
+        assert self.twin.load() == record
+        assert self.twin.step() == self.step()
+        return record
+
+    def raws(self, session: str | None) -> list[Raw]:
+        """The rows of both."""
+        rows: list[Raw] = super().raws(session)  # type: ignore[misc]
+        assert self.twin.raws(session) == rows
+        return rows
+
+    def forget(self) -> None:
+        """Lose both."""
+        super().forget()  # type: ignore[misc]
+        self.twin.close()
+        self.twin = self._new()
+
+    def close(self) -> None:
+        """Remove the files."""
+        self.twin.close()
+        shutil.rmtree(self.folder)
+
+
+class TwinControllerJournal(_Twin[ControllerJournal], MemoryControllerJournal):
+    """The controller's."""
+
+    kind = ControllerJournal
+
+    def load(self) -> Any:
+        """The record, and the queue beside it."""
+        record = super().load()
+        numbers = range(self.twin.queued)
+        assert [(self.twin.identifier(i), self.twin.payload(i)) for i in numbers] == self._queue
+        return record
+
+
+class TwinPlantJournal(_Twin[PlantJournal], MemoryPlantJournal):
+    """The plant's."""
+
+    kind = PlantJournal
+
+    def load(self) -> Any:
+        """The record, and what came with it."""
+        record = super().load()
+        assert self.twin.begun() == self.begun()
+        assert self.twin.chunks() == self.chunks()
+        assert self.twin.inbox(-1) == self._inbox
+        return record
