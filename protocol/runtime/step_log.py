@@ -127,8 +127,9 @@ class StepLog:
         check = _CHECK.unpack_from(data, at + TAG_BYTES)[0]
         if place > len(data) or crc32(data[at + _HEAD_AT : place]) != check:
             return None
-        row = Raw(j, steps, parts[3] or None, parts[4] or None) if has_row else None
-        return Step(number, *parts[:3], coin, row), place
+        record, heard, said, *nonces = parts
+        row = Raw(j, steps, nonces[0] or None, nonces[1] or None) if has_row else None
+        return Step(number, record, heard, said, coin, row), place
 
     def append(self, step: Step) -> None:
         """Write one more step; on return it survives the death of this process."""
