@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from protocol.scenario.parts import Part
 from protocol.secret.blocks import Schedule, schedule_of
-from protocol.secret.bound import Assumption, Directions, GilbertElliott
+from protocol.secret.bound import NONCE_BITS, Assumption, Directions, GilbertElliott
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
@@ -43,6 +43,8 @@ class Keys(Part):
     """Whether her misses have nothing to do with the link's own."""
     bursts: Bursts | None = None
     """All of the tap's channel, in place of eps_E."""
+    unheard_bits: Annotated[int, Field(ge=16, le=NONCE_BITS, multiple_of=16)] = NONCE_BITS
+    """Of the nonce in a message that she misses, bits that stay unheard, in whole words of 16."""
 
     @model_validator(mode="after")
     def _one_claim(self) -> Self:
@@ -61,6 +63,7 @@ class Keys(Part):
             directions=self.directions,
             independent=self.assume == "independent",
             bursts=bursts,
+            unheard_bits=self.unheard_bits,
         )
 
     def schedule(self) -> Schedule | None:

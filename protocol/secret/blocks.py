@@ -21,6 +21,9 @@ from protocol.secret.nonces import Raw
 LARGEST: Final = 16384
 """Transitions of a block: two nonces of each and the rows fit the field."""
 
+LARGEST_BY_WORDS: Final = 1024
+"""The same where each of a nonce's 16 words has a column of its own."""
+
 ROWS_ENOUGH: Final = 64
 """A block that yields as many rows is long enough: longer ones gain less and wait more."""
 
@@ -76,13 +79,14 @@ def schedule_of(assumption: Assumption) -> Schedule | None:
     """The schedule, or None where the assumption makes no key in any block."""
 
     def enough(rows: int, n: int) -> bool:
-        return assumption.misses(assumption.copies * n) >= rows
+        return assumption.rows(n, n, assumption.copies * n) >= rows
 
-    first = least(lambda n: enough(2, n), LARGEST)
+    most = LARGEST_BY_WORDS if assumption.by_words else LARGEST
+    first = least(lambda n: enough(2, n), most)
     if first is None:
         return None
     largest = 1
-    while largest < LARGEST and not enough(ROWS_ENOUGH, largest):
+    while largest < most and not enough(ROWS_ENOUGH, largest):
         largest *= 2
     return Schedule(assumption, first, max(largest, first))
 
@@ -104,6 +108,8 @@ class Closed(NamedTuple):
         The counted copies in the order of the transitions, an offer's before its measurement's.
     last : int
         Number of the block's last transition.
+    by_words : bool
+        Keys are made of the nonces' words, not of whole nonces.
     """
 
     session: str
@@ -115,6 +121,7 @@ class Closed(NamedTuple):
     pattern: str
     nonces: tuple[bytes, ...]
     last: int
+    by_words: bool = False
 
     @property
     def makes_keys(self) -> bool:
@@ -156,6 +163,7 @@ def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) ->
         "".join(pattern),
         tuple(nonces),
         raws[-1].j,
+        a.by_words,
     )
 
 

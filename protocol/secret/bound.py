@@ -12,8 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from protocol.secret.nonces import NONCE_BYTES
+
 GUARD: Final = 1 + 1e-9
 """Factor on a computed tail before it is compared: rounding must never gain a row."""
+
+NONCE_BITS: Final = 8 * NONCE_BYTES
+"""Of the nonce in each copy; a row of a block is as long."""
 
 Directions = Literal["both", "offers", "measurements"]
 
@@ -163,6 +168,9 @@ class Assumption:
         link lost costs nothing but itself. A jammer breaks it.
     bursts : GilbertElliott, optional
         All four parameters of her channel, for its exact quantile in place of eps_E's.
+    unheard_bits : int
+        Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
+        all 256, unless she may hear a part of a message.
     """
 
     eps_E: float
@@ -170,6 +178,12 @@ class Assumption:
     directions: Directions = "both"
     independent: bool = False
     bursts: GilbertElliott | None = None
+    unheard_bits: int = NONCE_BITS
+
+    @property
+    def by_words(self) -> bool:
+        """Whether keys are made of the nonces' words, since she may hear a part of one."""
+        return self.unheard_bits < NONCE_BITS
 
     @property
     def copies(self) -> int:
@@ -201,9 +215,11 @@ class Assumption:
             C, copies counted.
         """
         if self.independent:
-            return self.misses(counted)
-        lost = self.copies * steps - counted
-        return max(0, self.misses(self.copies * transitions) - lost)
+            missed = self.misses(counted)
+        else:
+            lost = self.copies * steps - counted
+            missed = max(0, self.misses(self.copies * transitions) - lost)
+        return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
         """The claim in words, as it is printed with every key."""
@@ -216,6 +232,8 @@ class Assumption:
         if self.bursts is not None:
             share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
         beside = ", whatever the link itself loses" if self.independent else ""
+        if self.by_words:
+            beside += f", and then {self.unheard_bits} bits of the nonce at least"
         return f"secret only from a tap that misses at least {share}{beside}"
 
 

@@ -4,49 +4,70 @@ If the tap missed at least as many of the counted nonces as there are rows, ever
 given all that she has, exactly. No seed, no loss, and she may choose what to miss (wiretap II).
 
 Row i and column j hold 1 / ((65535 - i) + j) in GF(2^16), where plus is exclusive or.
+
+A column is a nonce, its words worked on side by side: half of each missed nonce heard is then half
+of every row known. Where she may hear a part of what she misses, a column is a word of 16 bits and
+a key is 16 rows: what counts are the words that she missed, wherever they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 
 from protocol.secret.galois import ORDER, Words, inverse, product
 from protocol.secret.nonces import NONCE_BYTES
 
+WORDS: Final = NONCE_BYTES // 2
+"""Of a nonce, and of a row of a block."""
 
-def cauchy(rows: int, columns: int) -> Words:
-    """The matrix, shape (rows, columns).
+SLICE: Final = 1 << 15
+"""Products in a row, about 0.1 ms, before whoever extracts may rest."""
+
+
+def cauchy(rows: int, columns: int, first: int = 0) -> Words:
+    """The matrix, shape (rows, columns), from its column ``first`` on.
 
     Raises
     ------
     ValueError
         When rows and columns together exceed the field's 65536 elements.
     """
-    if rows + columns > ORDER + 1:
+    if rows + first + columns > ORDER + 1:
         raise ValueError(
-            f"rows + columns: got {rows} + {columns}, expected at most {ORDER + 1} together"
+            f"rows + columns: got {rows} + {first + columns}, expected at most {ORDER + 1} together"
         )
     i = np.arange(ORDER, ORDER - rows, -1, dtype=np.int64).astype(np.uint16)
-    j = np.arange(columns, dtype=np.int64).astype(np.uint16)
+    j = np.arange(first, first + columns, dtype=np.int64).astype(np.uint16)
     return inverse(i[:, None] ^ j[None, :])
 
 
 def words(nonces: Sequence[bytes]) -> Words:
     """Nonces of equal length as 16-bit words, big-endian, shape (nonces, length / 2)."""
     if not nonces:
-        return np.zeros((0, NONCE_BYTES // 2), np.uint16)
+        return np.zeros((0, WORDS), np.uint16)
     joined = np.frombuffer(b"".join(nonces), ">u2").astype(np.uint16)
     return joined.reshape(len(nonces), -1)
 
 
-def extract(nonces: Sequence[bytes], rows: int) -> list[bytes]:
-    """``rows`` rows, each as long as a nonce; column j is nonce number j.
+def extract(
+    nonces: Sequence[bytes],
+    rows: int,
+    by_words: bool = False,
+    *,
+    rest: Callable[[], None] = lambda: None,
+) -> list[bytes]:
+    """``rows`` rows, each as long as a nonce; column j is nonce, or word, number j.
 
     Parameters
     ----------
     nonces : sequence of bytes
         The counted copies, all of one even length, in an order that both ends share.
     rows : int
+    by_words : bool
+        A column is a word, and a row of the block as many rows of the matrix as a nonce has words.
+    rest : callable
+        Called after each slice of the work.
 
     Raises
     ------
@@ -55,5 +76,14 @@ def extract(nonces: Sequence[bytes], rows: int) -> list[bytes]:
     """
     if rows > len(nonces):
         raise ValueError(f"rows: got {rows}, expected at most the {len(nonces)} nonces counted")
-    made = product(cauchy(rows, len(nonces)), words(nonces))
-    return [row.tobytes() for row in made.astype(">u2")]
+    x = words(nonces)
+    shape = rows, x.shape[1]
+    if by_words:
+        x = x.reshape(-1, 1)
+    out = np.zeros((shape[0] * shape[1] // x.shape[1], x.shape[1]), np.uint16)
+    step = max(1, SLICE // max(1, out.size))
+    for j in range(0, len(x), step):
+        part = x[j : j + step]
+        out ^= product(cauchy(len(out), len(part), j), part)
+        rest()
+    return [row.tobytes() for row in out.reshape(shape).astype(">u2")]

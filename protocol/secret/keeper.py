@@ -26,6 +26,9 @@ class Keeper:
         With it blocks carry secret tags; without, public ones that no forger need fear.
     """
 
+    rest_s = 0.0
+    """Seconds to pause between two slices of an extraction, where a thread of the loop waits."""
+
     def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
         self.store = store
         self.authentication = authentication
@@ -46,7 +49,7 @@ class Keeper:
         if closed.makes_keys:
             from protocol.secret.extractor import extract
 
-            rows = extract(closed.nonces, closed.rows)
+            rows = extract(closed.nonces, closed.rows, closed.by_words, rest=self._rest)
             tag, accepted = self._tags(closed, rows[0])
             if not tag:
                 rows = []
@@ -68,6 +71,10 @@ class Keeper:
         return Stored(
             session, number, tag, accepted, keys=keys, exhausted=closed.makes_keys and not keys
         )
+
+    def _rest(self) -> None:
+        if self.rest_s:
+            time.sleep(self.rest_s)
 
     def _tags(self, closed: Closed, row: bytes) -> tuple[str, frozenset[str]]:
         if self.authentication is None:

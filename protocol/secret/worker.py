@@ -29,6 +29,10 @@ SWITCH_S: Final = 2e-4
 """How long the loop's thread may wait for this one to let go of the interpreter; Python's own five
 milliseconds would be ten steps in lock-step."""
 
+REST_S: Final = 2.5e-4
+"""Pause after each slice of an extraction, of about 0.1 ms: most of the time the loop finds the
+interpreter free."""
+
 
 class KeyWorker:
     """Works off tasks in order in a thread of its own.
@@ -42,6 +46,7 @@ class KeyWorker:
 
     def __init__(self, keeper: Keeper, done: Callable[[Done], None]) -> None:
         self._keeper = keeper
+        keeper.rest_s = REST_S
         self._done = done
         self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
         sys.setswitchinterval(SWITCH_S)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
+from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption, GilbertElliott, clopper_pearson, quantile, tail
 
 
@@ -113,3 +114,21 @@ def test_the_bounds_on_a_measured_rate_are_clopper_and_pearsons(
         assert low == pytest.approx(beta.ppf(1e-6, k, n - k + 1), rel=1e-6)
     if k < n:
         assert high == pytest.approx(beta.ppf(1 - 1e-6, k + 1, n - k), rel=1e-6)
+
+
+def test_half_of_each_missed_nonce_unheard_is_half_the_rows() -> None:
+    whole, half = Assumption(0.3), Assumption(0.3, unheard_bits=128)
+    assert (whole.rows(256, 256, 512), half.rows(256, 256, 512)) == (85, 42)
+    assert half.rows(256, 260, 512) == (85 - 8) // 2
+    assert Assumption(0.3, unheard_bits=16).rows(256, 256, 512) == 85 // 16
+    assert "128 bits of the nonce" in half.sentence()
+    assert "nonce" not in whole.sentence()
+    schedule = schedule_of(Assumption(0.02, unheard_bits=128))
+    assert schedule is not None
+    assert schedule.largest == 1024  # where the field ends
+    for eps_E in (0.02, 0.3, 0.9, 0.999):
+        claim = Assumption(eps_E, unheard_bits=240)
+        found = schedule_of(claim)
+        assert found is not None
+        n = found.largest
+        assert 16 * (2 * n + claim.rows(n, n, 2 * n)) <= 1 << 16

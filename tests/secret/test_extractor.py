@@ -17,7 +17,7 @@ from protocol.secret.galois import (
     product,
     tables,
 )
-from protocol.secret.toeplitz import (
+from tests.support.toeplitz import (
     length_by_hashing,
     length_by_rank,
     matrix,
@@ -140,6 +140,47 @@ def test_half_heard_nonces_are_half_known_keys() -> None:
     length = length_by_rank(len(missed), 0, 2**-20)
     seed = np.random.default_rng(5).integers(0, 2, seed_bits(len(bits), length)).astype(np.uint8)
     assert rank(matrix(seed, len(bits), length)[:, missed]) == length
+
+
+@pytest.mark.parametrize("unheard", [16, 64, 128, 240])
+def test_by_words_she_knows_nothing_of_what_the_bound_allows_and_one_row_more_is_known(
+    unheard: int,
+) -> None:
+    """She chooses which words of which nonces: prefixes, single words, whole nonces."""
+    generator = random.Random(unheard)
+    n, missed = 40, 16
+    rows = missed * unheard // 256
+    per = unheard // 16
+    nonces = [generator.randbytes(32) for _ in range(n)]
+    keys = words(extract(nonces, rows + 1, True)).reshape(-1, 1)
+    choices = (
+        [16 * j + 16 - per + i for j in range(missed) for i in range(per)],  # heads of frames
+        generator.sample(range(16 * n), missed * per),  # words anywhere
+        sorted(generator.sample(range(16 * n), missed * per))[::-1],
+    )
+    for gone in choices:
+        G = cauchy(16 * (rows + 1), 16 * n)
+        assert eliminate(G[: 16 * rows, gone])[1] == 16 * rows  # nothing of the proper length
+        unit = np.eye(16 * (rows + 1), dtype=np.uint16)
+        reduced, rank = eliminate(np.hstack((G[:, gone], unit)), len(gone))
+        assert 16 * (rows + 1) - rank == 16 * (rows + 1) - len(gone)
+        combinations = reduced[rank:, len(gone) :]
+        heard = np.setdiff1d(np.arange(16 * n), gone)
+        known = product(G[:, heard], words(nonces).reshape(-1, 1)[heard])
+        assert (product(combinations, known) == product(combinations, keys)).all()
+
+
+def test_slices_of_the_work_make_the_same_rows_and_leave_the_loop_its_turns() -> None:
+    generator = random.Random(6)
+    nonces = [generator.randbytes(32) for _ in range(300)]
+    turns: list[int] = []
+    for by_words in (False, True):
+        turns.clear()
+        rows = extract(nonces, 60, by_words, rest=lambda: turns.append(1))
+        assert len(turns) > 5
+        x = words(nonces).reshape(-1, 1) if by_words else words(nonces)
+        whole = product(cauchy(60 * 16 // x.shape[1], len(x)), x).reshape(60, 16)
+        assert rows == [row.tobytes() for row in whole.astype(">u2")]
 
 
 def test_words_are_big_endian() -> None:

@@ -15,18 +15,20 @@ from tap_service.inference.key_solver import bits_held, held
 from wyner.simulate.network import Faults, Side, Simulation
 
 
-def keyed(scenario: Scenario, eps_E: float) -> Scenario:
-    return scenario.model_copy(update={"keys": Keys(eps_E=eps_E)})
+def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario:
+    keys = Keys(eps_E=eps_E, unheard_bits=unheard_bits)
+    return scenario.model_copy(update={"keys": keys})
 
 
 @pytest.mark.parametrize(
-    ("eps_E", "first_s", "rate", "blocks"), [(0.3, 5.0, 800.0, 6), (0.1, 15.0, 280.0, 5)]
+    ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
+    [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],
 )
 def test_the_first_key_comes_early_and_the_rate_after_it(
-    eps_E: float, first_s: float, rate: float, blocks: int, sustained: Scenario,
-    sustained_law: CandidateLaw,
+    eps_E: float, unheard_bits: int, first_s: float, rate: float, blocks: int,
+    sustained: Scenario, sustained_law: CandidateLaw,
 ) -> None:  # fmt: skip
-    scenario = keyed(sustained, eps_E)
+    scenario = keyed(sustained, eps_E, unheard_bits)
     simulation = Simulation(scenario, sustained_law, seed=1, step_s=0.1)
     schedule = scenario.keys.schedule() if scenario.keys is not None else None
     assert schedule is not None

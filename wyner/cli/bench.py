@@ -22,6 +22,7 @@ class Benchmark(NamedTuple):
 
 BENCHMARKS: Final = {
     "loop": Benchmark("benchmarks.loop", "the live loop beside bare Zenoh round trips"),
+    "keys": Benchmark("benchmarks.keys", "the live loop without and with keys"),
     "pace": Benchmark("benchmarks.pace", "the highest rate that misses nothing"),
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),

@@ -1,0 +1,198 @@
+"""What keys cost the loop: its speed with and without them, and offers while a block is distilled.
+
+Rounds alternate in one run, because machines are noisy: the scenario `keys` without its table
+``keys``, then as it is; in lock-step, for the speed, then at a pace, for the offers. The tap hears
+everything here, so that each message's time is on record. An offer falls *into a distillation* when
+the controller's trace shows it between the transition that closed a block and the line that the
+block is stored; the plant distils at the same time.
+"""
+
+import json
+import statistics
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.loop import PATIENCE_S, STEP_LIMIT_S, WARM_UP, running
+from protocol.messages import Measurement, Offer
+from protocol.runtime.process import Failure
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE
+from protocol.secret.blocks import schedule_of
+from protocol.secret.bound import Assumption
+from wyner.studies.fit.toml import as_toml
+
+SCENARIO: Final = Path(__file__).resolve().parent.parent / "wyner" / "scenarios" / "keys.toml"
+CASES: Final = ("off", "on", "distilling")
+PACES: Final = ("fast", "x50")
+"""Lock-step, where the cores are full, and 500 steps a second, where they are not."""
+
+
+@dataclass
+class KeyRound:
+    """One round: its speed, and how long after its measurement each offer came, by case."""
+
+    steps_per_second: float
+    offers_us: dict[str, list[float]]
+
+
+def _variant(folder: Path, keys: bool) -> Path:
+    tables = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    tables["tap"]["loss"] = 0.0
+    if not keys:
+        del tables["keys"]
+    path = folder / "scenario.toml"
+    path.write_text(as_toml(tables), encoding="utf-8")
+    return path
+
+
+def in_distillation(lines: Iterable[dict[str, Any]], last_of: Callable[[int], int]) -> set[int]:
+    """The steps whose offers were made while the controller distilled a block.
+
+    Parameters
+    ----------
+    lines : iterable of dict
+        The controller's trace.
+    last_of : callable
+        The last transition of a block.
+    """
+    k_of: dict[int, int] = {}
+    newest = -1
+    found: set[int] = set()
+    for line in lines:
+        if line["event"] == "transition":
+            newest = k_of[line["j"]] = line["k"]
+        elif line["event"] == "block":
+            # the offer after the transition counted is for the step after it
+            found.update(range(k_of[last_of(line["number"])] + 1, newest + 2))
+    return found
+
+
+def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
+    """Run the services for ``steps`` steps.
+
+    Raises
+    ------
+    protocol.runtime.process.Failure
+        When a service fails, or the capture does not show the steps.
+    """
+    with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
+        folder = Path(name)
+        with running(_variant(folder, keys), folder, steps, pace) as services:
+            services["plant"].wait(PATIENCE_S + STEP_LIMIT_S * steps)
+        seen: dict[str, dict[int, int]] = {Measurement.topic: {}, Offer.topic: {}}
+        for line in (folder / CAPTURE).read_bytes().splitlines()[1:]:
+            record = json.loads(line)
+            if record["event"] == "field":
+                seen[record["topic"]].setdefault(record["message"]["k"], record["t_ns"])
+        trace = (json.loads(x) for x in (folder / CONTROLLER_TRACE).read_bytes().splitlines())
+        schedule = schedule_of(Assumption(0.3))
+        assert schedule is not None
+        distilling = in_distillation(trace, lambda b: schedule.begins(b + 1) - 1)
+    measured, offered = seen[Measurement.topic], seen[Offer.topic]
+    begin = min((k for k in measured if k >= WARM_UP * steps), default=steps)
+    end = max(measured, default=0)
+    if end <= begin:
+        raise Failure(f"the tap's capture shows {len(measured)} of {steps} steps")
+    offers: dict[str, list[float]] = {case: [] for case in CASES}
+    for k in range(begin, end):
+        if k in measured and k in offered:
+            case = "off" if not keys else "distilling" if k in distilling else "on"
+            offers[case].append((offered[k] - measured[k]) / 1e3)
+    seconds = (measured[end] - measured[begin]) / 1e9
+    return KeyRound((end - begin) / seconds, offers)
+
+
+QUANTILES: Final = {"p50": 0.5, "p90": 0.9, "p99": 0.99}
+
+
+def _figures(values: Sequence[float]) -> dict[str, float]:
+    ordered = sorted(values)
+    if not ordered:
+        return {"offers": 0}
+    at = {name: ordered[int(q * (len(ordered) - 1))] for name, q in QUANTILES.items()}
+    return {"offers": len(ordered), **at, "longest": ordered[-1]}
+
+
+def measure(
+    *, rounds: int = 3, steps: int = 3000, progress: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Measure the loop with keys off and on.
+
+    Parameters
+    ----------
+    rounds : int
+        Of one run without keys and one with them, at each of `PACES`.
+    steps : int
+        Steps of each run.
+    progress : callable, optional
+        Told in a line how each round went.
+
+    Returns
+    -------
+    dict
+        ``steps_per_second`` (``off``, ``on``: medians over rounds in lock-step), ``ratio`` (of the
+        two), ``rounds`` (each round's two figures), ``offers_us`` (for each of `PACES` and `CASES`:
+        how many, quantiles, ``longest``), ``steps``.
+
+    Raises
+    ------
+    protocol.runtime.process.Failure
+        When a process fails.
+    """
+    say = progress or (lambda _line: None)
+    runs: dict[str, list[tuple[KeyRound, KeyRound]]] = {pace: [] for pace in PACES}
+    for i in range(rounds):
+        for pace in PACES:
+            off, on = (key_round(keys=keys, steps=steps, pace=pace) for keys in (False, True))
+            runs[pace].append((off, on))
+        off, on = runs["fast"][-1]
+        say(
+            f"round {i + 1} of {rounds}: {off.steps_per_second:.0f} steps/s without keys, "
+            f"{on.steps_per_second:.0f} with"
+        )
+    speed = [(off.steps_per_second, on.steps_per_second) for off, on in runs["fast"]]
+    medians = {
+        name: statistics.median(pair[i] for pair in speed) for i, name in enumerate(("off", "on"))
+    }
+    return {
+        "steps_per_second": medians,
+        "ratio": medians["on"] / medians["off"],
+        "rounds": [{"off": off, "on": on} for off, on in speed],
+        "offers_us": {
+            pace: {
+                case: _figures([us for pair in pairs for r in pair for us in r.offers_us[case]])
+                for case in CASES
+            }
+            for pace, pairs in runs.items()
+        },
+        "steps": steps,
+    }
+
+
+def render(result: dict[str, Any]) -> str:
+    """The result of :func:`measure` as a table for people."""
+    speed = result["steps_per_second"]
+    words = dict(zip(CASES, ("no keys", "keys", "keys, a block is distilled"), strict=True))
+    columns = (*QUANTILES, "longest")
+    lines = [
+        f"scenario keys, {len(result['rounds'])} alternating rounds of {result['steps']} steps, "
+        "tap attached",
+        "",
+        f"lock-step, steps a second: {speed['off']:.0f} without keys, {speed['on']:.0f} with them "
+        f"({result['ratio']:.2f}); round by round "
+        + ", ".join(f"{r['off']:.0f}/{r['on']:.0f}" for r in result["rounds"]),
+        "",
+        f"{'an offer after its measurement, us':<38}{'offers':>8}"
+        + "".join(f"{name:>9}" for name in columns),
+    ]
+    for pace, cases in result["offers_us"].items():
+        for case, figures in cases.items():
+            shown = "".join(
+                f"{'-' if name not in figures else format(figures[name], '.0f'):>9}"
+                for name in columns
+            )
+            lines.append(f"{f'{pace}: {words[case]}':<38}{figures['offers']:>8}{shown}")
+    return "\n".join(lines)

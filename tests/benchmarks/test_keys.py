@@ -1,0 +1,39 @@
+"""The benchmark of keys: the shape and the arithmetic of its result, never its speed."""
+
+import pytest
+
+from benchmarks.keys import CASES, KeyRound, in_distillation, key_round, measure, render
+
+
+def test_offers_between_a_blocks_end_and_its_storing_are_those_of_a_distillation() -> None:
+    lines = [{"event": "transition", "j": j, "k": j + 100} for j in range(6)]
+    lines.insert(6, {"event": "block", "number": 0})  # after the transition 5
+    lines.append({"event": "end", "k": 0})
+    assert in_distillation(lines, lambda b: 3 + 10 * b) == {104, 105, 106}
+
+
+@pytest.mark.integration
+def test_a_round_with_keys_is_measured() -> None:
+    once = key_round(keys=True, steps=400, pace="fast")
+    assert once.steps_per_second > 0
+    assert not once.offers_us["off"]
+    assert len(once.offers_us["on"]) + len(once.offers_us["distilling"]) > 200
+
+
+def test_the_result_is_of_medians_and_of_all_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds = iter([100.0, 1.0, 50.0, 1.0, 300.0, 1.0])
+
+    def fake(*, keys: bool, steps: int, pace: str) -> KeyRound:
+        offers: dict[str, list[float]] = {case: [] for case in CASES}
+        offers["on" if keys else "off"] = [1.0, 2.0, 3.0]
+        return KeyRound((0.5 if keys else 1.0) * (next(speeds) if not keys else 90.0), offers)
+
+    monkeypatch.setattr("benchmarks.keys.key_round", fake)
+    result = measure(rounds=3)
+    assert result["steps_per_second"] == {"off": 100.0, "on": 45.0}
+    assert result["ratio"] == 0.45
+    assert result["offers_us"]["fast"]["on"] == {
+        "offers": 9, "p50": 2.0, "p90": 3.0, "p99": 3.0, "longest": 3.0,
+    }  # fmt: skip
+    assert result["offers_us"]["x50"]["distilling"] == {"offers": 0}
+    assert "keys, a block is distilled" in render(result)
