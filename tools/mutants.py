@@ -128,12 +128,13 @@ def prepare() -> dict[str, list[Mutant]]:
 
 
 def drawn(mutants: Sequence[Mutant], count: int | None, seed: int) -> list[Mutant]:
-    """``count`` of them, or all where none is asked for; a larger sample holds the smaller one."""
+    """``count`` of them, or all where none is asked for.
+
+    A larger sample holds the smaller one, and a change of the program changes the sample little.
+    """
     if count is None or count >= len(mutants):
         return list(mutants)
-    mixed = sorted(mutants)
-    random.Random(seed).shuffle(mixed)
-    return mixed[:count]
+    return sorted(mutants, key=lambda m: random.Random(f"{seed} {m.key}").random())[:count]
 
 
 def told(room: str, of: int, tried: Iterable[Mutant], fate: Mapping[str, str]) -> str:

@@ -31,7 +31,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.knowledge import Knowledge
-from protocol.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+from protocol.scenario import Scenario, ScenarioError, load_scenario, parse_scenario, set_field
 from protocol.schemes.framing import Deframer
 from protocol.shipped import SCENARIOS, scenario_file_of
 from tap_service.capture.transcript import Transition
@@ -130,17 +130,7 @@ def vary(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """
     data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
     for path, value in changes.items():
-        place = data
-        *parents, last = path.split(".")
-        try:
-            for name in parents:
-                place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
-            if isinstance(place, list):
-                place[int(last)] = value
-            else:
-                place[last] = value
-        except (AttributeError, IndexError, TypeError, ValueError):
-            raise ScenarioError([f"{path}: expected the path of a scenario's field"]) from None
+        set_field(data, path, value)
     return parse_scenario(data, scenario.name)
 
 

@@ -18,6 +18,7 @@ from protocol.scenario.reading import (
     describe_errors,
     load_scenario,
     parse_scenario,
+    set_field,
 )
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
@@ -48,4 +49,5 @@ __all__ = [
     "describe_errors",
     "load_scenario",
     "parse_scenario",
+    "set_field",
 ]

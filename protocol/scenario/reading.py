@@ -30,6 +30,27 @@ class ScenarioError(Exception):
         self.problems = tuple(problems)
 
 
+def set_field(data: dict[str, Any], path: str, value: Any) -> None:
+    """Set the field at ``path``, names and places with dots between, in a scenario's data.
+
+    Raises
+    ------
+    ScenarioError
+        When there can be no such field.
+    """
+    place: Any = data
+    *parents, last = path.split(".")
+    try:
+        for name in parents:
+            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
+        if isinstance(place, list):
+            place[int(last)] = value
+        else:
+            place[last] = value
+    except (AttributeError, IndexError, TypeError, ValueError):
+        raise ScenarioError([f"{path}: expected the path of a scenario's field"]) from None
+
+
 def describe_errors(error: ValidationError, source: str) -> list[str]:
     """One line for each wrong field: the file, the field's path, the value, what was expected."""
     lines = []

@@ -8,7 +8,7 @@ she believes of the message. Live and offline she is fed the same things by the 
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 from protocol.agreement import NO_SYMBOL, Gauge, predict
@@ -99,6 +99,17 @@ class Belief:
     symbols: tuple[tuple[int, int], ...] = ()
     A: Matrix = ()
     B: Matrix = ()
+
+    def kept(self, whole: tuple[bytes, ...], count: int, solved_k: int) -> "Belief":
+        """The same with the messages of earlier decodings, which count as certain."""
+        return replace(
+            self,
+            message=whole[-1] if whole else self.message,
+            whole=whole,
+            whole_count=count,
+            confidence=1.0 if whole else self.confidence,
+            solved_k=solved_k,
+        )
 
 
 class Eavesdropper(ABC):
@@ -273,3 +284,35 @@ class Follower:
             A=() if model is None else model.A,
             B=() if model is None else model.B,
         )
+
+
+class Following(Eavesdropper):
+    """A light one: a model, and a verdict of her own on every transition that she heard whole."""
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        self.model = Model.of(knowledge, self.name)
+        self.even = even(self.size)
+        self.follower = Follower(self.scheme)
+
+    def observe(self, transition: Transition) -> Guess:
+        """Follow the scheme; what was not heard whole is guessed evenly."""
+        t = transition
+        if t.start or t.gap:
+            self.follower.restart()
+        if t.x is None or t.candidates is None or t.x_next is None:
+            self.follower.step(t.k, NO_SYMBOL, t.cipher)
+            return Guess(t.k, self.even, 0.5)
+        symbol, guess = self.judged(t, t.x, t.candidates, t.x_next)
+        self.follower.step(t.k, symbol, t.cipher)
+        return guess
+
+    @abstractmethod
+    def judged(
+        self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
+    ) -> tuple[int, Guess]:
+        """The key symbol that she follows the scheme with, or -1, and her guess."""
+
+    def belief(self) -> Belief:
+        """The message that her verdicts spell."""
+        return self.follower.belief(self.model)

@@ -177,19 +177,9 @@ class Learning(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, the model, and what there is of the message under way."""
-        b = belief_of(self._decoding, self._model)
         whole = tuple(self._whole.values())
-        return Belief(
-            message=whole[-1] if whole else b.message,
-            whole=whole,
-            whole_count=self._whole_count,
-            confidence=1.0 if whole else b.confidence,
-            candidates_left=b.candidates_left,
-            solved_k=self._solved_k,
-            symbols=b.symbols,
-            A=b.A,
-            B=b.B,
-        )
+        now = belief_of(self._decoding, self._model)
+        return now.kept(whole, self._whole_count, self._solved_k)
 
 
 def _rows(matrix: Array) -> Matrix:

@@ -8,45 +8,33 @@ grows towards the set's edge from inside. Under a law of which it is public that
 agrees, *when* is no question, and she needs no threshold.
 """
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
+from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import (
-    Belief,
-    Eavesdropper,
-    Follower,
-    Guess,
-    Model,
-    even,
-)
+from tap_service.eavesdroppers.base import Following, Guess
 
 MARGIN = 1.1
 """Threshold over the largest nearest gauge seen: a defender's set is drawn with room to spare."""
 
 
-class NearestCentre(Eavesdropper):
+class NearestCentre(Following):
     """Takes the candidate whose centre is nearest to x(k+1) in the shape of D_e."""
 
     name: ClassVar[str] = "nearest-centre"
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
-        self._model = Model.of(knowledge, self.name)
-        self._even = even(self.size)
-        self._follower = Follower(self.scheme)
         self._largest = 0.0
 
-    def observe(self, transition: Transition) -> Guess:
+    def judged(
+        self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
+    ) -> tuple[int, Guess]:
         """Measure every candidate; the nearest is the guess."""
-        t = transition
-        if t.start or t.gap:
-            self._follower.restart()
-        if t.x is None or t.candidates is None or t.x_next is None:
-            self._follower.step(t.k, NO_SYMBOL, t.cipher)
-            return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
+        gauges = self.model.gauges(x, candidates, x_next, t.centres)
         nearest = min(gauges)
         ties = gauges.count(nearest)
         self._largest = max(self._largest, nearest)
@@ -54,13 +42,9 @@ class NearestCentre(Eavesdropper):
         inside = sum(g <= threshold for g in gauges)
         agreed = self.certain or (inside == 1 and max(gauges) <= 1.0)
         symbol = gauges.index(nearest)
-        self._follower.step(t.k, symbol if agreed else NO_SYMBOL, t.cipher)
+        follows = symbol if agreed else NO_SYMBOL
         if ties > 1:
             share = 1.0 / ties
-            return Guess(t.k, tuple(share if g == nearest else 0.0 for g in gauges), 0.0)
+            return follows, Guess(t.k, tuple(share if g == nearest else 0.0 for g in gauges), 0.0)
         certain = tuple(1.0 if i == symbol else 0.0 for i in range(len(gauges)))
-        return Guess(t.k, certain, 1.0 if agreed else 0.0)
-
-    def belief(self) -> Belief:
-        """The message that her one threshold spells."""
-        return self._follower.belief(self._model)
+        return follows, Guess(t.k, certain, 1.0 if agreed else 0.0)

@@ -6,53 +6,34 @@ symbol costs her one guess in M. Whether a key was agreed she cannot tell where 
 """
 
 import random
+from collections.abc import Sequence
 from typing import ClassVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
+from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import (
-    Belief,
-    Eavesdropper,
-    Follower,
-    Guess,
-    Model,
-    even,
-)
+from tap_service.eavesdroppers.base import Following, Guess
 
 
-class SetMembership(Eavesdropper):
+class SetMembership(Following):
     """Excludes the candidates whose Reach^e misses x(k+1); guesses evenly among the others."""
 
     name: ClassVar[str] = "set-membership"
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
-        self._model = Model.of(knowledge, self.name)
-        self._even = even(self.size)
-        self._follower = Follower(self.scheme)
         # her coin for choosing among equals: seeded, so that a replay guesses as she did live
         self._coin = random.Random(0)
 
-    def observe(self, transition: Transition) -> Guess:
+    def judged(
+        self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
+    ) -> tuple[int, Guess]:
         """Exclude, then guess evenly."""
-        t = transition
-        if t.start or t.gap:
-            self._follower.restart()
-        if t.x is None or t.candidates is None or t.x_next is None:
-            self._follower.step(t.k, NO_SYMBOL, t.cipher)
-            return Guess(t.k, self._even, 0.5)
-        possible = [g <= 1.0 for g in self._model.gauges(t.x, t.candidates, t.x_next, t.centres)]
+        possible = [g <= 1.0 for g in self.model.gauges(x, candidates, x_next, t.centres)]
         count = sum(possible)
         if count == len(possible):
-            symbol = self._coin.randrange(self.size)
-            self._follower.step(t.k, symbol, t.cipher)
-            return Guess(t.k, self._even, 0.5)
-        self._follower.step(t.k, NO_SYMBOL, t.cipher)
+            return self._coin.randrange(self.size), Guess(t.k, self.even, 0.5)
         if count == 0:
-            return Guess(t.k, self._even, 0.0)
-        return Guess(t.k, tuple(p / count for p in possible), 0.0)
-
-    def belief(self) -> Belief:
-        """The message that her coin tosses spell."""
-        return self._follower.belief(self._model)
+            return NO_SYMBOL, Guess(t.k, self.even, 0.0)
+        return NO_SYMBOL, Guess(t.k, tuple(p / count for p in possible), 0.0)

@@ -198,19 +198,9 @@ class Smoother(Eavesdropper):
         """The last whole message, else what the best decoding spells so far."""
         if self._solved_k < 0:
             self.decode()
-        b = belief_of(self._decoding, self._model)
         whole = tuple(self._whole.values())
-        return Belief(
-            message=whole[-1] if whole else b.message,
-            whole=whole,
-            whole_count=self._whole_count,
-            confidence=1.0 if whole else b.confidence,
-            candidates_left=b.candidates_left,
-            solved_k=self._solved_k,
-            symbols=b.symbols,
-            A=b.A,
-            B=b.B,
-        )
+        now = belief_of(self._decoding, self._model)
+        return now.kept(whole, self._whole_count, self._solved_k)
 
 
 def _among(support: float) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from protocol.scenario import (
     describe_errors,
     load_scenario,
     parse_scenario,
+    set_field,
 )
 from protocol.shipped import SCENARIOS
 
@@ -179,20 +180,6 @@ class Point:
         return self.scenario.name, self.variant, self.task
 
 
-def _set_field(data: dict[str, Any], path: str, value: Any, source: str) -> None:
-    place: Any = data
-    *parents, last = path.split(".")
-    try:
-        for name in parents:
-            place = place[int(name)] if isinstance(place, list) else place.setdefault(name, {})
-        if isinstance(place, list):
-            place[int(last)] = value
-        else:
-            place[last] = value
-    except (AttributeError, IndexError, TypeError, ValueError):
-        raise SweepError(f"{source}: {path}: expected the path of a scenario's field") from None
-
-
 def canonical(value: object) -> str:
     """The value as JSON in one spelling: what is hashed and what stands in a cell."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
@@ -258,7 +245,10 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                 settings = variant.set | fields
                 where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
                 for field_path, value in settings.items():
-                    _set_field(data, field_path, value, where)
+                    try:
+                        set_field(data, field_path, value)
+                    except ScenarioError as error:
+                        raise SweepError(f"{where}: {error}") from None
                 try:
                     scenario = parse_scenario(data, where)
                 except ScenarioError as error:
