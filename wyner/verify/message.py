@@ -162,7 +162,7 @@ def frames(e: Evidence, tally: Tally) -> Judging:
                     tally.count(whole.frame.intact, at.session, at.j, at.k, text)
                     if name == "plant" and whole.frame.intact:
                         received.append(whole.frame.payload)
-    if isinstance(e.plant_journal, Kept):
+    if e.plant is not None and isinstance(e.plant_journal, Kept):
         _same_inbox(e, e.plant_journal, received, tally)
     if not tally.counted and e.cut:
         tally.skipped = e.cut

@@ -272,7 +272,7 @@ class SideReader:
         part, oldest = number_of(self._part), header.get("oldest", 0)
         first = self.header or header
         expected = {**first, "part": part, "oldest": oldest, **HEADS}
-        for name in expected.keys() | header.keys():
+        for name in sorted(expected.keys() | header.keys()):
             if header.get(name, 0) != expected.get(name, 0):
                 self.problem(number, f"{name}: not as expected of part {part}")
         if not isinstance(oldest, int) or not 0 <= oldest <= part:

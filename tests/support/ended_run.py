@@ -1,0 +1,39 @@
+"""A run with all that a run leaves: recordings, journals, the manifest, what the tap said."""
+
+import json
+from pathlib import Path
+
+from protocol.link.endpoint import Keep
+from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.run_folder import (
+    CAPTURE,
+    CONTROLLER_JOURNAL,
+    MANIFEST,
+    PLANT_JOURNAL,
+    TAP_STATUS,
+    write_atomically,
+)
+from tests.support.small_run import SmallRun, read_lines
+
+
+def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> SmallRun:
+    """One message arrives, with losses, repeats, deaths and a lost journal on its way."""
+    run = SmallRun(folder, payloads)
+    run.steps(30, {3: "repeated", 9: "offer lost", 20: "plant dies", 25: "controller dies"})
+    run.step("plant forgets")
+    run.until_received(1)
+    run.steps(12, {8: "offer lost"})
+    run.close()
+    fingerprint = run.scenario.fingerprint()
+    with ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as journal:
+        for number, payload in enumerate(payloads):
+            journal.write(Keep(run.sender.record, queued=(f"m{number}", payload)))
+    with PlantJournal(folder / PLANT_JOURNAL, fingerprint) as journal:
+        for payload in run.received:
+            journal.write(Keep(run.receiver.record, received=payload))
+    manifest = {"wyner": "0", **run.scenario.identity()}
+    write_atomically(folder / MANIFEST, json.dumps(manifest).encode())
+    messages = len(read_lines(folder / CAPTURE)) - 2
+    status = {"t_ns": 0, "first_part": 0, "captured": messages, "dropped": 0}
+    write_atomically(folder / TAP_STATUS, json.dumps(status).encode())
+    return run
