@@ -11,6 +11,7 @@ from controller_service.telemetry import ControllerTelemetry, Messages, Phase
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
 from protocol.link.key_events import key_events, key_notices
+from protocol.link.pacing import next_turn, phase_of
 from protocol.link.sender import Sender, SenderEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
@@ -123,7 +124,7 @@ class ControllerEndpoint:
         self._now = now
         if now < self._status_at:
             return NOTHING_TO_DO
-        self._status_at = now + self._status_s
+        self._status_at = next_turn(now, self._status_s, phase_of(self.sender.instance))
         publish, health = self._status(force=False)
         return Actions(publish=publish, health=health)
 

@@ -12,7 +12,7 @@ from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
 from protocol.link.key_events import key_events, key_notices
-from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.receiver import Receiver, ReceiverEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
@@ -211,7 +211,7 @@ class PlantEndpoint:
             actions = self._ended()
         health = b""
         if now >= self._status_at:
-            self._status_at = now + self._status_s
+            self._status_at = next_turn(now, self._status_s, phase_of(receiver.instance))
             status, health = self._status(force=False)
             publish += status
         if receiver.accepted and not actions.settle and pacing.measurement_due(now):

@@ -42,7 +42,7 @@ from protocol.runtime.run_folder import (
     GUESSES,
     HEALTH,
     TAP_STATUS,
-    write_atomically,
+    write_status,
 )
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.analysis import Assignment, Listeners, analyse, listeners_of
@@ -417,9 +417,9 @@ class TapService:
             "dropped": self._queue.dropped + self._capture.dropped,
         }
         try:
-            write_atomically(self._config.run_dir / BELIEFS, beliefs_json(self._records))
-            write_atomically(self._config.run_dir / TAP_STATUS, to_json(captured))
-            write_atomically(self._config.run_dir / "tap" / HEALTH, self._health().encode())
+            write_status(self._config.run_dir / BELIEFS, beliefs_json(self._records))
+            write_status(self._config.run_dir / TAP_STATUS, to_json(captured))
+            write_status(self._config.run_dir / "tap" / HEALTH, self._health().encode())
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

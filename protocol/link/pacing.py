@@ -6,9 +6,24 @@ tick without an offer is a missed step. In lock-step (no deadline) a step ends w
 
 from math import inf
 from typing import Final, Literal
+from zlib import crc32
 
 LOCKSTEP_REPEAT_S: Final = 0.05
 """Seconds between repeats of a measurement where no deadline says otherwise."""
+
+
+def next_turn(now_s: float, step_s: float, phase: float) -> float:
+    """The first time after ``now_s`` that is a part ``phase`` of a step after a whole number.
+
+    Whoever adds a step to the time at which it came to run keeps what a stall did to it: of two
+    hundred that were due together, all stay due together.
+    """
+    return now_s + step_s - (now_s - phase * step_s) % step_s
+
+
+def phase_of(name: str) -> float:
+    """A phase, 0 to 1, that spreads those of many names evenly."""
+    return crc32(name.encode()) / 2**32
 
 
 class Pacing:
@@ -92,8 +107,7 @@ class Pacing:
         """The end of a step that begins at ``now_s``; where there is a phase, of a longer one."""
         if self._phase is None:
             return now_s + step_s
-        late = (now_s - self._phase * step_s) % step_s
-        return now_s + 2 * step_s - late
+        return next_turn(now_s, step_s, self._phase) + step_s
 
     def measurement_due(self, now_s: float) -> bool:
         """Whether to publish the measurement now; if so, the next time is a repeat interval on."""

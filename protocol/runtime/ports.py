@@ -14,7 +14,7 @@ from protocol.messages import Message, without_secrets
 from protocol.runtime.bus import Publisher
 from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import HEALTH, write_atomically
+from protocol.runtime.run_folder import HEALTH, write_status
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import Keeper
 from protocol.secret.tasks import Task
@@ -99,10 +99,10 @@ class LoopPorts:
         The file holds no text, key or coin: whoever may read it need not be on ops.
         """
         told = from_json(status)
-        write_atomically(self.files.health, to_json(without_secrets(told)))
+        write_status(self.files.health, to_json(without_secrets(told)))
         beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
         folder = self.files.health.parent
-        write_atomically(folder / HEALTH, f"{beat.line}\n".encode())
+        write_status(folder / HEALTH, f"{beat.line}\n".encode())
         if self.space is None:
             self.space = Space(folder)
         for line in (beat.notice, self.space.look()):

@@ -186,14 +186,21 @@ class Pace:
         return None if self.factor is None else period_s / self.factor
 
 
+_NEVER: Final = 2**31 - 1
+"""Collections of the middle generation before one of the oldest."""
+
+
 def freeze_startup() -> None:
     """Take what a service has loaded out of garbage collection, once, before its loop begins.
 
     Modules, schemas and the design live as long as the process; searching them again and again
-    made a control step a sixth longer.
+    made a control step a sixth longer. What is young is still searched, what has grown old is not:
+    with 200 loops that search stopped a host for 20 to 60 ms every four seconds.
     """
     gc.collect()
     gc.freeze()
+    young, middle, _ = gc.get_threshold()
+    gc.set_threshold(young, middle, _NEVER)
 
 
 def needs(what: str, package: str) -> str:

@@ -4,6 +4,7 @@ A run leaves its message, keys, coins and journals on disk. So folders made here
 0600, whatever the umask says, and nothing is ever written through a link or onto a device.
 """
 
+import ctypes
 import errno
 import os
 import stat
@@ -162,3 +163,43 @@ def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
     """
     with replacing(path, mode) as partial:
         partial.write_bytes(data)
+
+
+def write_status(path: Path, data: bytes) -> None:
+    """Replace a file that is written again and again, whole for every reader, without the disk.
+
+    Renaming over a file makes ext4 write the new one out first: 1 ms each in the median and 5 ms at
+    times, against 0.01 ms for exchanging the two names. What a power cut would leave of a status
+    matters to nobody.
+
+    Raises
+    ------
+    NotRegular
+        When something else stands there; it is left as it is.
+    OSError
+    """
+    refuse_irregular(path)
+    new = path.with_name(f".partial-{path.name}")
+    file = open_private(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    try:
+        os.write(file, data)
+    finally:
+        os.close(file)
+    if _exchange(new, path):
+        new.unlink()
+    else:  # nothing there yet, or a file system that cannot
+        new.replace(path)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange the names of two regular files at once; tells whether that could be done."""
+    return _renameat2 is not None and (
+        _renameat2(_AT_FDCWD, bytes(one), _AT_FDCWD, bytes(other), _RENAME_EXCHANGE) == 0
+    )
+
+
+_renameat2: Final = getattr(ctypes.CDLL(None), "renameat2", None)
+"""Of Linux's C library; others rename."""
+
+_AT_FDCWD: Final = -100
+_RENAME_EXCHANGE: Final = 2
