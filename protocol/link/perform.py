@@ -14,18 +14,17 @@ The services, the simulation, the tests and the benchmarks come through here. Wh
 puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone.
 """
 
-import os
 from collections.abc import Callable
-from typing import Final, Literal, Protocol
+from typing import Literal, Protocol
 
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message
 from protocol.secret.tasks import Task
 
-give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", lambda: None)
-"""Let other threads have the processor. Called after a put, before work that can wait: otherwise
-the thread that sends may have to wait for it, and a step is a sixteenth longer on two cores."""
+
+def stay() -> None:
+    """Keep the processor."""
 
 
 class Ports(Protocol):
@@ -50,8 +49,19 @@ class Ports(Protocol):
         """Replace the status in the run's folder."""
 
 
-def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
-    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
+def perform(
+    actions: Actions, endpoint: Endpoint, ports: Ports, *, give_way: Callable[[], None] = stay
+) -> None:
+    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them.
+
+    Parameters
+    ----------
+    actions : Actions
+    endpoint : Endpoint
+    ports : Ports
+    give_way : callable, optional
+        Called between what is sent and what can wait.
+    """
     while True:
         for event in actions.events:
             ports.trace(event)

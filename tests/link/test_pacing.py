@@ -4,7 +4,7 @@ from math import inf
 
 import pytest
 
-from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 
 
 def running(now_s: float = 0.0, step_s: float | None = 1.0) -> Pacing:
@@ -114,3 +114,21 @@ def test_in_a_fleet_ticks_keep_their_phase_whatever_happens(phase: float) -> Non
         now = due + stall
         assert pacing.tick(now, running=True) == "missed"
         assert pacing.due_at(running=True, measuring=False) > now
+
+
+def test_who_was_due_together_after_a_stall_is_spread_again_at_the_next_turn() -> None:
+    phases = [phase_of(f"loop-{i:04}") for i in range(200)]
+    stalled_until = 7.3
+    turns = sorted(next_turn(stalled_until, 1.0, phase) for phase in phases)
+    assert stalled_until < turns[0]
+    assert turns[-1] <= stalled_until + 1.0
+    in_a_tenth = [
+        sum(0.1 * i <= t - stalled_until < 0.1 * (i + 1) for t in turns) for i in range(10)
+    ]
+    assert max(in_a_tenth) < 40
+    assert next_turn(turns[3], 1.0, phases[0]) > turns[3]
+
+
+def test_a_turn_that_is_now_is_not_its_own_next() -> None:
+    assert next_turn(2.25, 1.0, 0.25) == 3.25
+    assert next_turn(2.0, 0.05, 0.0) > 2.0

@@ -3,14 +3,17 @@
 import logging
 import os
 import signal
+import stat
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from protocol.runtime import run_folder
 from protocol.runtime.process import (
     Pace,
     RateLimitedLog,
@@ -21,7 +24,7 @@ from protocol.runtime.process import (
     proquint,
     stop_on_signals,
 )
-from protocol.runtime.run_folder import write_atomically
+from protocol.runtime.run_folder import write_atomically, write_status
 
 
 @pytest.mark.parametrize(
@@ -72,30 +75,55 @@ def test_ids_are_random_and_well_formed() -> None:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "status.json"
-    write_atomically(path, b"old")
-    write_atomically(path, b"new")
-    assert path.read_bytes() == b"new"
+Write = Callable[[Path, bytes], None]
+
+WAYS: list[Write] = [write_atomically, write_status]
+
+
+@pytest.mark.parametrize("write", WAYS)
+def test_a_file_is_replaced_whole(tmp_path: Path, write: Write) -> None:
+    path = tmp_path / "status.json"
+    write(path, b"older")
+    write(path, b"old")
+    write(path, b"new, and longer")
+    assert path.read_bytes() == b"new, and longer"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_readers_never_see_a_part(tmp_path: Path) -> None:
+def test_a_status_is_replaced_where_names_cannot_be_exchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_folder, "_renameat2", None)
+    for data in (b"old", b"new"):
+        write_status(tmp_path / "f", data)
+    assert (tmp_path / "f").read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [tmp_path / "f"]
+
+
+def test_what_a_killed_writer_left_of_a_status_harms_nobody(tmp_path: Path) -> None:
+    (tmp_path / ".partial-f").write_bytes(b"half of something long")
+    write_status(tmp_path / "f", b"new")
+    assert (tmp_path / "f").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("replace", WAYS)
+def test_readers_never_see_a_part(tmp_path: Path, replace: Write) -> None:
     path = tmp_path / "status"
     contents = [bytes([i]) * 100_000 for i in range(2)]
-    write_atomically(path, contents[0])
+    replace(path, contents[0])
     done = threading.Event()
 
     def write() -> None:
         for i in range(200):
-            write_atomically(path, contents[i % 2])
+            replace(path, contents[i % 2])
         done.set()
 
     writer = threading.Thread(target=write)
     writer.start()
     seen = set()
     while not done.is_set():
-        seen.add(path.read_bytes())
+        seen.add(path.read_bytes())  # and never that it is not there
     writer.join()
     assert seen <= set(contents)
 
