@@ -18,7 +18,8 @@ def next_turn(now_s: float, step_s: float, phase: float) -> float:
     Whoever adds a step to the time at which it came to run keeps what a stall did to it: of two
     hundred that were due together, all stay due together.
     """
-    return now_s + step_s - (now_s - phase * step_s) % step_s
+    turn = now_s + step_s - (now_s - phase * step_s) % step_s
+    return turn if turn > now_s else turn + step_s  # the remainder may round to a whole step
 
 
 def phase_of(name: str) -> float:
