@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from protocol.secret.bound import Assumption
 from protocol.vectors import Matrix, Vector
 
 Direction = Literal["both", "measurements", "offers"]
@@ -82,6 +83,8 @@ class Knowledge(BaseModel):
         The control policy, as far as it does not depend on D_c.
     alpha : float, optional
         D_e over D_c. Only the oracle, which knows what the defender knows, is told.
+    keys : Assumption, optional
+        What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
         Of her own receiver: standard deviation of its noise, and the step to which it rounds.
     """
@@ -98,5 +101,6 @@ class Knowledge(BaseModel):
     disturbance_h: Vector | None = None
     policy: Policy | None = None
     alpha: float | None = None
+    keys: Assumption | None = None
     noise: float = 0.0
     quantise: float = 0.0

@@ -330,6 +330,10 @@ class TapStatus(Message):
     ``candidates_left`` counts the messages still possible to her (0: not counted by this kind).
     ``A``, ``B`` are the model she has learned or was given; ``solved_k`` is the step at which she
     first was sure of a whole message (-1: not yet).
+    Of one who attacks keys: ``key_blocks`` made keys, ``key_bits_held`` is what she can compute of
+    their rows (-1: this one does not try). Of ``copies`` 0 she missed ``copies_missed``, at most a
+    share ``missed_at_most``; that may refute the claim. Of sealed texts heard lately she knows
+    ``sealed_bits_known``; ``sealed_text`` is the last one, with · for what she does not.
     """
 
     topic: ClassVar[str] = "intel/tap/status"
@@ -350,6 +354,16 @@ class TapStatus(Message):
     solved_k: Annotated[int, Field(ge=-1)]
     A: tuple[FiniteVector, ...] = ()
     B: tuple[FiniteVector, ...] = ()
+    key_blocks: Count = 0
+    key_bits_held: Annotated[int, Field(ge=-1)] = -1
+    copies: Count = 0
+    copies_missed: Count = 0
+    missed_at_most: float = 1.0
+    claim_refuted: bool = False
+    misses_in_bursts: bool = False
+    sealed_bits: Count = 0
+    sealed_bits_known: Count = 0
+    sealed_text: str = ""
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_probability: FiniteVector = ()

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.recording import CaptureError, CaptureReader, Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
@@ -62,6 +63,12 @@ class Listeners:
         self.listeners = tuple(listeners)
         self.session = ""
         self._log = log
+
+    def hear(self, message: FieldMessage, transitions: Iterable[Transition]) -> None:
+        """Hand a message to those that hear them, then each transition that it settles to all."""
+        for listener in self.listeners:
+            listener.hear(message)
+        self.feed(transitions)
 
     def feed(self, transitions: Iterable[Transition]) -> None:
         """Let each observe each transition."""
@@ -133,7 +140,7 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
         until = start + SLICE_S
         empty = False
         for _t_ns, message in reader.records():
-            listeners.feed(transcript.hear(message))
+            listeners.hear(message, transcript.hear(message))
             if time.monotonic() >= until:
                 break
         else:

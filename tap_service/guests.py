@@ -25,9 +25,10 @@ from functools import cache
 from typing import IO, Any, Final
 
 from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
-from tap_service.eavesdroppers.base import GuestError
+from tap_service.eavesdroppers.base import GuestError, KeysHeld
 
 START_S: Final = 20.0
 """Seconds that she has to be loaded and made."""
@@ -160,6 +161,10 @@ class Guest(Eavesdropper):
         self.settled += map(_guess, settled)
         return _guess(guess)
 
+    def hear(self, message: FieldMessage) -> None:
+        """Hand her a message."""
+        self._ask("hear", message)
+
     def belief(self) -> Belief:
         """Her best message by now."""
         told = self._ask("belief")
@@ -167,6 +172,7 @@ class Guest(Eavesdropper):
         told["whole"] = tuple(map(base64.b64decode, told["whole"]))
         for name in ("symbols", "A", "B"):
             told[name] = tuple(map(tuple, told[name]))
+        told["keys"] = told["keys"] and KeysHeld.model_validate(told["keys"])
         return Belief(**told)
 
     def review(self) -> Sequence[Guess]:
@@ -202,6 +208,7 @@ def guarded(name: str) -> type[Eavesdropper]:
         "name": str(told["name"]),
         "heavy": bool(told["heavy"]),
         "told_model": bool(told["told_model"]),
+        "hears_messages": bool(told["hears_messages"]),
     }
     return type("Guest", (Guest,), attributes)
 
@@ -218,7 +225,8 @@ def _serve(name: str, to: IO[bytes], out: IO[bytes]) -> None:
         try:
             if what == "who":
                 kind = named(name)
-                value = {"name": kind.name, "heavy": kind.heavy, "told_model": kind.told_model}
+                attributes = ("name", "heavy", "told_model", "hears_messages")
+                value = {name: getattr(kind, name) for name in attributes}
             elif what == "make":
                 tap = named(name)(Knowledge.model_validate_json(argument))
             else:
@@ -244,6 +252,9 @@ def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
         return guess, settled
     if what == "review":
         return [_told(one) for one in tap.review()]
+    if what == "hear":
+        tap.hear(argument)
+        return None
     belief = tap.belief()
     if not isinstance(belief, Belief):
         raise TypeError(f"expected a Belief, got {belief!r}")
@@ -251,6 +262,7 @@ def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
         **{name: getattr(belief, name) for name in Belief.__slots__},
         "message": base64.b64encode(belief.message).decode(),
         "whole": [base64.b64encode(bytes(whole)).decode() for whole in belief.whole],
+        "keys": None if belief.keys is None else belief.keys.model_dump(),
     }
 
 

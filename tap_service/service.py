@@ -320,7 +320,7 @@ class TapService:
         if len(self._queue) > BUSY_LENGTH:
             self._unheard += 1
             return
-        self._listeners.feed(self._transcript.hear(message))
+        self._listeners.hear(message, self._transcript.hear(message))
 
     def finish(self) -> None:
         """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""

@@ -12,10 +12,17 @@ from typing import Any, Final, Self
 from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
-from protocol.messages import TapStatus
+from protocol.messages import FieldMessage, TapStatus
 from protocol.text import readable
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, GuestError, KnowledgeError
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    GuestError,
+    KeysHeld,
+    KnowledgeError,
+)
 
 TAIL: Final = 32
 """Transitions that a status shows."""
@@ -81,6 +88,15 @@ class Listener:
         self.holes += not transition.whole
         self.tail.append(guess)
         return guess
+
+    def hear(self, message: FieldMessage) -> None:
+        """Hand her a message, if she is one to hear them."""
+        if self.failed or not self.tap.hears_messages:
+            return
+        try:
+            self.tap.hear(message)
+        except Exception as error:
+            self._fail("a message", error)
 
     def settled(self) -> Sequence[Guess]:
         """Take off her last thoughts on the transitions that she has let go."""
@@ -163,6 +179,8 @@ def sound_belief(belief: object) -> Belief:
     B = tuple(tuple(map(float, row)) for row in belief.B)
     if not all(map(isfinite, chain.from_iterable((*A, *B)))):
         raise ValueError(f"expected a finite model, got A {A}, B {B}")
+    if not isinstance(belief.keys, KeysHeld | None):
+        raise TypeError(f"expected KeysHeld, got {belief.keys!r}")
     flat = array("q", chain.from_iterable(belief.symbols))
     if len(flat) != 2 * len(belief.symbols):
         raise ValueError("expected symbols as pairs of step and symbol")
@@ -176,6 +194,7 @@ def sound_belief(belief: object) -> Belief:
         symbols=belief.symbols,
         A=A,
         B=B,
+        keys=belief.keys,
     )
 
 
@@ -195,12 +214,31 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         solved_k=belief.solved_k,
         A=belief.A,
         B=belief.B,
+        **_of_keys(belief.keys),
         tail_k=tuple(g.k for g in tail),
         tail_symbol=tuple(g.best for g in tail),
         tail_probability=tuple(max(g.symbol) for g in tail),
         tail_agreed=tuple(g.agreed for g in tail),
         **counts,
     )
+
+
+def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
+    """The status's fields of keys, of one who attacks them."""
+    if keys is None:
+        return {}
+    return {
+        "key_blocks": keys.blocks,
+        "key_bits_held": keys.bits,
+        "copies": keys.copies,
+        "copies_missed": keys.missed,
+        "missed_at_most": keys.at_most,
+        "claim_refuted": keys.refuted,
+        "misses_in_bursts": keys.bursts,
+        "sealed_bits": sum(text.bits for text in keys.sealed),
+        "sealed_bits_known": sum(text.known_bits for text in keys.sealed),
+        "sealed_text": keys.sealed[-1].text[:SHOWN_TEXT] if keys.sealed else "",
+    }
 
 
 def guess_line(session: str, name: str, guess: Guess, event: str = "guess") -> bytes:
@@ -237,6 +275,7 @@ def belief_record(
         "symbols": [(int(k), int(s)) for k, s in belief.symbols] if last else None,
         "A": belief.A,
         "B": belief.B,
+        "keys": None if belief.keys is None else belief.keys.model_dump(),
     }
 
 

@@ -233,6 +233,7 @@ class Scenario(Part):
             disturbance_H=H,
             disturbance_h=h,
             policy=self.control.policy(self.n, self.m),
+            keys=None if self.keys is None else self.keys.assumption(),
         )
 
     def oracle_knowledge(self) -> Knowledge:

@@ -23,8 +23,9 @@ LADDER: Final[dict[str, str]] = {
     "learning": "tap_service.eavesdroppers.learning:Learning",
     "smoother": "tap_service.eavesdroppers.smoother:Smoother",
     "oracle": "tap_service.eavesdroppers.oracle:Oracle",
+    "key-solver": "tap_service.eavesdroppers.key_solver:KeySolver",
 }
-"""Each name with its module and class, weakest first."""
+"""Each name with its module and class, weakest first; the last goes for the keys alone."""
 
 EAVESDROPPERS: Final[Classes[Eavesdropper]] = Classes("eavesdropper", Eavesdropper, LADDER)
 

@@ -11,8 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
+from pydantic import BaseModel, ConfigDict
+
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage
 from protocol.registry import UnknownError
 from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
@@ -65,6 +68,68 @@ class Guess:
         return self.symbol.index(max(self.symbol))
 
 
+class HeldBlock(BaseModel):
+    """A key block as one who attacks keys sees it: ``bits`` are what she can compute of its rows.
+
+    ``counted`` copies made ``rows``, of which the first is no key; ``missed`` she did not hear.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    session: str
+    number: int
+    counted: int
+    rows: int
+    missed: int
+    bits: int
+
+
+class ReadText(BaseModel):
+    """A sealed message: its bits, those that she knows by rank, the bytes that she has."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: str
+    bits: int
+    known_bits: int
+    text: str
+
+
+class KeysHeld(BaseModel):
+    """What one who attacks keys holds of them.
+
+    Parameters
+    ----------
+    blocks, broken : int
+        Blocks that made keys, and those that she can compute a bit of.
+    bits : int
+        Bits of their rows that she can compute, by rank.
+    copies, missed : int
+        Copies 0 that were sent, as far as she can tell, and those that she missed.
+    at_most : float
+        Upper bound of her miss rate (Clopper-Pearson, level 1e-6).
+    refuted, bursts : bool
+        Whether that is below the claim; whether her misses come in bursts.
+    newest : tuple of HeldBlock
+        The last blocks.
+    sealed : tuple of ReadText
+        The last sealed messages.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    blocks: int
+    broken: int
+    bits: int
+    copies: int
+    missed: int
+    at_most: float
+    refuted: bool
+    bursts: bool
+    newest: tuple[HeldBlock, ...] = ()
+    sealed: tuple[ReadText, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class Belief:
     """What an eavesdropper thinks of the message so far.
@@ -88,6 +153,8 @@ class Belief:
         :data:`KEPT_SYMBOLS`.
     A, B : tuple of tuple of float
         The model she uses; empty when she has none.
+    keys : KeysHeld, optional
+        What she holds of the keys, where she attacks them.
     """
 
     message: bytes = b""
@@ -99,6 +166,7 @@ class Belief:
     symbols: tuple[tuple[int, int], ...] = ()
     A: Matrix = ()
     B: Matrix = ()
+    keys: KeysHeld | None = None
 
     def kept(self, whole: tuple[bytes, ...], count: int, solved_k: int) -> "Belief":
         """The same with the messages of earlier decodings, which count as certain."""
@@ -118,7 +186,8 @@ class Eavesdropper(ABC):
     A subclass sets ``name``, and ``heavy`` when one transition may cost her more than some
     microseconds: she then works from the capture in a process of her own, on a bounded share of
     a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
-    f_c nor D_e, unless the model she is told is wrong on purpose.
+    f_c nor D_e, unless the model she is told is wrong on purpose. One with ``hears_messages`` is
+    handed every message besides, right before the transitions that it settles.
 
     Attributes
     ----------
@@ -139,6 +208,7 @@ class Eavesdropper(ABC):
     name: ClassVar[str]
     heavy: ClassVar[bool] = False
     told_model: ClassVar[bool] = True
+    hears_messages: ClassVar[bool] = False
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
@@ -149,6 +219,9 @@ class Eavesdropper(ABC):
             raise KnowledgeError(f"knowledge.scheme: {error}") from None
         self.certain = knowledge.policy is not None and knowledge.policy.certain
         self.settled: list[Guess] = []
+
+    def hear(self, message: FieldMessage) -> None:  # noqa: B027
+        """Take a message as it was heard, repeats and sealed ones included."""
 
     @abstractmethod
     def observe(self, transition: Transition) -> Guess:

@@ -66,6 +66,28 @@ def held(nonces: Sequence[bytes | None], rows: int) -> Held:
     )
 
 
+def within(combinations: Words, values: Words, rows: Sequence[int]) -> tuple[Words, Words]:
+    """Of what she knows of all rows, what speaks of some of them alone.
+
+    Parameters
+    ----------
+    combinations, values : array, shapes (known, all rows) and (known, words)
+    rows : sequence of int
+        Which rows.
+
+    Returns
+    -------
+    tuple of array, shapes (r, len(rows)) and (r, words)
+        Independent combinations of these rows in reduced form, so that a row that she knows stands
+        alone, and their values.
+    """
+    others = np.setdiff1d(np.arange(combinations.shape[1]), rows)
+    ordered = np.hstack((combinations[:, others], combinations[:, list(rows)], values))
+    reduced, rank = eliminate(ordered, len(others))
+    left, rank = eliminate(reduced[rank:, len(others) :], len(rows))
+    return left[:rank, : len(rows)], left[:rank, len(rows) :]
+
+
 def bits_held(rows: int, missed: int) -> int:
     """What :func:`held` counts, without the algebra: every square part is invertible."""
     return 8 * NONCE_BYTES * max(0, rows - missed)

@@ -86,6 +86,8 @@ class Replay:
         """Decode about ``transitions`` more; False when the capture is at its end."""
         goal = self.transitions + transitions
         for _t_ns, message in self._records:
+            for listener in self.listeners:
+                listener.hear(message)
             self._feed(self.transcript.hear(message))
             if self.transitions >= goal:
                 return True

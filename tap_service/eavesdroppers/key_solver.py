@@ -1,0 +1,281 @@
+"""`key-solver`: goes for the keys. She solves each block's linear system for whatever it gives.
+
+She knows the claim, and so where blocks begin, how many rows they have and the matrix; which copies
+counted she reads off the messages, and takes each for counted of which she did not hear. A block of
+R rows of which she missed e counted copies gives her R - e combinations of rows: none, where the
+claim holds. With what she has she opens sealed messages, word by word.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, NamedTuple
+
+import numpy as np
+
+from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.secret.blocks import schedule_of
+from protocol.secret.galois import Words
+from protocol.secret.keeper import PUBLIC_TAG_BYTES
+from protocol.secret.nonces import NONCE_BYTES, as_bytes
+from protocol.secret.records import key_id
+from protocol.secret.sealed import TAG_KEY_BYTES, keys_needed
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    HeldBlock,
+    KeysHeld,
+    KnowledgeError,
+    ReadText,
+    even,
+)
+from tap_service.inference.key_solver import Held, held, within
+from tap_service.inference.miss_rate import Misses
+
+KEPT_BLOCKS: Final = 64
+"""Blocks that she has something of and keeps for sealed messages, and blocks that she tells of."""
+
+KEPT_SEALED: Final = 32
+
+WORDS: Final = NONCE_BYTES // 2
+SHOWN: Final = PUBLIC_TAG_BYTES // 2
+"""Words of row 0 that a public tag shows."""
+
+UNKNOWN: Final = "·"
+
+
+@dataclass(slots=True)
+class _Step:
+    """What she heard of one step: nonces of its copies 0, and which copies were taken."""
+
+    offer: bytes | None = None
+    measurement: bytes | None = None
+    offer_taken: int = 0
+    measurement_taken: int = 0
+
+
+@dataclass(slots=True)
+class _Tags:
+    """The tags that the two ends have shown of a block, by message."""
+
+    shown: dict[type[Measurement | Offer], str] = field(default_factory=dict)
+
+    @property
+    def public(self) -> bytes:
+        """The tag, where both show the same: it is then a part of row 0, and no secret one."""
+        tags = set(self.shown.values())
+        return bytes.fromhex(tags.pop()) if len(self.shown) == 2 and len(tags) == 1 else b""
+
+
+class _Solved(NamedTuple):
+    """A block that she has something of."""
+
+    session: str
+    number: int
+    held: Held
+
+    def known(self, rows: tuple[int, ...], place: int, tag: bytes) -> tuple[Words, Words]:
+        """Combinations of ``rows`` that she knows of their word ``place``, with the values."""
+        combinations, values = self.held.combinations, self.held.values[:, place : place + 1]
+        if tag and place < SHOWN:
+            row_0 = np.zeros((1, self.held.rows), np.uint16)
+            row_0[0, 0] = 1
+            word = int.from_bytes(tag[2 * place : 2 * place + 2])
+            combinations = np.vstack((combinations, row_0))
+            values = np.vstack((values, np.array([[word]], np.uint16)))
+        return within(combinations, values, rows)
+
+
+class KeySolver(Eavesdropper):
+    """Solves for key bits; of the loop's own symbols she knows nothing."""
+
+    name: ClassVar[str] = "key-solver"
+    hears_messages: ClassVar[bool] = True
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        super().__init__(knowledge)
+        schedule = None if knowledge.keys is None else schedule_of(knowledge.keys)
+        if schedule is None:
+            raise KnowledgeError(
+                f"eavesdropper {self.name}: knowledge lacks keys, expected a claim that makes some"
+            )
+        self._schedule = schedule
+        self._claim = schedule.assumption
+        self._even = even(self.size)
+        self._misses = Misses()
+        self._steps: dict[str, dict[int, _Step]] = {}
+        self._tags: dict[tuple[str, int], _Tags] = {}
+        self._sealed: dict[str, Sealed] = {}
+        self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
+        self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
+        self._blocks = self._broken = self._bits = 0
+        self._j = -1  # number of the last transition; -1 where she did not hear a session's first
+        self._last_k = -1
+        self._open: list[tuple[int, bytes | None, bytes | None]] = []
+        self._open_steps = 0
+
+    # --- what she hears ---------------------------------------------------------------------------
+
+    def hear(self, message: FieldMessage) -> None:
+        """Note nonces and copies; their transitions come when they are settled."""
+        if isinstance(message, Sealed):
+            self._sealed.setdefault(message.id, message)
+            if len(self._sealed) > KEPT_SEALED:
+                del self._sealed[next(iter(self._sealed))]
+            return
+        step = self._step(message.session, message.k)
+        if isinstance(message, Offer):
+            if not message.copy_number and message.nonce:
+                step.offer = as_bytes(message.nonce)
+            step.measurement_taken = message.heard
+        else:
+            if not message.copy_number and message.nonce:
+                step.measurement = as_bytes(message.nonce)
+            if message.applied_k >= 0:
+                self._step(message.session, message.applied_k).offer_taken = message.applied_copy
+        if message.block >= 0:
+            at = (message.session, message.block)
+            self._tags.setdefault(at, _Tags()).shown[type(message)] = message.tag
+            if len(self._tags) > 2 * KEPT_BLOCKS:
+                del self._tags[next(iter(self._tags))]
+
+    def _step(self, session: str, k: int) -> _Step:
+        steps = self._steps.get(session)
+        if steps is None:
+            steps = self._steps[session] = {}
+            while len(self._steps) > 2:  # the one before, whose last transitions may not be settled
+                del self._steps[next(iter(self._steps))]
+        return steps.setdefault(k, _Step())
+
+    def observe(self, transition: Transition) -> Guess:
+        """Count a transition towards its block, and solve the block that it closes."""
+        t = transition
+        steps = self._steps.get(t.session, {})
+        if t.start:
+            self._j, self._open, self._open_steps = 0, [], 0
+        elif t.gap:
+            self._j = -1  # which blocks the next ones belong to is lost, until a session begins
+        elif self._j >= 0:
+            self._j += 1
+        for k in range(self._last_k + 1 if self._j > 0 else t.k, t.k):
+            self._count(steps.get(k, _Step()), measurement_only=True)
+            self._open_steps += 1
+        step = steps.get(t.k, _Step())
+        self._count(step)
+        if self._j > 0:
+            self._append(t.session, step)
+        self._last_k = t.k
+        for k in [k for k in steps if k <= t.k]:
+            del steps[k]
+        return Guess(t.k, self._even, 0.5)
+
+    def _count(self, step: _Step, *, measurement_only: bool = False) -> None:
+        """Note which copies 0 of a step she missed; a step without a transition had no offer."""
+        if self._claim.counting(2):
+            self._misses.add(missed=step.measurement is None)
+        if self._claim.counting(1) and not measurement_only:
+            self._misses.add(missed=step.offer is None)
+
+    def _append(self, session: str, step: _Step) -> None:
+        counts = self._claim.counting((not step.offer_taken) + 2 * (not step.measurement_taken))
+        self._open.append((counts, step.offer, step.measurement))
+        self._open_steps += 1
+        number = self._schedule.block_of(self._j)
+        if self._j + 1 == self._schedule.begins(number + 1):
+            self._close(session, number)
+            self._open, self._open_steps = [], 0
+
+    def _close(self, session: str, number: int) -> None:
+        nonces: list[bytes | None] = []
+        for counts, offer, measurement in self._open:
+            nonces += [offer] * (counts & 1) + [measurement] * (counts >> 1)
+        rows = self._claim.rows(len(self._open), self._open_steps, len(nonces))
+        if rows < 2:
+            return  # it makes no key
+        missed = sum(nonce is None for nonce in nonces)
+        bits = 0
+        if missed < rows:
+            solved = _Solved(session, number, held(nonces, rows))
+            self._solved.append(solved)
+            bits = solved.held.bits
+        block = HeldBlock(
+            session=session, number=number, counted=len(nonces), rows=rows, missed=missed, bits=bits
+        )
+        self._told.append(block)
+        self._blocks += 1
+        self._broken += bits > 0
+        self._bits += bits
+
+    # --- what she has -----------------------------------------------------------------------------
+
+    def belief(self) -> Belief:
+        """What she holds of the keys, and what she reads of sealed messages."""
+        rate = self._misses.judge(self._claim.eps_E)
+        read = tuple(self._read(message) for message in self._sealed.values())
+        return Belief(
+            keys=KeysHeld(
+                blocks=self._blocks,
+                broken=self._broken,
+                bits=self._bits,
+                copies=rate.copies,
+                missed=rate.missed,
+                at_most=rate.high,
+                refuted=rate.refuted,
+                bursts=rate.bursts,
+                newest=tuple(self._told),
+                sealed=read,
+            ),
+        )
+
+    def _tag(self, solved: _Solved) -> bytes:
+        tags = self._tags.get((solved.session, solved.number))
+        return b"" if tags is None else tags.public
+
+    def _read(self, message: Sealed) -> ReadText:
+        """What she can tell of a sealed text: bits by rank, and the bytes that she knows."""
+        length = len(message.cipher)
+        shown = [UNKNOWN] * length
+        bits = 0
+        places = self._places(message) if len(message.key_ids) == keys_needed(length) else {}
+        for (at, word), rows in places.items():
+            solved = self._solved[at]
+            under = sorted(rows, key=rows.__getitem__, reverse=True)  # half a word comes first
+            combinations, values = solved.known(tuple(under), word, self._tag(solved))
+            bits += 16 * len(combinations)
+            for combination, value in zip(combinations, values, strict=True):
+                found = np.flatnonzero(combination)
+                place = rows[under[int(found[0])]]
+                if place + 1 == length:
+                    bits -= 8
+                if len(found) > 1:
+                    continue
+                pad = int(value[0]).to_bytes(2)
+                for i in range(place, min(place + 2, length)):
+                    byte = message.cipher[i] ^ pad[i - place]
+                    shown[i] = chr(byte) if 32 <= byte < 127 else "?"
+        return ReadText(
+            id=message.id,
+            bits=8 * length,
+            known_bits=bits,
+            text="".join(shown),
+        )
+
+    def _places(self, message: Sealed) -> dict[tuple[int, int], dict[int, int]]:
+        """For each of her blocks and word of a row: the rows under it, with their places."""
+        found: dict[tuple[int, int], dict[int, int]] = {}
+        rows = {
+            key_id(solved.session, solved.number, row): (at, row)
+            for at, solved in enumerate(self._solved)
+            for row in range(1, solved.held.rows)
+        }
+        for i, name in enumerate(message.key_ids):
+            if name not in rows:
+                continue
+            at, row = rows[name]
+            for word in range(WORDS):
+                place = i * NONCE_BYTES + 2 * word - TAG_KEY_BYTES
+                if 0 <= place < len(message.cipher):
+                    found.setdefault((at, word), {})[row] = place
+        return found

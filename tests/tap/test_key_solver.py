@@ -1,0 +1,179 @@
+"""The one who goes for the keys, on messages of the two real ends: what she holds is what is."""
+
+import random
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage, Measurement, Message, Offer, Sealed
+from protocol.secret.blocks import schedule_of
+from protocol.secret.bound import Assumption
+from protocol.secret.records import BlockRow
+from protocol.secret.sealed_book import SealedBook
+from tap_service.capture.transcript import Transcript
+from tap_service.eavesdroppers import KnowledgeError, named
+from tap_service.eavesdroppers.base import KeysHeld
+from tap_service.status import Listener
+from tests.support.keyed_link import Side, World
+from tests.support.line_plant import line_rules
+
+CLAIM = Assumption(0.5)
+RULES = replace(line_rules(alpha=4.0, largest_input=1e9), schedule=schedule_of(CLAIM))
+KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
+TEXT = "The old mill, at nine, and bring the other half of the map with you, unfolded."
+"""78 bytes and an odd one: three keys of pad."""
+
+
+class Recorded(World):
+    """A world whose field messages are kept; some of them never arrive."""
+
+    def __init__(self, lose: Callable[[Message], bool] = lambda _: False) -> None:
+        self.field: list[FieldMessage] = []
+        self._lose = lose
+        super().__init__(RULES, period_s=0.3)
+
+    def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
+        if kind in (Measurement, Offer):
+            message = kind.model_validate_json(payload)
+            assert isinstance(message, Measurement | Offer)
+            self.field.append(message)
+            if self._lose(message):
+                return
+        super().published(side, kind, payload)
+
+
+@cache
+def recorded(lossy: bool = False) -> tuple[list[FieldMessage], list[BlockRow], str]:
+    """Messages of some blocks and a sealed one, the controller's blocks, and the sealed text."""
+    draw = random.Random(4)
+    world = Recorded(lambda _: lossy and draw.random() < 0.01)
+    while len(world.stores["controller"].blocks()) < 4:
+        world.well(100)
+    books = {side: SealedBook(world.stores[side]) for side in ("controller", "plant")}
+    books["controller"].queue("m", TEXT.encode())
+    sealed = books["controller"].next()
+    assert sealed is not None
+    message = Sealed(id="m", key_ids=sealed.key_ids, cipher=sealed.cipher, tag=sealed.tag)
+    blocks = world.stores["controller"].blocks()
+    world.close()
+    return [*world.field, message, message], blocks, TEXT
+
+
+def held_by(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeysHeld:
+    """Feed her as the tap does."""
+    listener = Listener.of(named("key-solver"), knowledge)
+    transcript = Transcript()
+    for message in messages:
+        listener.hear(message)
+        for transition in transcript.hear(message):
+            listener.observe(transition)
+    for transition in transcript.flush():
+        listener.observe(transition)
+    keys = listener.belief().keys
+    assert not listener.failed
+    assert keys is not None
+    return keys
+
+
+def without(messages: Iterable[FieldMessage], loss: float, seed: int) -> Iterator[FieldMessage]:
+    draw = random.Random(seed)
+    for message in messages:
+        if isinstance(message, Sealed) or draw.random() >= loss:
+            yield message
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+def test_who_hears_all_holds_every_row_and_reads_what_is_sealed(lossy: bool) -> None:
+    messages, blocks, text = recorded(lossy)
+    keys = held_by(messages)
+    assert [(b.number, b.counted, b.rows, b.missed) for b in keys.newest] == [
+        (b.number, b.counted, b.rows, 0) for b in blocks if b.rows >= 2
+    ]
+    assert keys.bits == 256 * sum(b.rows for b in blocks if b.rows >= 2) > 0
+    assert keys.broken == keys.blocks
+    assert keys.refuted
+    (read,) = keys.sealed
+    assert (read.known_bits, read.bits, read.text) == (8 * len(text), 8 * len(text), text)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_who_misses_as_much_as_is_claimed_holds_nothing(seed: int) -> None:
+    messages, blocks, text = recorded()
+    keys = held_by(without(messages, 0.5, seed))
+    assert keys.blocks == len(blocks)
+    assert (keys.bits, keys.broken, keys.refuted, keys.bursts) == (0, 0, False, False)
+    assert 0.4 < keys.missed / keys.copies < 0.6
+    (read,) = keys.sealed
+    assert (read.known_bits, read.text) == (0, "·" * len(text))
+
+
+def missing(messages: list[FieldMessage], ks: range, count: int) -> list[FieldMessage]:
+    """She misses so many offers of these steps, by their nonces alone."""
+    gone = set(list(ks)[:count])
+    return [
+        m.model_copy(update={"copy_number": 1}) if isinstance(m, Offer) and m.k in gone else m
+        for m in messages
+    ]
+
+
+def test_one_row_too_many_is_one_combination_of_rows_and_half_of_it_is_of_keys() -> None:
+    """Of the word in which the tag shows row 0 she learns a combination of keys, else none."""
+    messages, blocks, _ = recorded()
+    second = blocks[1]
+    first_k = blocks[0].transitions + 1
+    ks = range(first_k, first_k + second.transitions)
+    for missed, bits in ((second.rows, 0), (second.rows - 1, 256), (second.rows - 3, 768)):
+        assert missed <= len(ks)
+        keys = held_by(missing(messages, ks, missed))
+        (block,) = (b for b in keys.newest if b.number == 1)
+        assert (block.missed, block.bits) == (missed, bits)
+
+
+def test_who_missed_one_copy_knows_half_of_every_key_by_the_public_tag() -> None:
+    messages, blocks, text = recorded()
+    hers = list(messages)
+    k = 1
+    for block in blocks:
+        hers = missing(hers, range(k + 3, k + 4), 1)
+        k += block.transitions
+    keys = held_by(hers)
+    assert [b.missed for b in keys.newest] == [1] * len(blocks)
+    (read,) = keys.sealed
+    known = [i for i in range(len(text)) if i % 32 < 16]
+    assert read.text == "".join(c if i in known else "·" for i, c in enumerate(text))
+    # of the words that the tag does not show: one equation less than there are keys, by rank
+    assert 8 * len(known) < read.known_bits < 8 * len(text)
+
+
+def test_tags_that_differ_are_signed_and_tell_her_nothing() -> None:
+    messages, blocks, _ = recorded()
+    hers: list[FieldMessage] = [
+        m.model_copy(update={"tag": "5" * 32}) if isinstance(m, Offer) and m.block >= 0 else m
+        for m in messages
+    ]
+    k = 1
+    for block in blocks:
+        hers = missing(hers, range(k + 3, k + 4), 1)
+        k += block.transitions
+    (read,) = held_by(hers).sealed
+    assert set(read.text) == {"·"}
+
+
+def test_one_who_comes_late_knows_no_block_and_says_so() -> None:
+    messages, _, text = recorded()
+    late = held_by(messages[100:])
+    assert (late.blocks, late.bits) == (0, 0)
+    assert late.sealed[0].text == "·" * len(text)
+
+
+@pytest.mark.parametrize("claim", [None, Assumption(0.0)])
+def test_where_no_key_is_made_there_is_nothing_for_her(claim: Assumption | None) -> None:
+    with pytest.raises(KnowledgeError, match="lacks keys"):
+        named("key-solver")(KNOWLEDGE.model_copy(update={"keys": claim}))
+
+
+def test_knowledge_of_the_claim_travels_as_json() -> None:
+    assert Knowledge.model_validate_json(KNOWLEDGE.model_dump_json()) == KNOWLEDGE
