@@ -34,7 +34,7 @@ from protocol.runtime.trace import TraceWriter
 from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
-from protocol.secret.opening import open_keeper
+from protocol.secret.opening import open_keeper, refusal
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import CIPHER, symbols
@@ -100,7 +100,12 @@ def open_controller(
         journal,
         scenario.plant.period_s,
         message=config.message,
-        telemetry=ControllerTelemetry(scenario.name, config.law, seeded=seeded),
+        telemetry=ControllerTelemetry(
+            scenario,
+            config.law,
+            seeded=seeded,
+            keys_refused="" if scenario.keys is None else refusal(scenario, config.seed) or "",
+        ),
         status_s=status_s,
     )
     return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, keeper)

@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 from controller_service.laws.base import CandidateLaw
 from protocol.link.sender import Outbox, Sender
 from protocol.messages import ControllerStatus
+from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
 from protocol.text import readable
 
@@ -30,11 +31,15 @@ class ControllerTelemetry:
     ``phase``, ``detail`` and ``unexplained`` are the endpoint's to set.
     """
 
-    def __init__(self, scenario: str, law: CandidateLaw, *, seeded: bool) -> None:
+    def __init__(
+        self, scenario: Scenario, law: CandidateLaw, *, seeded: bool, keys_refused: str = ""
+    ) -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
         self.unexplained = 0
-        self._scenario = scenario
+        self._scenario = scenario.name
+        self._keys_claim = "" if scenario.keys is None else scenario.keys.assumption().sentence()
+        self._keys_refused = keys_refused
         self._law = law
         self._seeded = seeded
         self._seq = 0
@@ -73,4 +78,5 @@ class ControllerTelemetry:
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self.unexplained,
+            **sender.keying.told(self._keys_claim, self._keys_refused),
         )

@@ -204,6 +204,7 @@ class PlantStatus(Message):
     ``keys_made`` counts keys of confirmed blocks in this process's life, ``keys_of_block`` those of
     the last one and ``key_block_steps`` its steps; ``keys_claim`` says under which claim they are
     secret, ``keys_refused`` why nobody gets them. Both are empty where no keys are made.
+    ``keys_stopped`` says why the last block made none.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
     ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
@@ -257,6 +258,7 @@ class PlantStatus(Message):
     key_block_steps: Count = 0
     keys_claim: str = ""
     keys_refused: str = ""
+    keys_stopped: str = ""
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -277,7 +279,8 @@ class ControllerStatus(Message):
 
     ``sending`` is the text on its way and ``queue`` counts the messages behind it. When all is
     sent, ``sending`` keeps the last one and ``frame_symbols`` equals ``frame_length``.
-    ``unexplained`` counts transitions of this process's life that no candidate explains.
+    ``unexplained`` counts transitions of this process's life that no candidate explains; the
+    fields of keys are those of `PlantStatus`.
     """
 
     topic: ClassVar[str] = "ops/controller/status"
@@ -302,6 +305,12 @@ class ControllerStatus(Message):
     queue: Count
     delivered: Count
     unexplained: Count = 0
+    keys_made: Count = 0
+    keys_of_block: Count = 0
+    key_block_steps: Count = 0
+    keys_claim: str = ""
+    keys_refused: str = ""
+    keys_stopped: str = ""
 
 
 SECRET_FIELDS: Final = frozenset({"last_message", "partial", "sending"})

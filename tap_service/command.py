@@ -195,7 +195,7 @@ def run_told(
     from protocol.runtime.options import alone_in, checked, run_dir_of
     from protocol.runtime.process import UsageError
     from tap_service.capture.recording import Limits
-    from tap_service.eavesdroppers import DEFAULT, DEFAULT_UNCLEAR, KnowledgeError
+    from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
     from tap_service.guests import guarded
     from tap_service.service import FINISH_S, TapConfig, run_tap
@@ -222,7 +222,7 @@ def run_told(
             field=field,
             intel=intel,
             oracle_knowledge=told.oracle,
-            names=names or (DEFAULT if view.clear else DEFAULT_UNCLEAR),
+            names=names or default_names(told.knowledge, clear=view.clear),
             view=view,
             loop=loop,
             limits=limits,

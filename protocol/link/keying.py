@@ -5,6 +5,7 @@ the wire then carries, and no work.
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
@@ -26,6 +27,8 @@ class Keying:
         self.schedule = schedule
         self.blocks: Blocks | None = None
         self.broken = ""
+        self.stopped = ""
+        """Why the last block made no key; empty where it made some."""
         self.made = 0
         self.last = (0, 0)
         """Keys and steps of the last block confirmed."""
@@ -112,6 +115,7 @@ class Keying:
         if isinstance(done, Broken):
             self.broken = done.reason
         elif self.blocks is not None and isinstance(done, Stored):
+            self.stopped = _why_not(done)
             judged = self.blocks.stored(done)
         elif self.blocks is not None and isinstance(done, Judged):
             self.blocks.judged(done.session, done.number)
@@ -120,6 +124,24 @@ class Keying:
                 self.last = (done.keys, self.schedule.length(done.number))
         return self.tasks(judged)
 
+    def told(self, claim: str, refused: str) -> dict[str, Any]:
+        """A status's fields of keys, with the claim and why nobody gets them."""
+        return {
+            "keys_made": self.made,
+            "keys_of_block": self.last[0],
+            "key_block_steps": self.last[1],
+            "keys_claim": claim,
+            "keys_refused": self.broken or refused,
+            "keys_stopped": self.stopped,
+        }
+
     def settled(self) -> tuple[range, ...]:
         """Transitions whose rows the journal may drop; named once."""
         return () if self.blocks is None else self.blocks.settled()
+
+
+def _why_not(block: Stored) -> str:
+    """Why a block made no key."""
+    if block.exhausted:
+        return "no pad is left to sign key blocks with"
+    return "" if block.keys else f"block {block.number} lost too many copies to make one"

@@ -28,7 +28,8 @@ def look_at_status(folder: Path, now_s: float) -> Look:
     except (ValueError, KeyError, TypeError):
         raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
     detail = f" ({status['detail']})" if status.get("detail") else ""
-    return Look(age_s, count, f"{phase}{detail}, {count} transitions")
+    stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
+    return Look(age_s, count, f"{phase}{detail}, {count} transitions{stopped}")
 
 
 def look_at_line(folder: Path, now_s: float) -> Look:

@@ -30,18 +30,37 @@ COUNTERS = {
         "messages": ("messages_recovered", "whole messages that the plant has"),
         "frames_refused": ("frames_refused", "frames that failed their check"),
         "garbage": ("garbage", "messages that were no messages"),
+        "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
     },
     ControllerStatus.topic: {
         "delivered": ("messages_delivered", "messages of which every symbol was counted"),
         "garbage": ("garbage", "messages that were no messages"),
+        "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
     },
     TapStatus.topic: {
         "mirrored": ("tap_mirrored", "messages in the tap's recording"),
         "dropped": ("tap_dropped", "messages that the tap heard and lost"),
         "lost": ("tap_lost", "transitions of which the tap lacks a message"),
         "garbage": ("garbage", "messages that were no messages"),
+        "key_blocks": ("keys_blocks_attacked", "key blocks that the eavesdropper went for"),
+        "key_bits_held": ("keys_bits_held", "bits of their rows that she can compute"),
+        "copies": ("keys_copies", "first copies that were sent, as far as she can tell"),
+        "copies_missed": ("keys_copies_missed", "first copies that she missed"),
+        "sealed_bits_known": ("keys_sealed_bits_known", "bits that she knows of sealed texts"),
     },
 }
+
+GAUGES = {
+    PlantStatus.topic: {"keys_stopped": ("keys_stopped", "whether the last block made no key")},
+    ControllerStatus.topic: {
+        "keys_stopped": ("keys_stopped", "whether the last block made no key")
+    },
+    TapStatus.topic: {
+        "claim_refuted": ("keys_claim_refuted", "whether she misses less than was claimed"),
+        "misses_in_bursts": ("keys_misses_in_bursts", "whether her misses come in bursts"),
+    },
+}
+"""What is so now, or is not."""
 
 
 class _Noted:
@@ -107,9 +126,14 @@ class StatusCollector:
 
     def collect(self) -> "Iterator[Metric]":
         """The metrics, by name."""
-        from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
+        from prometheus_client.core import (
+            CounterMetricFamily,
+            GaugeMetricFamily,
+            HistogramMetricFamily,
+        )
 
-        found: dict[str, CounterMetricFamily] = {}
+        found: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
+        kinds = ((CounterMetricFamily, COUNTERS), (GaugeMetricFamily, GAUGES))
         latency = HistogramMetricFamily(
             "wyner_offer_latency_seconds",
             "from a step's first measurement to its offer",
@@ -118,13 +142,14 @@ class StatusCollector:
         for (topic, loop, name), payload in sorted(self._board.items()):
             status: dict[str, Any] = from_json(payload)
             service = topic.split("/")[1]
-            for field, (metric, text) in COUNTERS[topic].items():
-                family = found.get(metric)
-                if family is None:
-                    labels = ["loop", "service", "eavesdropper"]
-                    family = CounterMetricFamily(f"wyner_{metric}", text, labels=labels)
-                    found[metric] = family
-                family.add_metric([loop, service, name], status[field])
+            for kind, fields in kinds:
+                for field, (metric, text) in fields[topic].items():
+                    if metric not in found:
+                        labels = ["loop", "service", "eavesdropper"]
+                        found[metric] = kind(f"wyner_{metric}", text, labels=labels)
+                    value = status[field]
+                    value = bool(value) if kind is GaugeMetricFamily else max(0, value)
+                    found[metric].add_metric([loop, service, name], value)
             if topic == PlantStatus.topic:
                 self._histogram(latency, loop, status["latency_counts"])
         yield from found.values()

@@ -6,7 +6,9 @@ user's own. Modules are loaded when they are asked for.
 
 from typing import Final
 
+from protocol.knowledge import Knowledge
 from protocol.registry import Classes, UnknownError
+from protocol.secret.blocks import schedule_of
 from tap_service.eavesdroppers.base import (
     Belief,
     Eavesdropper,
@@ -14,7 +16,15 @@ from tap_service.eavesdroppers.base import (
     KnowledgeError,
 )
 
-__all__ = ["LADDER", "Belief", "Eavesdropper", "Guess", "KnowledgeError", "named"]
+__all__ = [
+    "LADDER",
+    "Belief",
+    "Eavesdropper",
+    "Guess",
+    "KnowledgeError",
+    "default_names",
+    "named",
+]
 
 LADDER: Final[dict[str, str]] = {
     "set-membership": "tap_service.eavesdroppers.set_membership:SetMembership",
@@ -37,6 +47,24 @@ DEFAULT: Final = ("set-membership", "nearest-centre", "list-decoder")
 
 DEFAULT_UNCLEAR: Final = ("set-membership", "nearest-centre", "list-decoder", "smoother")
 """The same where the tap hears badly."""
+
+
+KEY_SOLVER: Final = "key-solver"
+"""The one who goes for keys: she listens by default where any are made."""
+
+
+def default_names(knowledge: Knowledge, *, clear: bool) -> tuple[str, ...]:
+    """Who listens where nobody was named.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    clear : bool
+        Whether the tap hears everything as it is.
+    """
+    names = DEFAULT if clear else DEFAULT_UNCLEAR
+    makes_keys = knowledge.keys is not None and schedule_of(knowledge.keys) is not None
+    return (*names, KEY_SOLVER) if makes_keys else names
 
 
 def named(name: str) -> type[Eavesdropper]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
+from protocol.runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS
 from wyner.cli.main import main
 
 
@@ -48,6 +48,7 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
             "D_c is left more often than its calibration promised",
         ),
         (PLANT_STATUS, {"keys_refused": "eps_E = 0"}, "keys: eps_E = 0"),
+        (PLANT_STATUS, {"keys_stopped": "no pad is left"}, "keys stopped: no pad is left"),
         (CONTROLLER_STATUS, {"unexplained": 2}, "2 transitions that no candidate explains"),
         (
             PLANT_STATUS,
@@ -66,6 +67,31 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
 ) -> None:
     assert main(["status", str(changed(run_dir, tmp_path, file, **fields))]) == 1
     assert f"warning: {warning}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("found", "warning"),
+    [
+        ({"bits": 512}, "the tap holds 512 bits of keys"),
+        ({"refuted": True}, "the tap misses 0.12 of the copies at most: the claim is refuted"),
+        ({"bursts": True}, "the tap's misses come in bursts"),
+    ],
+)
+def test_what_the_tap_found_against_the_claim_is_a_warning(
+    run_dir: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    found: dict[str, object],
+    warning: str,
+) -> None:
+    folder = changed(run_dir, tmp_path, PLANT_STATUS)
+    keys = {"bits": 0, "at_most": 0.123, "refuted": False, "bursts": False} | found
+    (folder / BELIEFS).parent.mkdir()
+    (folder / BELIEFS).write_text(json.dumps({"a": {"keys": None}, "key-solver": {"keys": keys}}))
+    assert main(["status", str(folder)]) == 1
+    assert capsys.readouterr().out.count("warning: ") == 1
+    assert main(["status", str(folder), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["warnings"] == [warning]
 
 
 def test_what_cannot_be_read_is_one_line(

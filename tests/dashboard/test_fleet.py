@@ -79,6 +79,17 @@ def test_a_claim_stands_beside_the_truth(fleet: Fleet) -> None:
     assert all(row.split()[-9 if "right" in row or "wrong" in row else -8] == "4" for row in rows)
 
 
+def test_keys_made_and_bits_held_are_told(fleet: Fleet) -> None:
+    fleet.say("a", fleet.plant, keys_made=63)
+    fleet.say("a", TAP)
+    fleet.say("a", TAP, name="key-solver", confidence=0.0, key_bits_held=512)
+    fleet.table.take(1.0)
+    _, header, row = fleet.table.lines(1.0)
+    at = header.index("keys")
+    assert row[at : at + 4].strip() == "63"
+    assert row.endswith("2 lost, 512 bits of keys held")
+
+
 def test_a_long_table_is_cut_where_the_loops_are_well(fleet: Fleet) -> None:
     for number in range(20):
         fleet.say(f"loop-{number:02d}", fleet.plant, missed=number)

@@ -19,10 +19,12 @@ from rich.text import Text
 
 from protocol.messages import PlantStatus
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from wyner.dashboard.headless import Reporter
 from wyner.dashboard.keymap import KEYS, Action, action_of
 from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
+from wyner.dashboard.secrecy_panel import contradictions
 from wyner.dashboard.text import (
     MARKS,
     component,
@@ -704,9 +706,54 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     claim = "secret only from a tap that misses at least 0.3 of copies 0"
     made = with_plant(board, keys_made=63, keys_of_block=48, key_block_steps=176, keys_claim=claim)
     for height in (24, 40):
-        assert f"63 keys, 698 bit/s; {claim}" in shown(made, 120, height)
+        assert "63 keys, 698 bit/s; no tap goes for them" in shown(made, 120, height)
+        assert f" assumption     {claim}" in shown(made, 120, height)
     assert "63 keys, 698 bit/s" in shown(made, 60, 16)
     seeded = with_plant(made, keys_refused="seed 3: predictable")
-    assert "63 keys, 698 bit/s; refused: seed 3" in shown(seeded, 120, 40)
+    assert f"refused: seed 3: predictable; {claim}" in shown(seeded, 120, 40)
     none = with_plant(board, keys_claim=claim, keys_refused="eps_E = 0: nothing is claimed")
     assert "none: eps_E = 0: nothing is claimed" in shown(none, 120, 40)
+    stopped = with_plant(made, keys_stopped="no pad is left to sign key blocks with")
+    assert "STOPPED: no pad is left" in shown(stopped, 120, 40)
+
+
+def with_attacker(board: Board, **fields: object) -> Board:
+    """A tap that goes for the keys is heard."""
+    tap = next(iter(board.taps.values()))
+    none = {"tail_k": (), "message": "", "key_bits_held": 0, "key_blocks": 7, "copies": 2000}
+    status = tap.status.model_copy(update={"name": "key-solver", **none, **fields})
+    return reduce(board, Arrival(0, status))
+
+
+def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
+    claim = "secret only from a tap that misses at least 0.3 of copies 0"
+    board = with_plant(board_after(700), keys_made=63, keys_claim=claim)
+    holds = with_attacker(board, copies_missed=600)
+    for width, height in ((80, 24), (120, 40)):
+        text = shown(holds, width, height)
+        assert "63 keys, 0 bit/s; she holds 0 bits of 7 blocks, missed 30 %" in text
+        assert f" assumption     {claim}" in text
+    assert list(contradictions(holds)) == []
+    worse = with_attacker(
+        board, copies_missed=20, key_bits_held=512, claim_refuted=True, missed_at_most=0.0213
+    )
+    text = shown(worse, 120, 40)
+    assert "she holds 512 bits of 7 blocks, missed 1 %" in text
+    assert f"CLAIM REFUTED: she misses 0.021 at most; {claim}" in text
+    worst = with_attacker(
+        board,
+        key_bits_held=999,
+        claim_refuted=True,
+        misses_in_bursts=True,
+        sealed_bits=176,
+        sealed_bits_known=8,
+        sealed_text="T" + "·" * 21,
+    )
+    text = shown(worst, 80, 24)
+    assert "CLAIM REFUTED; MISSES IN BURSTS; SHE READS 8 of 176 sealed bits" in text
+    lines, _ = Reporter().report(worst, 0)
+    assert "tap key-solver holds 999 bits of keys" in lines
+    assert "MISSES IN BURSTS" in lines
+    assert any("she holds 999 bits of 7 blocks" in line for line in lines)
+    again, _ = Reporter(before=worst).report(worst, 0)
+    assert not any("BURSTS" in line or "holds 999 bits of keys" in line for line in again)

@@ -8,7 +8,7 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
-from protocol.messages import ControllerStatus, PlantStatus
+from protocol.messages import ControllerStatus, PlantStatus, TapStatus
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.metrics import Board, NotedBus, served
 from protocol.runtime.process import Pace, UsageError
@@ -38,6 +38,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
         files.close()
         status = plant.status(0.0).model_copy(
             update={"k": 70, "missed": 3, "latency_counts": (5, 2, *[0] * 17, 1)}
+            | {"keys_made": 63, "keys_stopped": "no pad is left" if loop == "b" else ""}
         )
         put = bus.publisher(key_of(PlantStatus, loop)).put
         put(status.model_copy(update={"k": 1}).wire())
@@ -47,6 +48,14 @@ def test_every_loop_is_told_of_by_its_newest_status(
     files.close()
     told = controller.status().model_copy(update={"delivered": 2})
     bus.publisher(key_of(ControllerStatus, "a")).put(told.wire())
+    tap = TapStatus(
+        **{"seq": 1, "t_ns": 1, "name": "nearest-centre", "steps": 9, "lost": 2, "mirrored": 20},
+        **dict.fromkeys(("capture_bytes", "dropped", "behind", "garbage", "whole_messages"), 0),
+        **{"message": "", "confidence": 0.0, "candidates_left": 0, "solved_k": -1},
+    )
+    keys = {"key_bits_held": 256, "copies": 90, "copies_missed": 3, "claim_refuted": True}
+    for told in (tap, tap.model_copy(update={"name": "key-solver", **keys})):
+        bus.publisher(key_of(TapStatus, "a")).put(told.wire())
     with served("127.0.0.1:0", board) as port:
         samples = read(port)
     of = '{eavesdropper="",loop="%s",service="plant"}'
@@ -59,6 +68,15 @@ def test_every_loop_is_told_of_by_its_newest_status(
         assert samples[bucket % "+Inf"] == 8
     delivered = 'wyner_messages_delivered_total{eavesdropper="",loop="a",service="controller"}'
     assert samples[delivered] == 2
+    for loop in ("a", "b"):
+        assert samples["wyner_keys_made_total" + of % loop] == 63
+        assert samples["wyner_keys_stopped" + of % loop] == (loop == "b")
+    hers = '{eavesdropper="key-solver",loop="a",service="tap"}'
+    assert samples["wyner_keys_bits_held_total" + hers] == 256
+    assert samples["wyner_keys_copies_missed_total" + hers] == 3
+    assert samples["wyner_keys_claim_refuted" + hers] == 1
+    other = '{eavesdropper="nearest-centre",loop="a",service="tap"}'
+    assert samples["wyner_keys_bits_held_total" + other] == 0
 
 
 @pytest.mark.parametrize("address", ["", "9100", "127.0.0.1:x", "127.0.0.1:70000"])

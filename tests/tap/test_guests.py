@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.messages import Sealed
 from tap_service import guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
@@ -52,6 +53,41 @@ def test_she_guesses_and_believes_as_in_the_taps_own_process(tmp_path: Path) -> 
     )
     assert listener.review() == []
     assert listener.failed == ""
+    assert belief.keys is None
+
+
+HEARS = """
+import sys
+from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
+from tap_service.eavesdroppers.base import KeysHeld
+class Mine(Eavesdropper):
+    name = "mine"
+    hears_messages = True
+    heard = 0
+    def hear(self, message):
+        self.heard += 1
+        if message.id == "bad":
+            raise ValueError("not that one")
+    def observe(self, transition):
+        return Guess(transition.k, (0.25, 0.75), 1.0)
+    def belief(self):
+        none = dict.fromkeys(("blocks", "broken", "bits", "missed"), 0)
+        return Belief(keys=KeysHeld(**none, copies=self.heard, at_most=1, refuted=0, bursts=0))
+"""
+
+
+def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(HEARS)
+    listener = Listener.of(guarded(f"{path}:Mine"), KNOWLEDGE)
+    sealed = Sealed(id="m", key_ids=("a",), cipher=b"x", tag="0" * 32)
+    listener.hear(sealed)
+    listener.hear(sealed)
+    keys = listener.belief().keys
+    assert keys is not None
+    assert keys.copies == 2
+    listener.hear(sealed.model_copy(update={"id": "bad"}))
+    assert "a message: ValueError: not that one" in listener.failed
 
 
 @pytest.mark.parametrize(

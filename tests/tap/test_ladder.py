@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic_core import from_json
 
 from protocol.knowledge import Knowledge
+from protocol.secret.bound import Assumption
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import (
@@ -183,10 +184,15 @@ def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
     assert scored.guessing == 1.0
 
 
+def knowing(run: Run, name: str) -> Knowledge:
+    """What she is told, and a claim for the one who goes for keys."""
+    return knowledge_for(run, named(name), CLEAR).model_copy(update={"keys": Assumption(0.3)})
+
+
 @pytest.mark.parametrize("name", LADDER)
 def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
     run = simulate(300, 6)
-    tap = named(name)(knowledge_for(run, named(name), CLEAR))
+    tap = named(name)(knowing(run, name))
     holes = [Transition(t.session, t.k, None, None, None, None) for t in heard_by(run, CLEAR)]
     said = said_about(tap, holes)
     assert not said.whole
@@ -201,7 +207,7 @@ def test_who_was_there_and_heard_no_message_is_scored_as_a_blind_guess(name: str
     run = simulate(300, 6)
     heard = heard_by(run, View(loss=1.0))
     assert heard == []
-    said = said_about(named(name)(knowledge_for(run, named(name), CLEAR)), heard)
+    said = said_about(named(name)(knowing(run, name)), heard)
     scored = score(run.truth, said)
     assert scored.keys.of == len(run.truth.keys)
     assert scored.guessing == 0.5

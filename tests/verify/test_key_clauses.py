@@ -20,6 +20,7 @@ from protocol.runtime.run_folder import (
 )
 from tests.verify.mutants import Mutant, of_kind
 from wyner.cli.demo import SealedMessage
+from wyner.cli.main import main
 from wyner.cli.up import conduct
 from wyner.scoring.keys import audit_keys
 from wyner.verify import check
@@ -41,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pace="fast",
         steps=100_000,
         until_delivered=True,
-        eavesdropper="nearest-centre",
+        eavesdropper="nearest-centre,key-solver",
         story=False,
         headless=True,
         json=True,
@@ -76,6 +77,34 @@ def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     summary = json.loads((run / "summary.json").read_text())["keys"]
     assert summary["made"] == audit.made
     assert summary["refused"] is None
+
+
+@pytest.mark.integration
+def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    audit = audit_keys(run, read_evidence(run).scenario)
+    assert audit is not None
+    live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
+    assert main(["replay", str(run), "--score", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
+    exact = {
+        (b.session, b.number): (b.counted, b.rows, b.missed, b.held_bits) for b in audit.blocks
+    }
+    hers = {
+        (b["session"], b["number"]): (b["counted"], b["rows"], b["missed"], b["bits"])
+        for b in live["newest"]
+    }
+    assert len(hers) >= 2
+    assert hers.items() <= exact.items()
+    assert live["bits"] == 0
+    assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
+    assert main(["secrecy", str(run)]) == 0
+    out = capsys.readouterr().out
+    assert (
+        f"key-solver: holds 0 bits of 0 of {live['blocks']} key blocks; reads 0 of 176 bits" in out
+    )
 
 
 def rewrite(path: Path, change: Callable[[list[Line]], object]) -> None:

@@ -152,6 +152,9 @@ def _watch(replay: "Replay") -> None:
 
 
 def _print(report: dict[str, object]) -> None:
+    from protocol.text import printable
+    from tap_service.eavesdroppers.base import KeysHeld
+    from wyner.scoring.report import held_line
     from wyner.scoring.summary import in_short
 
     taps = report["taps"]
@@ -167,6 +170,8 @@ def _print(report: dict[str, object]) -> None:
         )
         print(f"{name}: {solved}, {tap['candidates_left']} candidates left")
         print(f"  best message: {in_short(tap['message'])}")
+        if tap["keys"] is not None:
+            print(printable(f"  {held_line(KeysHeld.model_validate(tap['keys']))}"))
         if isinstance(scores, dict):
             print(f"  {describe(scores[name])}")
 

@@ -142,7 +142,8 @@ def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None
 def _print(report: object, *, color: bool) -> None:
     from os import environ
 
-    from wyner.scoring.report import BOUND, HEADINGS, Report, rows
+    from protocol.text import printable
+    from wyner.scoring.report import BOUND, HEADINGS, Report, held_line, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
@@ -154,6 +155,8 @@ def _print(report: object, *, color: bool) -> None:
     for tap in report.taps:
         if tap.not_on_record:
             print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
+        for held in tap.keys:
+            print(printable(f"{tap.name}: {held_line(held)}"))
     print()
     print(
         f"{len(report.runs)} runs, {report.transitions} transitions; claimed: "

@@ -44,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
             if status.phase != "stopped" and now_ns - status.t_ns > OLD_S * 1e9
         ),
     ]
+    warnings += _warnings_of_taps(run_dir)
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     served = _key_servers(run_dir)
@@ -118,8 +119,27 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
         f"{controller.delivered} delivered, {controller.queue} queued",
         f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
         f"measurement at most, {plant.overruns} overruns",
-        f"keys        {plant.keys_made} made" + (f"; {keys}" if keys else ""),
+        f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
+        + (f"; {keys}" if keys else ""),
     ]
+
+
+def _warnings_of_taps(run_dir: Path) -> list[str]:
+    """What a tap in the same folder found against the claim that keys rest on."""
+    from protocol.runtime.run_folder import BELIEFS
+
+    try:
+        told = json.loads((run_dir / BELIEFS).read_bytes())
+        keys = [one["keys"] for one in told.values() if one.get("keys")]
+        found = [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
+        found += [
+            f"the tap misses {k['at_most']:.2g} of the copies at most: the claim is refuted"
+            for k in keys
+            if k["refuted"]
+        ]
+        return found + ["the tap's misses come in bursts" for k in keys if k["bursts"]]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return []  # no tap here
 
 
 def _warnings_of_plant(plant: "PlantStatus") -> list[str]:
@@ -128,6 +148,8 @@ def _warnings_of_plant(plant: "PlantStatus") -> list[str]:
         found.append(f"d was outside D_c in {plant.outside} steps")
     if plant.symbol_errors:
         found.append(f"{plant.symbol_errors} agreed keys are not the selection bit")
+    if plant.keys_stopped:
+        found.append(f"keys stopped: {plant.keys_stopped}")
     if plant.keys_refused:
         found.append(f"keys: {plant.keys_refused}")
     return found

@@ -26,7 +26,7 @@ PRINT_S: Final = 10.0
 
 HEADER: Final = (
     f"{'loop':<20} {'state':<10} {'steps':>8} {'missed':>7} {'lately':>7} {'Hz':>6} "
-    f"{'agreed':>7} {'messages':>8} {'queue':>5}  eavesdropper"
+    f"{'agreed':>7} {'messages':>8} {'keys':>6} {'queue':>5}  eavesdropper"
 )
 
 
@@ -76,6 +76,8 @@ class Row:
         if truth and surest.message:
             verdict = ", right" if surest.message == truth else ", wrong"
         lost = f", {surest.lost} lost" if surest.lost else ""
+        bits = max(tap.key_bits_held for tap in self.taps.values())
+        lost += f", {bits} bits of keys held" if bits > 0 else ""
         return f"{surest.name} is {100 * surest.confidence:.0f} % sure{verdict}{lost}"
 
     def line(self, now_s: float) -> str:
@@ -83,10 +85,10 @@ class Row:
         plant = self.plant
         numbers = "" if plant is None else (
             f"{plant.k:>8} {plant.missed:>7} {self.lately:>7} {plant.rate_hz:>6.1f} "
-            f"{plant.agreements:>7} {plant.messages:>8}"
+            f"{plant.agreements:>7} {plant.messages:>8} {plant.keys_made:>6}"
         )  # fmt: skip
         queue = "" if self.controller is None else f"{self.controller.queue:>5}"
-        text = f"{self.loop:<20} {self.state(now_s):<10} {numbers:<47} {queue:>5}  {self.claim()}"
+        text = f"{self.loop:<20} {self.state(now_s):<10} {numbers:<54} {queue:>5}  {self.claim()}"
         return printable(text.rstrip())
 
 

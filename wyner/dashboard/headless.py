@@ -18,6 +18,7 @@ from wyner.dashboard.score import (
     time_left_s,
     truth_for,
 )
+from wyner.dashboard.secrecy_panel import attacker, contradictions, held
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.text import component, duration, letters, number, percent
@@ -65,6 +66,8 @@ def progress(board: Board) -> str:
         f"{number(rate_of(board))} bit/s",
         f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
     ]
+    if plant.keys_claim:
+        parts.append(f"distilled {plant.keys_made}, {held(board, 99)[0]}")
     left = time_left_s(board)
     if left is not None:
         parts.append(f"{duration(left)} to go")
@@ -167,6 +170,7 @@ def _events(before: Board, board: Board) -> Iterator[str]:
         yield f"controller {controller.phase}{_because(controller.detail)}"
     for name, tap in board.taps.items():
         yield from _tap_events(printable(name), before, tap, board)
+    yield from _key_events(before, board)
     if board.garbage > before.garbage:
         yield f"{board.garbage - before.garbage} messages were garbage"
 
@@ -193,6 +197,19 @@ def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterat
         elif not tap.watched:  # it may have been another message than the one that she holds now
             judged = ""
         yield f"tap {name} was sure of a message at step {solved}{judged}"
+
+
+def _key_events(before: Board, board: Board) -> Iterator[str]:
+    """The first bits that she holds, and what has come up against the claim."""
+    was, now = attacker(before), attacker(board)
+    if now is None:
+        return
+    if now.key_bits_held and not (was is not None and was.key_bits_held):
+        yield f"tap {printable(now.name)} holds {now.key_bits_held} bits of keys"
+    known = {text.split()[1] for text in contradictions(before)}
+    for text in contradictions(board):
+        if text.split()[1] not in known:
+            yield printable(text)
 
 
 def _because(detail: str) -> str:

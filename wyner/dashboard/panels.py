@@ -261,7 +261,7 @@ class Panels:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
         board = self.board
         sent, recovered = letters(board.sent), letters(board.recovered)
-        shown = [tap for tap, _ in self.filtered()[:taps]]
+        shown = [tap for tap, _ in self.filtered() if tap.status.key_bits_held < 0][:taps]
         start = self._start(sent, len(recovered))
         notes = [f"{len(recovered)} of {len(sent)} characters"]
         if board.controller is not None:

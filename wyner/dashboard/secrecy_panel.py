@@ -1,12 +1,13 @@
 """The secrecy panel: claimed against true in a line, and the taps in a table."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from rich.cells import cell_len
 from rich.text import Text
 
+from protocol.messages import TapStatus
 from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.score import Score, SecrecyScore, characters_right, course, model_error
 from wyner.dashboard.text import (
@@ -83,19 +84,71 @@ def explanation(its: SecrecyScore, width: int) -> Text:
     return Text(f" {text}", style=STYLES["label"])
 
 
-def distilled(board: Board, width: int) -> Text | None:
-    """Keys made of nonces, and the claim they rest on; None where the scenario makes none."""
+def distilled(board: Board, width: int) -> list[Text]:
+    """Keys made of nonces and what she holds of them; then the claim, and what contradicts it.
+
+    Nothing where the scenario makes none.
+    """
     plant = board.plant
     if plant is None or not (plant.keys_claim or plant.keys_refused):
-        return None
+        return []
+    room = width - LABEL - 1
+    claim = drawn(plant.keys_claim)
     if plant.keys_refused and not plant.keys_made:
-        text = longest(width - LABEL - 1, f"none: {plant.keys_refused}", "none")
-        return row("distilled", Text(text, style=STYLES["bad"]))
+        told = longest(room, f"none: {plant.keys_refused}", "none")
+        return [row("distilled", Text(told, style=STYLES["bad"])), row("assumption", Text(claim))]
     seconds = plant.key_block_steps * plant.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
-    made = f"{plant.keys_made} keys, {rate:.0f} bit/s"
-    claim = "refused: " + plant.keys_refused if plant.keys_refused else drawn(plant.keys_claim)
-    return row("distilled", Text(longest(width - LABEL - 1, f"{made}; {claim}", made)))
+    made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; "
+    line = row("distilled", Text(made))
+    hers, style = held(board, room - cell_len(made))
+    line.append(hers, style=STYLES[style])
+    against = [*contradictions(board)]
+    if plant.keys_stopped:
+        against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
+    if plant.keys_refused:
+        against.insert(0, f"refused: {plant.keys_refused}")
+    if against:
+        heads = [text.partition(":")[0] for text in against]
+        fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
+        red = longest(room, "; ".join(against), *fewer)
+        left = room - cell_len(red)
+        line_2 = row("assumption", Text(red, style=STYLES["bad"]))
+        return [line, Text.assemble(line_2, longest(left, f"; {claim}"))]
+    return [line, row("assumption", Text(claim))]
+
+
+def attacker(board: Board) -> TapStatus | None:
+    """The tap that holds most of the keys, of those that go for them."""
+    trying = [tap.status for tap in board.taps.values() if tap.status.key_bits_held >= 0]
+    return max(trying, key=lambda its: its.key_bits_held, default=None)
+
+
+def held(board: Board, room: int) -> tuple[str, str]:
+    """What she holds, in words, and its style."""
+    hers = attacker(board)
+    if hers is None:
+        return longest(room, "no tap goes for them"), "label"
+    bits = f"she holds {count(hers.key_bits_held)} bits"
+    share = percent(hers.copies_missed, hers.copies)
+    told = longest(room, f"{bits} of {count(hers.key_blocks)} blocks, missed {share}", bits)
+    return told, "bad" if hers.key_bits_held else "good"
+
+
+def contradictions(board: Board) -> Iterator[str]:
+    """What her tap found against the claim."""
+    hers = attacker(board)
+    if hers is None:
+        return
+    if hers.claim_refuted:
+        yield f"CLAIM REFUTED: she misses {hers.missed_at_most:.2g} at most"
+    if hers.misses_in_bursts:
+        yield "MISSES IN BURSTS"
+    if hers.sealed_bits_known:
+        yield (
+            f"SHE READS {count(hers.sealed_bits_known)} of {count(hers.sealed_bits)} sealed bits: "
+            f"{drawn(hers.sealed_text)}"
+        )
 
 
 def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:

@@ -113,7 +113,7 @@ class _Page(Panels):
     def _needed(self, shown: set[str]) -> int:
         rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
         rows += len(self.wishes.caption)
-        rows += distilled(self.board, self.width) is not None
+        rows += len(distilled(self.board, self.width))
         rows += self._top_rows(shown)
         rows += 5 if "message" in shown else 0
         rows += 2 if "taps" in shown else 0
@@ -257,8 +257,7 @@ class _Page(Panels):
             note = f"the strongest {rows} of {len(shown)} taps"
         lines = [self.rule("Secrecy", self.width, note)]
         lines += curves(self.board, self.secrecy, self.width, self.glyphs)
-        if (made := distilled(self.board, self.width)) is not None:
-            lines.append(made)
+        lines += distilled(self.board, self.width)
         if with_table:
             lines += table(self.board, shown[:rows], self.width, self.wishes.tap)
         if explained:

@@ -147,6 +147,7 @@ class Replay:
                     solved_k=b.solved_k,
                     confidence=b.confidence,
                     failed=x.failed,
+                    keys=b.keys,
                 )
             )
         return out
@@ -162,6 +163,7 @@ class Replay:
                 "candidates_left": s.candidates_left,
                 "solved_k": s.solved_k,
                 "failed": s.failed,
+                "keys": None if s.keys is None else s.keys.model_dump(),
             }
         return {
             "capture": str(self.reader.path),

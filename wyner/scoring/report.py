@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from tap_service.eavesdroppers.base import KeysHeld
 from wyner.scoring.score import Proportion, RunScore, TapScore
 
 RESAMPLES: Final = 2000
@@ -93,6 +94,8 @@ class TapReport:
         Agreed steps for which there is no word of hers, because her log was cut or she was gone.
     size : int
         M.
+    keys : tuple of KeysHeld
+        What she holds of distilled keys, run by run, where she goes for them.
     """
 
     name: str
@@ -108,6 +111,7 @@ class TapReport:
     broken_k: tuple[int, ...]
     not_on_record: int
     size: int
+    keys: tuple[KeysHeld, ...] = ()
 
     @property
     def median_broken(self) -> float | None:
@@ -217,6 +221,7 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
         broken_k=tuple(t.solved_k for t in scores),
         not_on_record=sum(len(s.truth.keys) - t.keys.of for s, t in mine),
         size=size,
+        keys=tuple(t.held for t in scores if t.held is not None),
     )
 
 
@@ -250,6 +255,7 @@ def as_json(r: Report) -> dict[str, Any]:
                 "list_size_log2": None if not t.list_size else math.log2(t.list_size),
                 "broken_at_k": list(t.broken_k),
                 "not_on_record": t.not_on_record,
+                "keys": [held.model_dump() for held in t.keys],
             }
             for t in r.taps
         },
@@ -287,3 +293,13 @@ def rows(r: Report) -> list[tuple[str, ...]]:
         )
         for t in r.taps
     ]
+
+
+def held_line(held: KeysHeld) -> str:
+    """What one who goes for keys holds, in words."""
+    line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
+    if held.sealed:
+        known, bits = (sum(getattr(t, f) for t in held.sealed) for f in ("known_bits", "bits"))
+        line += f"; reads {known} of {bits} bits of sealed text"
+        line += "".join(f', "{t.text}"' for t in held.sealed if t.known_bits)
+    return line

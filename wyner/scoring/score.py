@@ -19,7 +19,7 @@ from protocol.runtime.jsonl import read_lines
 from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
-from tap_service.eavesdroppers.base import KEPT_SYMBOLS
+from tap_service.eavesdroppers.base import KEPT_SYMBOLS, KeysHeld
 
 Z: Final = 1.959963984540054
 """Normal quantile of a two-sided 95 % interval."""
@@ -149,6 +149,7 @@ class Said:
     solved_k: int
     confidence: float
     failed: str = ""
+    keys: KeysHeld | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +181,8 @@ class TapScore:
         Her best message as text.
     failed : str
         Why she stopped, if she did.
+    held : KeysHeld, optional
+        What she holds of distilled keys, by her own count, where she goes for them.
     """
 
     name: str
@@ -192,6 +195,7 @@ class TapScore:
     size: int
     guess: str = ""
     failed: str = ""
+    held: KeysHeld | None = None
 
     @property
     def guessing(self) -> float | None:
@@ -238,6 +242,7 @@ def score(truth: Truth, said: Said) -> TapScore:
         size=truth.size,
         guess=said.message.decode("utf-8", errors="replace"),
         failed=said.failed,
+        held=said.keys,
     )
 
 
@@ -314,6 +319,7 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
         solved_k=record["solved_k"],
         confidence=record["confidence"],
         failed=record["failed"],
+        keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
 
 
@@ -357,6 +363,7 @@ def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
             "candidates_left": tap.candidates_left,
             "solved_k": tap.solved_k,
             "guessed_text": tap.guess,
+            "keys": None if tap.held is None else tap.held.model_dump(),
         }
         for tap in run.taps
     }

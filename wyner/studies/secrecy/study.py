@@ -139,6 +139,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         confidence=belief.confidence,
+        keys=belief.keys,
     )
 
 
