@@ -54,8 +54,8 @@ def test_every_loop_is_told_of_by_its_newest_status(
         **{"message": "", "confidence": 0.0, "candidates_left": 0, "solved_k": -1},
     )
     keys = {"key_bits_held": 256, "copies": 90, "copies_missed": 3, "claim_refuted": True}
-    for told in (tap, tap.model_copy(update={"name": "key-solver", **keys})):
-        bus.publisher(key_of(TapStatus, "a")).put(told.wire())
+    for hers in (tap, tap.model_copy(update={"name": "key-solver", **keys})):
+        bus.publisher(key_of(TapStatus, "a")).put(hers.wire())
     with served("127.0.0.1:0", board) as port:
         samples = read(port)
     of = '{eavesdropper="",loop="%s",service="plant"}'
@@ -71,10 +71,10 @@ def test_every_loop_is_told_of_by_its_newest_status(
     for loop in ("a", "b"):
         assert samples["wyner_keys_made_total" + of % loop] == 63
         assert samples["wyner_keys_stopped" + of % loop] == (loop == "b")
-    hers = '{eavesdropper="key-solver",loop="a",service="tap"}'
-    assert samples["wyner_keys_bits_held_total" + hers] == 256
-    assert samples["wyner_keys_copies_missed_total" + hers] == 3
-    assert samples["wyner_keys_claim_refuted" + hers] == 1
+    of_hers = '{eavesdropper="key-solver",loop="a",service="tap"}'
+    assert samples["wyner_keys_bits_held_total" + of_hers] == 256
+    assert samples["wyner_keys_copies_missed_total" + of_hers] == 3
+    assert samples["wyner_keys_claim_refuted" + of_hers] == 1
     other = '{eavesdropper="nearest-centre",loop="a",service="tap"}'
     assert samples["wyner_keys_bits_held_total" + other] == 0
 

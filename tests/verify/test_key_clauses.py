@@ -89,22 +89,20 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     assert main(["replay", str(run), "--score", str(run), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
-    exact = {
-        (b.session, b.number): (b.counted, b.rows, b.missed, b.held_bits) for b in audit.blocks
-    }
-    hers = {
-        (b["session"], b["number"]): (b["counted"], b["rows"], b["missed"], b["bits"])
-        for b in live["newest"]
-    }
-    assert len(hers) >= 2
-    assert hers.items() <= exact.items()
+    exact = {(block.session, block.number): block for block in audit.blocks}
+    assert len(live["newest"]) >= 2
+    for hers in live["newest"]:
+        block = exact[hers["session"], hers["number"]]
+        # what she takes for counted where she missed the word on it
+        assert 0 <= hers["counted"] - block.counted <= 4
+        assert (hers["bits"], block.held_bits) == (0, 0)
+        assert hers["rows"] - hers["missed"] >= block.rows - block.missed
     assert live["bits"] == 0
     assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
     assert main(["secrecy", str(run)]) == 0
     out = capsys.readouterr().out
-    assert (
-        f"key-solver: holds 0 bits of 0 of {live['blocks']} key blocks; reads 0 of 176 bits" in out
-    )
+    holds = f"key-solver: holds 0 bits of 0 of {live['blocks']} key blocks; reads 0 of 176 bits"
+    assert holds in out
 
 
 def rewrite(path: Path, change: Callable[[list[Line]], object]) -> None:
