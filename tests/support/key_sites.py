@@ -34,7 +34,7 @@ def free_port() -> int:
 class Sites:
     """Two run folders with the same keys, an entity at each, certificates for everybody."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, keys: int = KEYS) -> None:
         self.folder = folder
         hosts = ["localhost", "127.0.0.1"]
         names = ("kme-controller", "kme-plant", *APPLICATIONS)
@@ -42,10 +42,15 @@ class Sites:
         self.ports = {side: free_port() for side in SIDES}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.blocks = 0
-        self.add_block(KEYS)
+        if keys:
+            self.add_block(keys)
+
+    def run_dir(self, side: str) -> Path:
+        """The run whose keys an entity serves."""
+        return self.folder / side
 
     def store(self, side: str) -> KeyStore:
-        path = self.folder / side / (CONTROLLER_KEYS if side == "controller" else PLANT_KEYS)
+        path = self.run_dir(side) / (CONTROLLER_KEYS if side == "controller" else PLANT_KEYS)
         return KeyStore(path, "controller" if side == "controller" else "plant", create=True)
 
     def add_block(self, keys: int) -> None:
@@ -58,16 +63,19 @@ class Sites:
                 store.confirm("s", row.number)
                 store.set_note("assumption", "misses 30 %")
 
-    def start(self, side: str, *more: str) -> None:
+    def command(self, side: str) -> list[str]:
+        """The command that starts an entity, without ``wyner``."""
         pairs = [(one, two) if side == "controller" else (two, one) for one, two in PAIRS]
         named = [text for a, b in pairs for text in (f"--sae={a}", f"--partner-sae={b}")]
+        return [
+            *("kme", "--side", side, "--run-dir", str(self.run_dir(side)), *named),
+            *("--tls", str(self.folder / "certs" / f"kme-{side}")),
+            *("--listen", f"127.0.0.1:{self.ports[side]}"),
+        ]
+
+    def start(self, side: str, *more: str) -> None:
         process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "wyner", "kme", "--side", side),
-                *("--run-dir", str(self.folder / side), *named),
-                *("--tls", str(self.folder / "certs" / f"kme-{side}")),
-                *("--listen", f"127.0.0.1:{self.ports[side]}", *more),
-            ],
+            [sys.executable, "-m", "wyner", *self.command(side), *more],
             stderr=subprocess.DEVNULL,
         )
         self.processes[side] = process

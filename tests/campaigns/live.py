@@ -1,0 +1,240 @@
+"""A whole loop of live processes that can be killed, frozen and started again within a blink.
+
+Services are forked from this process, which has their modules in memory already: each life is a
+process of its own that opens its own journal and sockets, without the second that Python needs.
+"""
+
+import json
+import os
+import random
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from protocol.runtime.run_folder import CONTROLLER_STATUS, SCENARIO
+from protocol.runtime.zenoh_bus import free_endpoints
+from protocol.scenario.files import scenario_of
+from protocol.shipped import scenario_file_of
+from tests.support.key_sites import Sites
+from wyner.cli.main import main
+
+PRELOADED: Final = (
+    *("controller_service.command", "controller_service.service", "plant_service.command"),
+    *("plant_service.service", "tap_service.command", "tap_service.service"),
+    *("wyner.cli.router", "wyner.cli.kme", "wyner.cli.send", "wyner.kme.server"),
+)
+
+TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
+"""The capture is what counts here."""
+
+
+def fork(argv: Sequence[str], log: Path) -> int:
+    """Run ``wyner ARGV`` in a process of its own, in a session of its own; its id."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 70
+    try:
+        os.setsid()
+        out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        os.dup2(out, 1)
+        os.dup2(out, 2)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        code = main(argv)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+@dataclass
+class Process:
+    """A command that is started again and again; ``ended`` has the codes of its lives."""
+
+    name: str
+    argv: list[str]
+    log: Path
+    pid: int = 0
+    ended: list[int] = field(default_factory=list)
+
+    def start(self) -> None:
+        """Begin a life."""
+        self.pid = fork(self.argv, self.log)
+
+    def signal(self, number: int) -> None:
+        """Send it a signal, if it lives."""
+        if self.alive():
+            os.kill(self.pid, number)
+
+    def alive(self) -> bool:
+        """Whether it lives; notes how it ended."""
+        if self.pid:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.pid = 0
+                self.ended.append(os.waitstatus_to_exitcode(status))
+        return bool(self.pid)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for its end; False where it does not come."""
+        return wait_for(lambda: not self.alive(), seconds)
+
+    def kill(self) -> None:
+        """SIGKILL, and gone."""
+        self.signal(signal.SIGKILL)
+        self.wait(10)
+
+
+def wait_for(holds: Callable[[], bool], seconds: float) -> bool:
+    """Whether it came to hold in time."""
+    until = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+class RunSites(Sites):
+    """Key servers over the stores of one run."""
+
+    def run_dir(self, side: str) -> Path:
+        """Both ends of a run share its folder."""
+        del side
+        return self.folder / "run"
+
+
+class LiveLoop:
+    """Controller, plant, tap, key servers and, where asked, a router, as processes.
+
+    Parameters
+    ----------
+    folder : Path
+        The run is kept in ``run`` below it.
+    message : bytes
+        The controller's first.
+    scenario : str
+        A shipped one; with a table ``keys`` there are key servers.
+    pace : str
+    router : bool
+        All buses go through one router instead of from peer to peer.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        message: bytes,
+        scenario: str = "keys",
+        pace: str = "fast",
+        *,
+        router: bool = False,
+    ) -> None:
+        for module in PRELOADED:
+            __import__(module)
+        self.folder, self.run_dir = folder, folder / "run"
+        (folder / "message").write_bytes(message)
+        self.processes: dict[str, Process] = {}
+        made = scenario_of(scenario)
+        self.run_dir.mkdir(mode=0o700)
+        file = self.run_dir / SCENARIO
+        file.write_bytes(scenario_file_of(scenario).read_bytes())
+        knowledge = folder / "knowledge.json"
+        knowledge.write_text(made.knowledge().model_dump_json())
+        common = ["--run-dir", str(self.run_dir)]
+        ends = self._routed() if router else self._peers()
+        message_file = str(folder / "message")
+        self._add("tap", [*common, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
+        self._add("plant", [*common, "--scenario", str(file), "--pace", pace, *ends["plant"]])
+        controller = [*common, "--scenario", str(file), "--message-file", message_file]
+        self._add("controller", [*controller, *ends["controller"]])
+        self.sites: RunSites | None = None
+        if made.keys is not None:
+            self.sites = RunSites(folder, keys=0)
+            for side in ("controller", "plant"):
+                command = self.sites.command(side)
+                name = f"kme-{side}"
+                self.processes[name] = Process(name, command, folder / f"{name}.log")
+
+    def _add(self, name: str, arguments: list[str]) -> None:
+        self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
+
+    def _peers(self) -> dict[str, list[str]]:
+        plant, controller, tap, plant_ops, controller_ops, intel = free_endpoints(6)
+        self.ops = ["--connect", f"ops={controller_ops}"]
+        field_of = ["--connect", f"field={tap}"]
+        joins = ["--connect", f"field={plant}", "--connect", f"ops={plant_ops}"]
+        hears = ["--listen", f"field={controller}", "--listen", f"ops={controller_ops}"]
+        return {
+            "tap": ["--listen", f"field={tap}", "--listen", f"intel={intel}"],
+            "plant": ["--listen", f"field={plant}", "--listen", f"ops={plant_ops}", *field_of],
+            "controller": [*hears, *joins, *field_of],
+        }
+
+    def _routed(self) -> dict[str, list[str]]:
+        buses = dict(zip(("field", "ops", "intel"), free_endpoints(3), strict=True))
+        listens = [f"--listen={bus}={at}" for bus, at in buses.items()]
+        self._add("router", listens)
+
+        def client(*names: str) -> list[str]:
+            clients = [f"--client={bus}" for bus in names]
+            return [*clients, *(f"--connect={bus}={buses[bus]}" for bus in names)]
+
+        self.ops = client("ops")
+        two = client("field", "ops")
+        return {"tap": client("field", "intel"), "plant": two, "controller": two}
+
+    def start(self) -> None:
+        """Start whatever does not run."""
+        for process in self.processes.values():
+            if not process.alive():
+                process.start()
+
+    def send(self, name: str, text: str) -> Process:
+        """An operator who asks until a message has been queued."""
+        argv = ["send", text, "--id", name, "--timeout=600", *self.ops]
+        operator = Process(name, argv, self.folder / "send.log")
+        operator.start()
+        return operator
+
+    def queue(self, since_s: float) -> int:
+        """Messages that wait in the controller, as it said after a wall time; -1 if it did not."""
+        path = self.run_dir / CONTROLLER_STATUS
+        with suppress(OSError, ValueError, KeyError):
+            if path.stat().st_mtime > since_s:
+                return int(json.loads(path.read_bytes())["queue"])
+        return -1
+
+    def stop(self) -> list[str]:
+        """Ask every service to end; what was wrong with that."""
+        wrong = []
+        for process in self.processes.values():
+            process.signal(signal.SIGCONT)
+            process.signal(signal.SIGTERM)
+        for process in self.processes.values():
+            if not process.wait(30):
+                wrong.append(f"{process.name}: goes on 30 s after SIGTERM")
+                process.kill()
+            elif process.ended[-1:] not in ([0], []):
+                wrong.append(f"{process.name}: exit code {process.ended[-1]}")
+        return wrong
+
+    def last_line(self, name: str) -> str:
+        """The last line that a service logged."""
+        log = self.processes[name].log
+        lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+        return lines[-1] if lines else ""
+
+
+def plain_text(draw: random.Random, length: int) -> str:
+    """A message of so many bytes."""
+    return "".join(draw.choice("abcdefghijklmnop qrstuvwxyz") for _ in range(length)).strip() + "."
