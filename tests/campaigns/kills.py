@@ -24,7 +24,7 @@ from typing import Any, Final
 from protocol.runtime.run_folder import PLANT_TRACE, write_atomically
 from protocol.runtime.trace import TraceReader
 from protocol.secret.records import StoreError
-from tests.campaigns.live import LiveLoop, Process, plain_text, wait_for
+from tests.campaigns.live import LiveLoop, Process, all_done, keep_failed, plain_text, wait_for
 from wyner.studies.grid import code_version
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
@@ -141,7 +141,7 @@ def one_run(seed: int, folder: Path, kills: int) -> tuple[Counter[str], list[str
                 operators.append(loop.send(f"message-{len(operators)}", expected[-1]))
             time.sleep(draw.choice((0.0, draw.uniform(0.0, 0.5))))
         reaper.mend(all_of_it=True)
-        if not wait_for(lambda: not any(o.alive() for o in operators), AT_LAST_S):
+        if not wait_for(lambda: all_done(operators), AT_LAST_S):
             wrong.append("an operator has no answer")
         well = time.time()
         if not wait_for(lambda: loop.queue(well) == 0, AT_LAST_S):
@@ -204,6 +204,8 @@ def main(argv: list[str] | None = None) -> int:
         seed = done["runs"]
         with tempfile.TemporaryDirectory() as folder:
             counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN)
+            if wrong:
+                keep_failed(Path(folder), args.results, str(seed))
         done["runs"] += 1
         done["killed"] += sum(counts[name] for name in counts if name in SERVICES)
         done["counts"] = dict(Counter(done["counts"]) + counts)

@@ -7,6 +7,7 @@ process of its own that opens its own journal and sockets, without the second th
 import json
 import os
 import random
+import shutil
 import signal
 import sys
 import time
@@ -34,8 +35,11 @@ TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 """The capture is what counts here."""
 
 
-def fork(argv: Sequence[str], log: Path) -> int:
-    """Run ``wyner ARGV`` in a process of its own, in a session of its own; its id."""
+def fork(argv: Sequence[str], log: Path, death: str = "") -> int:
+    """Run ``wyner ARGV`` in a process of its own, in a session of its own; its id.
+
+    ``death`` is for deadly.c, where it is preloaded.
+    """
     pid = os.fork()
     if pid:
         return pid
@@ -47,6 +51,7 @@ def fork(argv: Sequence[str], log: Path) -> int:
         os.dup2(out, 1)
         os.dup2(out, 2)
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        os.environ["WYNER_DEATH"] = death
         code = main(argv)
     except BaseException:
         traceback.print_exc()
@@ -67,9 +72,9 @@ class Process:
     pid: int = 0
     ended: list[int] = field(default_factory=list)
 
-    def start(self) -> None:
-        """Begin a life."""
-        self.pid = fork(self.argv, self.log)
+    def start(self, death: str = "") -> None:
+        """Begin a life; ``death`` may say where it ends."""
+        self.pid = fork(self.argv, self.log, death)
 
     def signal(self, number: int) -> None:
         """Send it a signal, if it lives."""
@@ -93,6 +98,17 @@ class Process:
         """SIGKILL, and gone."""
         self.signal(signal.SIGKILL)
         self.wait(10)
+
+
+def all_done(commands: list[Process]) -> bool:
+    """Whether each has ended well; one that has not is started again."""
+    waiting = [c for c in commands if c.alive() or c.ended[-1] != 0]
+    for command in waiting:
+        if not command.alive():
+            print(f"{command.name}: code {command.ended[-1]}, asked again", file=sys.stderr)
+            command.start()
+            time.sleep(0.1)
+    return not waiting
 
 
 def wait_for(holds: Callable[[], bool], seconds: float) -> bool:
@@ -233,6 +249,11 @@ class LiveLoop:
         log = self.processes[name].log
         lines = log.read_text(errors="replace").splitlines() if log.exists() else []
         return lines[-1] if lines else ""
+
+
+def keep_failed(folder: Path, results: Path, name: str) -> None:
+    """Keep what a run left beside the results, to be looked at."""
+    shutil.copytree(folder, results.with_name(f"{results.stem}-failed") / name, dirs_exist_ok=True)
 
 
 def plain_text(draw: random.Random, length: int) -> str:

@@ -1,0 +1,182 @@
+"""SIGKILL at chosen system calls: ``python -m tests.campaigns.calls``. Needs a C compiler.
+
+Every service of a live loop dies before, in the middle of, or after its Nth write, sync, rename,
+removal or send, of each kind and on each of its files. It is started again, and dies at the next.
+Each run has some of these deaths, in an order drawn from its seed; then it is judged as those of
+:mod:`tests.campaigns.kills` are. Goes on where it stopped.
+"""
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.kills import AT_LAST_S, Customer, judged
+from tests.campaigns.live import LiveLoop, all_done, keep_failed, plain_text, wait_for
+from wyner.studies.grid import code_version
+
+SOURCE: Final = Path(__file__).with_name("deadly.c")
+BYTES: Final = ("before", "tear", "after")
+PLAIN: Final = ("before", "after")
+NUMBERS: Final = (1, 2, 3, 4, 5, 6, 8, 12, 20, 50, 200)
+A_RUN: Final = 50
+REACHED_S: Final = 4.0
+"""Seconds after which a death is not waited for any longer."""
+
+HOW: Final = {
+    "write": BYTES,
+    "pwrite64": BYTES,
+    "send": BYTES,
+    "writev": PLAIN,
+    "fdatasync": PLAIN,
+    "fsync": PLAIN,
+    "ftruncate64": PLAIN,
+    "unlink": PLAIN,
+    "rename": PLAIN,
+}
+
+
+def _of_end(side: str) -> tuple[tuple[str, str], ...]:
+    journal, keys = f"{side}/journal", f"{side}/keys"
+    disk = ("write", "pwrite64", "fdatasync", "fsync", "ftruncate64", "unlink")
+    told = (("write", f"{side}/trace"), ("rename", f"{side}/status"), ("rename", f"{side}/health"))
+    kept = tuple((call, path) for path in (journal, keys) for call in disk)
+    return (*kept, *told, ("send", "socket"), ("writev", "socket"))
+
+
+TARGETS: Final = {
+    "plant": _of_end("plant"),
+    "controller": _of_end("controller"),
+    "tap": (("write", "tap/capture"), ("rename", "tap/"), ("send", "socket")),
+    "kme-plant": (("pwrite64", "plant/keys"), ("fdatasync", "plant/keys"), ("send", "socket")),
+    "kme-controller": (
+        *(("pwrite64", "controller/keys"), ("fdatasync", "controller/keys"), ("send", "socket")),
+    ),
+}
+
+
+class Death(NamedTuple):
+    """Where a service dies."""
+
+    service: str
+    call: str
+    file: str
+    number: int
+    how: str
+
+    @property
+    def spec(self) -> str:
+        """As deadly.c reads it."""
+        return f"{self.call}:{self.file}:{self.number}:{self.how}"
+
+
+def deaths() -> list[Death]:
+    """All that are to be tried, in an order of their own."""
+    found = [
+        Death(service, call, file, number, how)
+        for service, targets in TARGETS.items()
+        for call, file in targets
+        for how in HOW[call]
+        for number in NUMBERS
+    ]
+    random.Random(0).shuffle(found)
+    return found
+
+
+def one_run(seed: int, folder: Path, chosen: list[Death]) -> tuple[Counter[str], list[str]]:
+    """Let every chosen death happen, as far as it is reached; what was wrong."""
+    draw = random.Random(seed)
+    text = plain_text(draw, 200)
+    loop = LiveLoop(folder, text.encode())
+    customer = Customer(loop)
+    counts: Counter[str] = Counter()
+    wrong: list[str] = []
+    expected = [text]
+    operators = []
+    loop.start()
+    customer.start()
+    try:
+        time.sleep(0.5)
+        for number, death in enumerate(chosen):
+            victim = loop.processes[death.service]
+            victim.kill()
+            victim.start(death.spec)
+            reached = victim.wait(REACHED_S)
+            counts[f"{death.service} {death.call} {death.file}"] += reached
+            counts["reached" if reached else "not reached"] += 1
+            if reached and victim.ended[-1] >= 0:
+                said = loop.last_line(death.service)
+                wrong.append(f"{death.service}: code {victim.ended[-1]}: {said}")
+            victim.kill()
+            victim.start()
+            if number % 10 == 9:
+                expected.append(plain_text(draw, 12))
+                operators.append(loop.send(f"message-{number}", expected[-1]))
+        if not wait_for(lambda: all_done(operators), AT_LAST_S):
+            wrong.append("an operator has no answer")
+        well = time.time()
+        if not wait_for(lambda: loop.queue(well) == 0, AT_LAST_S):
+            wrong.append(f"{loop.queue(well)} messages wait although all is well")
+        time.sleep(0.5)
+    finally:
+        customer.over.set()
+        customer.join(30)
+        wrong += loop.stop()
+        for operator in operators:
+            operator.kill()
+    wrong += customer.judged()
+    counts["messages"], counts["keys"] = len(expected), len(customer.got["alice"])
+    return counts, wrong + judged(loop.run_dir, expected, counts)
+
+
+def preloaded(argv: list[str]) -> None:
+    """Go on in a process that has deadly.c preloaded; returns once it has."""
+    if os.environ.get("LD_PRELOAD", "").endswith("deadly.so"):
+        return
+    library = Path(tempfile.mkdtemp()) / "deadly.so"
+    command = ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl"]
+    subprocess.run(command, check=True)
+    environment = {**os.environ, "LD_PRELOAD": str(library), "OPENBLAS_NUM_THREADS": "1"}
+    os.execve(sys.executable, [sys.executable, "-m", __spec__.name, *argv], environment)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run after run; 1 when something was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=len(deaths()))
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--results", type=Path, default=Path("campaign-calls.json"))
+    args = parser.parse_args(argv)
+    preloaded(sys.argv[1:] if argv is None else argv)
+    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
+    if done.get("version") != code_version():
+        done = {"version": code_version(), "tried": 0, "counts": {}, "wrong": []}
+    until = time.monotonic() + args.seconds
+    every = deaths()[: args.count]
+    while done["tried"] < len(every) and time.monotonic() < until:
+        chosen = every[done["tried"] : done["tried"] + A_RUN]
+        with tempfile.TemporaryDirectory() as folder:
+            counts, wrong = one_run(done["tried"], Path(folder), chosen)
+            if wrong:
+                keep_failed(Path(folder), args.results, str(done["tried"]))
+        done["tried"] += len(chosen)
+        done["counts"] = dict(Counter(done["counts"]) + counts)
+        if wrong:
+            done["wrong"].append([done["tried"], *wrong])
+            print(f"up to {done['tried']}: {wrong}")
+        write_atomically(args.results, json.dumps(done, indent=1).encode())
+        told = f"{done['tried']} of {len(every)}, {done['counts']['reached']} deaths"
+        print(f"\r{told}", end="", file=sys.stderr, flush=True)
+    return 1 if done["wrong"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

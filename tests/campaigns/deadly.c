@@ -1,0 +1,75 @@
+/* Preloaded: a process dies at one chosen system call, or has its disk fail from there on.
+
+   WYNER_DEATH=CALL:FILE:N:HOW, where CALL is a function below, FILE a part of the path (or
+   "socket"), N counts matching calls from 1, and HOW is
+     before, after   SIGKILL there
+     tear            SIGKILL once half of the bytes are written
+     a number        this call and all later ones fail with that errno
+*/
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/uio.h>
+#include <unistd.h>
+
+static atomic_int calls;
+
+static void die(void) {
+    kill(getpid(), SIGKILL);
+    for (;;) pause();
+}
+
+/* What is to happen at this call: 0 nothing, -1 death before, -2 after, -3 torn, else an errno. */
+static int fate(const char *call, int fd, const char *path) {
+    const char *spec = getenv("WYNER_DEATH");
+    char kind[32], part[64], how[16], link[64], target[4096];
+    int n;
+    if (!spec || sscanf(spec, "%31[^:]:%63[^:]:%d:%15s", kind, part, &n, how) != 4) return 0;
+    if (strcmp(kind, call)) return 0;
+    if (!path) {
+        snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+        ssize_t size = readlink(link, target, sizeof target - 1);
+        if (size < 0) return 0;
+        target[size] = 0;
+        path = target;
+    }
+    if (!strstr(path, part)) return 0;
+    int now = atomic_fetch_add(&calls, 1) + 1;
+    if (atoi(how)) return now >= n ? atoi(how) : 0;
+    if (now != n) return 0;
+    return !strcmp(how, "before") ? -1 : !strcmp(how, "after") ? -2 : -3;
+}
+
+#define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
+#define AROUND(type, call, fd, path, torn, ...)                     \
+    int what = fate(#call, fd, path);                               \
+    if (what > 0) { errno = what; return -1; }                      \
+    if (what == -1) die();                                          \
+    if (what == -3) { torn; die(); }                                \
+    type result = REAL(call)(__VA_ARGS__);                          \
+    if (what == -2) die();                                          \
+    return result
+
+ssize_t write(int fd, const void *data, size_t size) {
+    AROUND(ssize_t, write, fd, 0, REAL(write)(fd, data, size / 2), fd, data, size);
+}
+ssize_t pwrite64(int fd, const void *data, size_t size, off64_t at) {
+    AROUND(ssize_t, pwrite64, fd, 0, REAL(pwrite64)(fd, data, size / 2, at), fd, data, size, at);
+}
+ssize_t writev(int fd, const struct iovec *parts, int count) {
+    AROUND(ssize_t, writev, fd, 0, REAL(writev)(fd, parts, count / 2), fd, parts, count);
+}
+ssize_t send(int fd, const void *data, size_t size, int flags) {
+    AROUND(ssize_t, send, fd, 0, REAL(send)(fd, data, size / 2, flags), fd, data, size, flags);
+}
+int fsync(int fd) { AROUND(int, fsync, fd, 0, , fd); }
+int fdatasync(int fd) { AROUND(int, fdatasync, fd, 0, , fd); }
+int ftruncate64(int fd, off64_t size) { AROUND(int, ftruncate64, fd, 0, , fd, size); }
+int unlink(const char *path) { AROUND(int, unlink, -1, path, , path); }
+int rename(const char *from, const char *to) { AROUND(int, rename, -1, to, , from, to); }
