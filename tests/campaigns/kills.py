@@ -144,8 +144,8 @@ def one_run(seed: int, folder: Path, kills: int) -> tuple[Counter[str], list[str
         if not wait_for(lambda: all_done(operators), AT_LAST_S):
             wrong.append("an operator has no answer")
         well = time.time()
-        if not wait_for(lambda: loop.queue(well) == 0, AT_LAST_S):
-            wrong.append(f"{loop.queue(well)} messages wait although all is well")
+        if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
+            wrong.append(f"{loop.delivered(well)} messages arrive although all is well")
         time.sleep(0.5)
     finally:
         customer.over.set()

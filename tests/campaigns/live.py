@@ -4,6 +4,7 @@ Services are forked from this process, which has their modules in memory already
 process of its own that opens its own journal and sockets, without the second that Python needs.
 """
 
+import ctypes
 import json
 import os
 import random
@@ -31,6 +32,9 @@ PRELOADED: Final = (
     *("wyner.cli.router", "wyner.cli.kme", "wyner.cli.send", "wyner.kme.server"),
 )
 
+PR_SET_PDEATHSIG: Final = 1
+"""Of prctl(2): a service dies with the campaign."""
+
 TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 """The capture is what counts here."""
 
@@ -46,6 +50,7 @@ def fork(argv: Sequence[str], log: Path, death: str = "") -> int:
     code = 70
     try:
         os.setsid()
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(out, 1)
@@ -222,12 +227,12 @@ class LiveLoop:
         operator.start()
         return operator
 
-    def queue(self, since_s: float) -> int:
-        """Messages that wait in the controller, as it said after a wall time; -1 if it did not."""
+    def delivered(self, since_s: float) -> int:
+        """Messages that have arrived, as the controller said after a wall time; else -1."""
         path = self.run_dir / CONTROLLER_STATUS
         with suppress(OSError, ValueError, KeyError):
             if path.stat().st_mtime > since_s:
-                return int(json.loads(path.read_bytes())["queue"])
+                return int(json.loads(path.read_bytes())["delivered"])
         return -1
 
     def stop(self) -> list[str]:

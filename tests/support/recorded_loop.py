@@ -5,6 +5,7 @@ own, opened as the services open them; a capture has all that was on the field b
 kill an end at any of its ports, spoil a file between two lives, and ask ``wyner check``.
 """
 
+import base64
 import logging
 from collections import deque
 from collections.abc import Callable
@@ -17,11 +18,12 @@ from plant_service.service import PlantConfig, open_plant
 from protocol.link.endpoint import Actions, Endpoint, Outgoing
 from protocol.link.events import Event
 from protocol.link.perform import Killed, Mortal, perform
-from protocol.messages import FIELD, Message, SendCommand
+from protocol.link.sender import Sender
+from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.runtime.ports import Files, LoopPorts
 from protocol.runtime.process import Pace
-from protocol.runtime.run_folder import CAPTURE, SCENARIO
-from protocol.runtime.trace import TraceWriter
+from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
+from protocol.runtime.trace import TraceWriter, read_trace
 from protocol.secret.tasks import Task
 from protocol.secret.worker import work
 from tap_service.capture.recording import mirror_line
@@ -98,6 +100,7 @@ class RecordedLoop:
         self.folder = folder
         self.now = 0.0
         self.lives = dict.fromkeys(SIDES, 0)
+        self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
         self._scenario, self._law = law_of(name)
         folder.mkdir(parents=True, exist_ok=True)
@@ -165,6 +168,8 @@ class RecordedLoop:
 
     def said(self, side: Side, message: Outgoing) -> None:
         """A message on its way: the tap hears it, and the other end if it is for it."""
+        if message.kind is Offer:
+            self._one_cipher(Offer.model_validate_json(message.payload))
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
             self._capture.lines.append(line)
@@ -172,6 +177,15 @@ class RecordedLoop:
         end = self._ends.get(partner)
         if end is not None and message.kind in end.endpoint.hears:
             self._mail[partner].append(message)
+
+    def _one_cipher(self, offer: Offer) -> None:
+        """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
+        sender: Sender = self._ends["controller"].endpoint.sender  # type: ignore[attr-defined]
+        answer = sender._answer
+        counts = answer is not None and answer.offer == offer and answer.counted is not None
+        at = offer.session, sender.record.transitions + counts
+        first = self.ciphers.setdefault(at, offer.cipher)
+        assert first == offer.cipher, f"transition {at}: offered ciphers {first}, {offer.cipher}"
 
     def _t_ns(self) -> int:
         return round(self.now * 1e9)
@@ -222,6 +236,12 @@ class RecordedLoop:
     def received(self) -> list[bytes]:
         """What the plant's journal has received."""
         return self._ends["plant"].files.journal.inbox()  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def recovered(self) -> list[bytes]:
+        """What the plant's trace says that it has recovered."""
+        events = read_trace(self.folder / PLANT_TRACE).of("recovered")
+        return [base64.b64decode(event["payload"]) for event in events]
 
     @property
     def delivered(self) -> int:

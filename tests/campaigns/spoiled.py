@@ -1,0 +1,191 @@
+"""Journals spoiled between two lives: ``python -m tests.campaigns.spoiled --count 20000``.
+
+Each seed runs a loop, kills an end, and then deletes, truncates, flips, empties, or restores
+from an older copy what its journal consists of. The end must either say in one line that it
+cannot use its journal, and begin anew once that is removed; or go on. In both cases no cipher symbol may meet
+a second key, every message that arrives is one that was sent, and the last one arrives. What may
+arrive twice is what a controller was handed again. Goes on where it stopped.
+"""
+
+import argparse
+import json
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.runtime.process import Failure, UsageError
+from protocol.runtime.run_folder import write_atomically
+from tests.support.recorded_loop import SIDES, RecordedLoop, Side
+from wyner.studies.grid import code_version
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
+
+KINDS: Final = ("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "garbage")
+SCENARIOS: Final = ("sustained", "keys")
+LAST: Final = b"last"
+
+GOES_BACK: Final = {"traces", "whole", "frames", "messages", "prefix", "in-step", "one-cipher"}
+"""Clauses that see that an end's past was taken from it."""
+
+
+def files_of(loop: RecordedLoop, side: Side) -> list[Path]:
+    """What the journal of an end consists of."""
+    return sorted((loop.folder / side).glob("journal*"))
+
+
+def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Random) -> str:
+    """Do it, and say what was done."""
+    files = [f for f in files_of(loop, side) if f.stat().st_size]
+    file = draw.choice(files)
+    data = bytearray(file.read_bytes())
+    place = draw.randrange(len(data))
+    if kind == "flipped":
+        data[place] ^= 1 << draw.randrange(8)
+    elif kind == "truncated":
+        del data[place:]
+    elif kind == "emptied":
+        data.clear()
+    elif kind == "garbage":
+        end = min(len(data), place + draw.randrange(1, 2000))
+        data[place:end] = draw.randbytes(end - place)
+    if kind == "deleted":
+        for one in files if draw.random() < 0.5 else [file]:
+            one.unlink()
+    elif kind == "restored":
+        for one in files_of(loop, side):
+            one.unlink()
+        for one in copy.glob("journal*"):
+            shutil.copy(one, loop.folder / side)
+    elif kind == "one restored":
+        if (copy / file.name).exists():
+            shutil.copy(copy / file.name, file)
+    else:
+        file.write_bytes(data)
+    return f"{side}: {file.name} {kind} at {place} of {len(data)}"
+
+
+class Spoiled:
+    """One seed's run."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        self.draw = random.Random(seed)
+        self.counts: Counter[str] = Counter()
+        self.wrong: list[str] = []
+        self.side: Side = self.draw.choice(SIDES)
+        self.kind = self.draw.choice(KINDS)
+        self.sent = [b"first", b"second", LAST]
+        self.loop = RecordedLoop(folder / "run", self.sent[0], self.draw.choice(SCENARIOS))
+        self.copy = folder / "copy"
+
+    def run(self) -> None:
+        """Run, spoil, go on, judge."""
+        loop, draw, side = self.loop, self.draw, self.side
+        self._advance(draw.randrange(1, 120))
+        self.copy.mkdir()
+        for file in files_of(loop, side):
+            shutil.copy(file, self.copy)
+        loop.queue("second", self.sent[1])
+        self._advance(draw.randrange(1, 120))
+        loop.kill(side)
+        self.done = spoil(loop, side, self.kind, self.copy, draw)
+        self._start()
+        self._last()
+        loop.stop()
+        self._judge()
+
+    def _advance(self, transitions: int) -> None:
+        target = self.loop.transitions + transitions
+        self.loop.run(lambda: self.loop.transitions >= target)
+
+    def _start(self) -> None:
+        try:
+            self.loop.start(self.side)
+        except (Failure, UsageError) as error:
+            self._refused(error)
+
+    def _refused(self, error: Failure | UsageError) -> None:
+        """The journal cannot be used: it is removed, as the line says."""
+        lines = error.lines if isinstance(error, UsageError) else [str(error)]
+        if len(lines) != 1 or "\n" in lines[0] or "journal" not in lines[0]:
+            self.wrong.append(f"said {lines}")
+        self.counts["refused"] += 1
+        for file in files_of(self.loop, self.side):
+            file.unlink()
+        self.loop.start(self.side)
+
+    def _last(self) -> None:
+        loop = self.loop
+        loop.queue("last", LAST)
+        for _ in range(2):
+            try:
+                loop.run(lambda: LAST in loop.received[-1:])
+            except (Failure, UsageError) as error:
+                loop.kill(self.side)
+                self._refused(error)
+                loop.queue("last", LAST)
+            else:
+                return
+
+    def _judge(self) -> None:
+        got = Counter(self.loop.recovered)
+        again = self.side == "controller"
+        for payload, times in got.items():
+            if payload not in self.sent:
+                self.wrong.append(f"{payload!r} was never sent")
+            if times > 1 and not again:
+                self.wrong.append(f"{payload!r} was recovered {times} times")
+        findings = {f.clause.name: f for f in check(read_evidence(self.loop.folder))}
+        for name, finding in findings.items():
+            if finding.result == "FAIL":
+                self.counts[f"check: {name}"] += 1
+                if name not in GOES_BACK:
+                    self.wrong.append(f"{name}: {finding.tally.first}")
+
+
+def one_run(seed: int, folder: Path) -> tuple[Counter[str], list[str]]:
+    """Spoil a journal; what came of it, and what was wrong."""
+    run = Spoiled(seed, folder)
+    try:
+        run.run()
+    except Exception as error:
+        run.wrong.append(f"{type(error).__name__}: {error}")
+    run.counts[run.kind] += 1
+    if run.wrong:
+        run.wrong.insert(0, run.done)
+    return run.counts, run.wrong
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Seed after seed; 1 when something was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=20_000)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--results", type=Path, default=Path("campaign-spoiled.json"))
+    args = parser.parse_args(argv)
+    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
+    if done.get("version") != code_version():
+        done = {"version": code_version(), "spoiled": 0, "counts": {}, "wrong": []}
+    until = time.monotonic() + args.seconds
+    for seed in range(done["spoiled"], args.count):
+        with tempfile.TemporaryDirectory() as folder:
+            counts, wrong = one_run(seed, Path(folder))
+        done["spoiled"] = seed + 1
+        done["counts"] = dict(Counter(done["counts"]) + counts)
+        if wrong:
+            done["wrong"].append([seed, *wrong])
+            print(f"seed {seed}: {wrong}")
+        if seed % 100 == 0 or time.monotonic() > until or seed + 1 == args.count:
+            write_atomically(args.results, json.dumps(done, indent=1).encode())
+            print(f"\r{seed + 1:,} spoiled", end="", file=sys.stderr, flush=True)
+            if time.monotonic() > until:
+                break
+    return 1 if done["wrong"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
