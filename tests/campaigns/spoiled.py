@@ -2,9 +2,9 @@
 
 Each seed runs a loop, kills an end, and then deletes, truncates, flips, empties, or restores
 from an older copy what its journal consists of. The end must either say in one line that it
-cannot use its journal, and begin anew once that is removed; or go on. In both cases no cipher symbol may meet
-a second key, every message that arrives is one that was sent, and the last one arrives. What may
-arrive twice is what a controller was handed again. Goes on where it stopped.
+cannot use its journal, and begin anew once that is removed; or go on. In both cases no cipher
+symbol may meet a second key, every message that arrives is one that was sent, and the last one
+arrives. What may arrive twice is what a controller was handed again. Goes on where it stopped.
 """
 
 import argparse
@@ -29,8 +29,8 @@ KINDS: Final = ("flipped", "truncated", "deleted", "emptied", "restored", "one r
 SCENARIOS: Final = ("sustained", "keys")
 LAST: Final = b"last"
 
-GOES_BACK: Final = {"traces", "whole", "frames", "messages", "prefix", "in-step", "one-cipher"}
-"""Clauses that see that an end's past was taken from it."""
+FORGOTTEN: Final = {"messages"}
+"""Clauses that see that a controller does not know what it was handed after the copy was made."""
 
 
 def files_of(loop: RecordedLoop, side: Side) -> list[Path]:
@@ -143,7 +143,7 @@ class Spoiled:
         for name, finding in findings.items():
             if finding.result == "FAIL":
                 self.counts[f"check: {name}"] += 1
-                if name not in GOES_BACK:
+                if name not in FORGOTTEN or self.side == "plant":
                     self.wrong.append(f"{name}: {finding.tally.first}")
 
 

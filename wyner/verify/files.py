@@ -33,15 +33,18 @@ def traces(e: Evidence, tally: Tally) -> Judging:
                 text = f"{name}'s trace: expected j = {place} and k above {least}"
                 tally.count(holds, t.session, t.j, t.k, text)
                 last[name] = (t.session, t.j, t.k)
-    torn = overwritten = 0
+    torn = overwritten = behind = 0
     for name, reader in e.readers():
         torn += sum(part.torn for part in reader.parts)
         overwritten += reader.overwritten
+        behind += reader.behind
         for problem in reader.problems:
             tally.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
     if tally.counted == 0 and not e.cut:
         tally.fail("", -1, -1, "no transition: nothing has happened in this run")
     tally.note = f"{torn} torn lines, {overwritten} written again after a kill"
+    if behind:
+        tally.note += f", {behind} by an end whose journal was put back from an older copy"
     if e.cut:
         tally.note += f"; {e.cut}"
 

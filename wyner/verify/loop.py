@@ -28,6 +28,7 @@ def switching(e: Evidence, tally: Tally) -> Judging:
     start = e.scenario.plant.initial_state  # empty where the plant starts as it stands
     x, u = start, zero
     born_in, first = "", True
+    session, behind = "", 0
     while (part := (yield)) is not None:
         for item in part.plant:
             cut = e.plant.cut if first and e.plant is not None else None
@@ -43,6 +44,10 @@ def switching(e: Evidence, tally: Tally) -> Judging:
             if step.k == 0 and step.session != born_in:  # the plant began again, without a journal
                 born_in, place = step.session, 0
                 x, u = start, zero
+            if step.session != session and step.k < place and e.plant and e.plant.behind > behind:
+                behind = e.plant.behind  # its journal was put back from an older copy
+                x, u, place = step.x, step.u or zero, step.k
+            session = step.session
             x = x or step.x
             j = step.j if isinstance(step, TracedTransition) else -1
             where = (step.session, j, step.k)

@@ -174,6 +174,8 @@ def frames(e: Evidence, tally: Tally) -> Judging:
 
 def _same_inbox(e: Evidence, journal: Kept, received: Sequence[bytes], tally: Tally) -> None:
     """What the plant's journal received are the last frames of its trace."""
+    if e.plant is not None and e.plant.behind:
+        return  # put back from an older copy, it has lost what came since
     kept = [payload for _, payload in journal.messages]
     if e.plant is not None and e.plant.from_journal and len(received) > len(kept):
         received = received[:-1]  # of the step that is in the journal and not yet counted

@@ -178,6 +178,8 @@ class SideReader:
         self._announce = side == "plant" and not self._seeking
         self._held: Missed | None = None
         self._reported: TracedTransition | None = None
+        self.behind = 0
+        self._stale = False
 
     @property
     def marks(self) -> Segments:
@@ -250,6 +252,9 @@ class SideReader:
                 yield from self._missed(number, line)
                 return
             told = Told(line, payload_of(line))
+            if kind in REPORTS and self._stale:
+                self.behind += 1
+                return
             if kind in REPORTS:
                 again = self.last is not None and self._reported is self.last
                 told, self._reported = told._replace(again=again), self.last
@@ -285,6 +290,7 @@ class SideReader:
             self.problem(number, "session: announced already")
         self._announce = False
         self._session = line.session
+        self._stale = self._stale and self.last is not None and line.session == self.last.session
         if line.session is not None:
             self.announced.add(line.session)
 
@@ -315,6 +321,8 @@ class SideReader:
             self._seek(t)
             return
         last = self.last
+        if number and last is not None and self._went_back(t.session, t.j < last.j + self._stale):
+            return
         if last is not None and (t.session, t.j) == (last.session, last.j):
             if not self._broken:
                 self.problem(number, f"transition {t.j} was written before, without a restart")
@@ -341,10 +349,24 @@ class SideReader:
         if t.s == self._rules.scheme.initial[0]:
             self.cut, self._state, self._seeking = t, self._rules.scheme.initial, False
 
+    def _went_back(self, session: str, passed: bool) -> bool:
+        """Whether a restart took this end back behind steps of the same session.
+
+        Its journal was put back from an older copy. It counts once more the step that this holds,
+        until the other end makes the session end; it cannot come beyond where it was.
+        """
+        if self.last is None or session != self.last.session or not passed:
+            return False
+        self._stale = self._stale or self._broken
+        self.behind += self._stale
+        return self._stale
+
     def _missed(self, number: int, step: Missed) -> Iterator[Item]:
         self._belongs(number, step.session)
         if self._seeking:
             self.last_missed = step
+            return
+        if self._went_back(step.session, self.last is not None and step.k <= self.last.k):
             return
         yield from self._flush(step.session, step.k)
         self._broken = False
