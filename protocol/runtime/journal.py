@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
+from zlib import crc32
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
@@ -30,16 +31,21 @@ from protocol.runtime.run_folder import make_folder, open_private
 from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
 from protocol.secret.nonces import Raw
 
-JOURNAL_VERSION: Final = 7
+JOURNAL_VERSION: Final = 8
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)
 
 _RAW: Final = (
     "CREATE TABLE IF NOT EXISTS raw (session TEXT, j INTEGER, steps INTEGER, offer BLOB, "
-    "measurement BLOB, PRIMARY KEY (session, j)) WITHOUT ROWID"
+    "measurement BLOB, check_ INTEGER, PRIMARY KEY (session, j)) WITHOUT ROWID"
 )
 """Rows of key blocks under way; they cannot be in the record, which is rewritten at each step."""
+
+
+def _check(*values: object) -> int:
+    """What is kept beside the values of a row, to see whether they are as they were written."""
+    return crc32(repr(values).encode())
 
 
 class JournalError(Failure):
@@ -128,19 +134,25 @@ class _Journal:
         found.setdefault("tag", os.urandom(TAG_BYTES).hex())
         db.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?)", found.items())
         db.execute(
-            "CREATE TABLE IF NOT EXISTS record (id INTEGER PRIMARY KEY, number INTEGER, body BLOB)"
+            "CREATE TABLE IF NOT EXISTS record "
+            "(id INTEGER PRIMARY KEY, number INTEGER, body BLOB, check_ INTEGER)"
         )
         for table in (_RAW, *self.tables.split(";")):
             db.execute(table)
         db.execute("COMMIT")
-        return bytes.fromhex(found["tag"])
+        if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(wrong)
+        try:
+            return bytes.fromhex(found["tag"])
+        except ValueError:
+            raise sqlite3.DatabaseError("its tag is none") from None
 
     def _read(self) -> None:
         """Find the last write: in the database, or among the steps that follow it."""
-        row = self._db.execute("SELECT number, body FROM record WHERE id = 0").fetchone()
-        self._last = None if row is None else Step(row[0], bytes(row[1]))
+        rows = self._rows_kept("SELECT number, body, check_ FROM record")
+        self._last = Step(*rows[0]) if rows else None
         try:
-            steps = self._steps.read(0 if row is None else row[0])
+            steps = self._steps.read(rows[0][0] if rows else 0)
         except Damaged as error:
             self._steps.close()
             raise JournalError(f"{self._beside}: {error}") from None
@@ -148,11 +160,20 @@ class _Journal:
         if steps:
             self._last = steps[-1]
 
-    def _execute(self, statement: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
         try:
-            return self._db.execute(statement, values)
+            return self._db.execute(statement, values).fetchall()
         except sqlite3.Error as error:
             raise JournalError(f"{self.path}: {error}") from None
+
+    def _rows_kept(self, statement: str, values: Sequence[Any] = ()) -> list[list[Any]]:
+        """Rows that a statement selects, whose last column is the check of the others."""
+        rows = []
+        for *row, check in self._execute(statement, values):
+            if check != _check(*row):
+                raise JournalError(f"{self.path}: a row is not as it was written")
+            rows.append(row)
+        return rows
 
     def _load(self) -> Any:
         if self._last is None:
@@ -181,10 +202,9 @@ class _Journal:
     def raws(self, session: str | None) -> list[Raw]:
         """Rows of the session's key blocks that are not settled, in order."""
         self._rows_of = session
-        rows = self._execute(
-            "SELECT j, steps, offer, measurement FROM raw WHERE session = ? ORDER BY j", (session,)
-        )
-        found = {row[0]: Raw(*row) for row in rows} | {raw.j: raw for raw in self._logged}
+        rows = self._rows_kept("SELECT session, j, steps, offer, measurement, check_ FROM raw")
+        found = {row[0]: Raw(*row) for of, *row in rows if of == session}
+        found |= {raw.j: raw for raw in self._logged}
         return [found[j] for j in sorted(found)]
 
     def _stage(self, keep: Keep) -> None:
@@ -203,8 +223,9 @@ class _Journal:
             self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
         staged = [keep for keep in self._rows if keep.record.session == self._rows_of]
         for raw in (*self._logged, *(keep.raw for keep in staged if keep.raw is not None)):
+            row = (self._rows_of, *raw)
             self._execute(
-                "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?)", (self._rows_of, *raw)
+                "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?, ?)", (*row, _check(*row))
             )
         for over in (over for keep in staged for over in keep.settled):
             self._execute(
@@ -219,7 +240,8 @@ class _Journal:
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
-        self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?)", last[:2])
+        row = (*last[:2], _check(*last[:2]))
+        self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?)", row)
         self._execute("COMMIT")
         self._last, self._forget = last, False
         self._rows.clear()
@@ -295,13 +317,13 @@ class ControllerJournal(_Journal):
     adapter = TypeAdapter(SenderRecord)
     tables = (
         "CREATE TABLE IF NOT EXISTS outbox "
-        "(number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL)"
+        "(number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL, "
+        "check_ INTEGER)"
     )
 
     def __init__(self, path: Path, scenario: str) -> None:
         super().__init__(path, scenario)
-        row = self._execute("SELECT COUNT(*) FROM outbox").fetchone()
-        self.queued: int = row[0]
+        self.queued: int = self._execute("SELECT COUNT(*) FROM outbox")[0][0]
 
     def load(self) -> SenderRecord | None:
         """The record as last saved, or None in a new journal.
@@ -339,29 +361,41 @@ class ControllerJournal(_Journal):
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
-        cursor = self._execute(
-            "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?)", (self.queued, identifier, payload)
+        row = (self.queued, identifier, payload)
+        added = self._execute(
+            "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?, ?) RETURNING number",
+            (*row, _check(*row)),
         )
-        added = cursor.rowcount == 1
-        self.queued += added
-        return added
+        self.queued += len(added)
+        return bool(added)
+
+    def _queued(self, name: str, value: object) -> list[Any]:
+        """Number, identifier and payload of the messages whose column ``name`` is so."""
+        return self._rows_kept(f"SELECT * FROM outbox WHERE {name} = ?", (value,))
+
+    def _numbered(self, number: int) -> list[Any]:
+        rows = self._queued("number", number)
+        if not rows:
+            raise JournalError(f"{self.path}: message {number} is missing")
+        found: list[Any] = rows[0]
+        return found
 
     def queued_as(self, identifier: str) -> bytes | None:
         """The message that was ever queued under this identifier, or None."""
-        row = self._execute("SELECT payload FROM outbox WHERE id = ?", (identifier,)).fetchone()
-        return None if row is None else bytes(row[0])
+        rows = self._queued("id", identifier)
+        return rows[0][2] if rows else None
 
     def payload(self, number: int) -> bytes | None:
         """Message ``number``, or None while it is not queued."""
         if number >= self.queued:
             return None
-        row = self._execute("SELECT payload FROM outbox WHERE number = ?", (number,)).fetchone()
-        return bytes(row[0])
+        payload: bytes = self._numbered(number)[2]
+        return payload
 
     def identifier(self, number: int) -> str:
         """Identifier of the queued message ``number``."""
-        row = self._execute("SELECT id FROM outbox WHERE number = ?", (number,)).fetchone()
-        return str(row[0])
+        identifier: str = self._numbered(number)[1]
+        return identifier
 
 
 class PlantJournal(_Journal):
@@ -370,8 +404,10 @@ class PlantJournal(_Journal):
     kind = "plant"
     adapter = TypeAdapter(ReceiverRecord)
     tables = (
-        "CREATE TABLE IF NOT EXISTS chunk (place INTEGER PRIMARY KEY, symbols TEXT NOT NULL);"
-        "CREATE TABLE IF NOT EXISTS inbox (number INTEGER PRIMARY KEY, payload BLOB NOT NULL)"
+        "CREATE TABLE IF NOT EXISTS chunk (place INTEGER PRIMARY KEY, symbols TEXT NOT NULL, "
+        "check_ INTEGER);"
+        "CREATE TABLE IF NOT EXISTS inbox (number INTEGER PRIMARY KEY, payload BLOB NOT NULL, "
+        "check_ INTEGER)"
     )
 
     def load(self) -> ReceiverRecord | None:
@@ -412,15 +448,15 @@ class PlantJournal(_Journal):
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
-        rows = self._execute("SELECT symbols FROM chunk ORDER BY place")
+        rows = self._rows_kept("SELECT symbols, check_ FROM chunk ORDER BY place")
         return "".join(symbols for (symbols,) in rows)
 
     def inbox(self, last: int = 100) -> list[bytes]:
         """The last messages received, oldest first."""
-        rows = self._execute(
-            "SELECT payload FROM inbox ORDER BY number DESC LIMIT ?", (last,)
-        ).fetchall()
-        return [bytes(payload) for (payload,) in reversed(rows)]
+        rows = self._rows_kept(
+            "SELECT payload, check_ FROM inbox ORDER BY number DESC LIMIT ?", (last,)
+        )
+        return [payload for (payload,) in reversed(rows)]
 
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
@@ -433,8 +469,12 @@ class PlantJournal(_Journal):
                 if write.drop_chunks:
                     self._execute("DELETE FROM chunk")
                 if write.chunk:
-                    self._execute("INSERT INTO chunk (symbols) VALUES (?)", (write.chunk,))
+                    self._add("chunk", "symbols", write.chunk)
                 if write.received is not None:
-                    self._execute("INSERT INTO inbox (payload) VALUES (?)", (write.received,))
+                    self._add("inbox", "payload", write.received)
         elif not write.later:
             self._keep()
+
+    def _add(self, table: str, name: str, value: object) -> None:
+        row = (value, _check(value))
+        self._execute(f"INSERT INTO {table} ({name}, check_) VALUES (?, ?)", row)

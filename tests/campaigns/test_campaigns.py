@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import exhaustive, fuzz, kills, schedules
+from tests.campaigns import exhaustive, fuzz, kills, schedules, spoiled
 
 
 def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: Path) -> None:
@@ -13,6 +13,12 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
     for count in (20, 40):
         assert schedules.main(["--count", str(count), "--results", str(results)]) == 0
         assert json.loads(results.read_text())["schedules"] == count
+
+
+def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    assert spoiled.main(["--count", "16", "--results", str(results)]) == 0
+    assert json.loads(results.read_text())["counts"]["refused"] > 0
 
 
 @pytest.mark.parametrize("side", ["controller", "plant"])

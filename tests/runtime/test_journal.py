@@ -215,18 +215,34 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
     assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
 
 
-@pytest.mark.parametrize("body", [b"{}", b"not json", b'{"session": 3}'])
-def test_a_record_that_is_none_is_refused(tmp_path: Path, body: bytes) -> None:
+@pytest.mark.parametrize("change", ["body = x'7b7d'", "number = 7", "body = NULL"])
+def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
         journal.write(Keep(RECEIVER))
     database = sqlite3.connect(path)
-    database.execute("UPDATE record SET body = ?", (body,))
+    database.execute(f"UPDATE record SET {change}")
     database.commit()
     database.close()
-    with PlantJournal(path, SCENARIO) as journal, pytest.raises(JournalError) as error:
-        journal.load()
-    assert "record" in one_line(error, path)
+    with pytest.raises(JournalError) as error:
+        PlantJournal(path, SCENARIO)
+    assert "not as it was written" in one_line(error, path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["payload = x'62'", "number = 3", "id = 'n'", "payload = 7"],
+)
+def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> None:
+    path = tmp_path / "c"
+    with ControllerJournal(path, SCENARIO) as journal:
+        journal.enqueue("m", b"a")
+    database = sqlite3.connect(path)
+    database.execute(f"UPDATE outbox SET {change}")
+    database.commit()
+    database.close()
+    with ControllerJournal(path, SCENARIO) as journal, pytest.raises(JournalError):
+        journal.payload(0)
 
 
 # --- kill -9 --------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
-from wyner.verify.records import Missed, TracedTransition, Walked
+from wyner.verify.records import Break, Missed, TracedTransition, Walked
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
@@ -28,7 +28,7 @@ def switching(e: Evidence, tally: Tally) -> Judging:
     start = e.scenario.plant.initial_state  # empty where the plant starts as it stands
     x, u = start, zero
     born_in, first = "", True
-    session, behind = "", 0
+    session, restarted = "", False
     while (part := (yield)) is not None:
         for item in part.plant:
             cut = e.plant.cut if first and e.plant is not None else None
@@ -40,14 +40,14 @@ def switching(e: Evidence, tally: Tally) -> Judging:
             elif isinstance(item, Missed):
                 step = item
             else:
+                restarted = restarted or isinstance(item, Break)
                 continue
             if step.k == 0 and step.session != born_in:  # the plant began again, without a journal
                 born_in, place = step.session, 0
                 x, u = start, zero
-            if step.session != session and step.k < place and e.plant and e.plant.behind > behind:
-                behind = e.plant.behind  # its journal was put back from an older copy
-                x, u, place = step.x, step.u or zero, step.k
-            session = step.session
+            if step.session != session and step.k < place and restarted:
+                x, u, place = step.x, step.u or zero, step.k  # its journal was an older copy
+            session, restarted = step.session, False
             x = x or step.x
             j = step.j if isinstance(step, TracedTransition) else -1
             where = (step.session, j, step.k)
