@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmarks.timing import HEARS, SIDES, Ports, open_end
+from benchmarks.timing import HEARS, SIDES, TimingPorts, open_end
 from protocol.link.perform import perform
 from protocol.messages import FIELD
 from protocol.runtime.run_folder import CAPTURE, SCENARIO
@@ -30,7 +30,7 @@ MOST_MB: Final = 300
 """What a million steps may take."""
 
 
-class _Heard(Ports):
+class _Heard(TimingPorts):
     """An end's ports with a tap at them."""
 
     tap: RotatingLog

@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.loop import EAVESDROPPERS, Service
+from benchmarks.loop import EAVESDROPPERS, ServiceProcess
 from protocol.messages import LATENCY_BOUNDS_S
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
@@ -36,7 +36,7 @@ _MISSED = re.compile(rb'"event":"missed"[^}\n]{0,80}?"k":(\d+)')
 @contextmanager
 def hosts(
     folder: Path, loops: int, scenario: str, pace: str, router: bool
-) -> Iterator[dict[str, Service]]:
+) -> Iterator[dict[str, ServiceProcess]]:
     """The three hosts, and a router between them where one is asked for."""
     plant, controller, plant_ops, controller_ops, intel, relay = free_endpoints(6)
     common = [f"--scenario={scenario}", f"--run-dir={folder}", f"--loops={loops}"]
@@ -58,14 +58,14 @@ def hosts(
             f"--listen=ops={plant_ops}",
         ],
     }
-    services: dict[str, Service] = {}
+    services: dict[str, ServiceProcess] = {}
     with ExitStack() as stack:
         if router:
-            services["router"] = Service("router", [f"--listen=field={relay}"])
+            services["router"] = ServiceProcess("router", [f"--listen=field={relay}"])
             stack.callback(services["router"].stop)
             time.sleep(1.0)
         for name, arguments in commands.items():
-            services[name] = Service(name, [*common, *arguments])
+            services[name] = ServiceProcess(name, [*common, *arguments])
             stack.callback(services[name].stop)
             services[name].wait_until_up()
         yield services
@@ -81,7 +81,7 @@ def _statuses(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def _cpu_s(service: Service) -> float:
+def _cpu_s(service: ServiceProcess) -> float:
     """Processor time of a living process so far, seconds."""
     fields = Path(f"/proc/{service.process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -193,7 +193,7 @@ def measure(
     }
 
 
-def _wait_until_all_run(folder: Path, loops: int, services: Mapping[str, Service]) -> None:
+def _wait_until_all_run(folder: Path, loops: int, services: Mapping[str, ServiceProcess]) -> None:
     until = time.monotonic() + PATIENCE_S
     while True:
         running = sum(status["transitions"] > 0 for status in _statuses(folder))

@@ -86,7 +86,7 @@ def _commands(scenario: Path, folder: Path, steps: int, pace: str) -> dict[str, 
     }
 
 
-class Service:
+class ServiceProcess:
     """A service in a process of its own, and the time until it said its first word."""
 
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
@@ -158,13 +158,13 @@ class Service:
 @contextmanager
 def running(
     scenario: Path, folder: Path, steps: int, pace: str = "fast"
-) -> Iterator[dict[str, Service]]:
+) -> Iterator[dict[str, ServiceProcess]]:
     """The three services in lock-step; the plant comes last and ends after ``steps`` steps."""
     commands = _commands(scenario, folder, steps, pace)
-    services: dict[str, Service] = {}
+    services: dict[str, ServiceProcess] = {}
     try:
         for name in ("controller", "tap", "plant"):
-            services[name] = Service(name, commands[name])
+            services[name] = ServiceProcess(name, commands[name])
             services[name].wait_until_up()
         yield services
     finally:

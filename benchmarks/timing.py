@@ -100,7 +100,7 @@ def difference(first: Sequence[float], second: Sequence[float]) -> Difference:
     return Difference(means[1] - means[0], math.sqrt(sum(variances)))
 
 
-class Ports:
+class TimingPorts:
     """An end's ports; notes when a field message leaves, and what all of them say."""
 
     def __init__(self, files: "Files") -> None:
@@ -139,7 +139,7 @@ class Ports:
         """Nobody asks for the health."""
 
 
-class Heard(NamedTuple):
+class TimedOffer(NamedTuple):
     """What an end was given at a time: a message, or nothing where it was only woken."""
 
     now: float
@@ -152,7 +152,7 @@ class Life:
     """All that one end's doings depend on: what it heard, and what it drew; and what it said."""
 
     began: float
-    heard: list[Heard] = field(default_factory=list)
+    heard: list[TimedOffer] = field(default_factory=list)
     drawn: list[bytes] = field(default_factory=list)
     said: bytes = b""
 
@@ -169,7 +169,7 @@ class _End:
         with self._drawing():
             self.endpoint, files, end = open_end(side, scenario, folder, life.began)
             self.end: Sender | Receiver = end
-            self.ports = Ports(files)
+            self.ports = TimingPorts(files)
             perform(self.endpoint.start(life.began), self.endpoint, self.ports)
 
     @contextmanager
@@ -195,7 +195,7 @@ class _End:
         """Whether the step under way carries a message symbol."""
         return self.end.rules.scheme.pad(self.end.record.state) != NO_SYMBOL
 
-    def take(self, heard: Heard, added_ns: int = 0) -> int:
+    def take(self, heard: TimedOffer, added_ns: int = 0) -> int:
         """Do what is to be done; nanoseconds to the answer on the field bus, 0 where none came."""
         endpoint, ports = self.endpoint, self.ports
         with self._drawing():
@@ -261,8 +261,8 @@ def recorded(steps: int, scenario: str, folder: Path) -> dict[str, Life]:
         for side, other in zip(SIDES, reversed(SIDES), strict=True):
             end, now = ends[side], time.monotonic()
             mail, ends[other].ports.mail = ends[other].ports.mail, []
-            heard = [Heard(now)] if end.endpoint.wake_at() <= now else []
-            for one in (*heard, *(Heard(now, *m) for m in mail if m[0] in HEARS[side])):
+            heard = [TimedOffer(now)] if end.endpoint.wake_at() <= now else []
+            for one in (*heard, *(TimedOffer(now, *m) for m in mail if m[0] in HEARS[side])):
                 lives[side].heard.append(one)
                 end.take(one)
     for side, end in ends.items():

@@ -60,7 +60,7 @@ def _spread(values: deque[float]) -> Vector:
     return ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last]
 
 
-class Watch:
+class ReachWatch:
     """Counts transitions whose disturbance left D_c, and holds them against the calibration.
 
     Parameters

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Final, Literal
 
 from plant_service.plant import Step
-from plant_service.punctuality import Punctuality, Watch
+from plant_service.punctuality import Punctuality, ReachWatch
 from protocol.link.receiver import Receiver
 from protocol.link.session import CountedTransition
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
@@ -39,7 +39,7 @@ class PlantTelemetry:
         self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
         self.tail: deque[Step] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
-        self.watch = Watch(scenario.defender.calibration)
+        self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_claim = "" if scenario.keys is None else scenario.keys.assumption().sentence()
         self.keys_refused = ""
         self._scenario = scenario

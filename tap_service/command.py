@@ -28,7 +28,7 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seed", type=int, default=0, help="of the knobs' draws (default 0)")
 
 
-class Told(NamedTuple):
+class ToldKnowledge(NamedTuple):
     """What the tap is started with besides its options.
 
     Parameters
@@ -169,7 +169,7 @@ def run(args: argparse.Namespace) -> int:
     return run_told(args, told_by(args.knowledge))
 
 
-def told_by(path: str) -> Told:
+def told_by(path: str) -> ToldKnowledge:
     """What a file of knowledge tells; the oracle is told where the file has alpha.
 
     Raises
@@ -178,11 +178,13 @@ def told_by(path: str) -> Told:
         As :func:`read_knowledge`.
     """
     knowledge = read_knowledge(path)
-    return Told(knowledge, knowledge if knowledge.alpha is not None else None)
+    return ToldKnowledge(knowledge, knowledge if knowledge.alpha is not None else None)
 
 
 def run_told(
-    args: argparse.Namespace, told: Told, told_of: "Callable[[FleetLoop], Told] | None" = None
+    args: argparse.Namespace,
+    told: ToldKnowledge,
+    told_of: "Callable[[FleetLoop], ToldKnowledge] | None" = None,
 ) -> int:
     """Run the service with what it was told, until it is told to stop.
 
@@ -212,7 +214,7 @@ def run_told(
     field, intel = endpoints_of(args, "tap", "field"), endpoints_of(args, "tap", "intel")
     fleet = fleet_of(args)
 
-    def config_of(told: Told, loop: str, folder: Path) -> TapConfig:
+    def config_of(told: ToldKnowledge, loop: str, folder: Path) -> TapConfig:
         names = names_of(args.eavesdropper)
         names, where = (names, "") if names else (told.names, told.where)
         view = view_of(args, told.view)

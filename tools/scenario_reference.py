@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 
 import controller_service.laws.registry  # noqa: F401  (the laws)
 import plant_service.adapters.registry  # noqa: F401  (the kinds of plants)
-from protocol.scenario import LAWS, PLANTS, Control, Part, Plant, Scenario
+from protocol.scenario import LAWS, PLANTS, Control, PlantTable, Scenario, ScenarioTable
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-reference.md"
 
@@ -50,12 +50,12 @@ def missing() -> list[str]:
     ]
 
 
-def tables() -> Iterator[tuple[str, type[Part]]]:
+def tables() -> Iterator[tuple[str, type[ScenarioTable]]]:
     """Every table of the file with its heading, in the order of a file."""
     yield "", Scenario
     for path, cls in _below("", Scenario):
         yield f"[{path}]", cls
-        if cls is Plant:
+        if cls is PlantTable:
             for name in PLANTS:
                 yield f'[plant] of kind = "{name}", besides', PLANTS[name]
         if cls is Control:
@@ -66,22 +66,22 @@ def tables() -> Iterator[tuple[str, type[Part]]]:
         yield from _headed(path, cls)
 
 
-def own_fields(cls: type[Part]) -> list[str]:
+def own_fields(cls: type[ScenarioTable]) -> list[str]:
     """The fields that a class has beside those of ``[plant]`` or ``[control]``, or tells anew."""
-    common = {Plant, Control} & set(cls.__mro__[1:])
+    common = {PlantTable, Control} & set(cls.__mro__[1:])
     return [f for f in cls.model_fields if not common or f in inspect.get_annotations(cls)]
 
 
 def _headed(
-    path: str, cls: type[Part], known: type[Part] | None = None
-) -> Iterator[tuple[str, type[Part]]]:
+    path: str, cls: type[ScenarioTable], known: type[ScenarioTable] | None = None
+) -> Iterator[tuple[str, type[ScenarioTable]]]:
     for below, part in _below(path, cls):
         if known is None or (below, part) not in list(_below(path, known)):
             yield f"[{below}]", part
             yield from _headed(below, part)
 
 
-def _below(path: str, cls: type[Part]) -> Iterator[tuple[str, type[Part]]]:
+def _below(path: str, cls: type[ScenarioTable]) -> Iterator[tuple[str, type[ScenarioTable]]]:
     """The tables that a table's fields are, sets aside: those are values."""
     for name, field in cls.model_fields.items():
         for part in _parts(field.annotation):
@@ -91,19 +91,19 @@ def _below(path: str, cls: type[Part]) -> Iterator[tuple[str, type[Part]]]:
                 yield (f"[{where}]" if repeated else where), part
 
 
-def _parts(annotation: Any) -> Iterator[type[Part]]:
-    if isinstance(annotation, type) and issubclass(annotation, Part):
+def _parts(annotation: Any) -> Iterator[type[ScenarioTable]]:
+    if isinstance(annotation, type) and issubclass(annotation, ScenarioTable):
         yield annotation
     for inner in typing.get_args(annotation):
         yield from _parts(inner)
 
 
 @cache
-def lines_of(cls: type[Part]) -> dict[str, str]:
+def lines_of(cls: type[ScenarioTable]) -> dict[str, str]:
     """For each field the string below it, the class's own before those it inherits."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        if not (isinstance(base, type) and issubclass(base, Part)):
+        if not (isinstance(base, type) and issubclass(base, ScenarioTable)):
             continue
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         assert isinstance(body, ast.ClassDef)
@@ -141,7 +141,7 @@ def form_of(annotation: Any, field: FieldInfo | None = None) -> str:
         return "matrix" if inner_form == "list of numbers" else f"list of {_plural(inner_form)}"
     if origin is dict:
         return "table of values by name"
-    if isinstance(annotation, type) and issubclass(annotation, Part):
+    if isinstance(annotation, type) and issubclass(annotation, ScenarioTable):
         return "set" if annotation.__name__ == "ConvexSet" else "table"
     names = {float: "number", int: "whole number", str: "text", bool: "true or false"}
     return names.get(annotation, str(annotation)) + bounds
@@ -161,8 +161,10 @@ def default_of(field: FieldInfo) -> str:
     value = field.default
     if value is None or value in ((), ""):
         return "-"
-    if isinstance(value, Part) or (isinstance(value, tuple) and isinstance(value[0], Part)):
-        return "see below" if isinstance(value, Part) else "see its table"
+    if isinstance(value, ScenarioTable) or (
+        isinstance(value, tuple) and isinstance(value[0], ScenarioTable)
+    ):
+        return "see below" if isinstance(value, ScenarioTable) else "see its table"
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`"

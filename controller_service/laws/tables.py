@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from protocol.knowledge import Policy
-from protocol.scenario import Control, Cost, Part, Secrecy
+from protocol.scenario import Control, Cost, ScenarioTable, Secrecy
 
 CERTAIN = 2.0
 """Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
@@ -20,7 +20,7 @@ class PaperControl(Control):
         return super().policy(n, m).model_copy(update={"together": True})
 
 
-class AlphabetTable(Part):
+class AlphabetTable(ScenarioTable):
     """``[control.alphabet]``: how far apart the law ``packed`` keeps its candidates.
 
     Parameters

@@ -44,7 +44,7 @@ class Price:
 
 
 @dataclass(frozen=True)
-class Row:
+class CapacityRow:
     """One alpha.
 
     Parameters
@@ -102,7 +102,7 @@ class Capacity:
     sigma: float | None
     ceilings: tuple[Ceiling, ...]
     price: Price | None
-    rows: tuple[Row, ...]
+    rows: tuple[CapacityRow, ...]
 
 
 def added(A: Array, B: Array, K: Array, covariance: Array) -> tuple[float, float]:
@@ -158,7 +158,7 @@ def _row(
     limits: tuple[Ceiling, ...],
     K: Array | None,
     alpha: float,
-) -> Row:
+) -> CapacityRow:
     D_c, U = scenario.defender.disturbance, scenario.control.inputs
     certain = largest_certain(sep, alpha)
     held, offsets = certain, np.zeros((1, sep.inputs))
@@ -189,7 +189,7 @@ def _row(
     if K is not None:
         covariance = np.cov(offsets.T, bias=True).reshape(sep.inputs, sep.inputs)
         costs = added(np.array(scenario.A), np.array(scenario.B), K, covariance)
-    return Row(
+    return CapacityRow(
         alpha=alpha,
         certain=certain,
         held=held,

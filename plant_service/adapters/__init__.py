@@ -12,7 +12,7 @@ from plant_service.adapters.base import (
     PlantError,
     Resumable,
     Sample,
-    Simulated,
+    SimulatedPlant,
     Stepped,
 )
 from plant_service.adapters.operated import Operated, OperatingPoint
@@ -26,7 +26,7 @@ __all__ = [
     "PlantError",
     "Resumable",
     "Sample",
-    "Simulated",
+    "SimulatedPlant",
     "Stepped",
     "Vector",
 ]

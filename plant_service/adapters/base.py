@@ -96,7 +96,7 @@ def stepped(plant: Any, name: str) -> Stepped:
     return found
 
 
-class Simulated:
+class SimulatedPlant:
     """A :class:`PlantAdapter` of a :class:`Stepped` plant: the step is made when it is read.
 
     Parameters

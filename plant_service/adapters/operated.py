@@ -16,7 +16,7 @@ from plant_service.adapters.base import (
     PlantError,
     Resumable,
     Sample,
-    Simulated,
+    SimulatedPlant,
 )
 from protocol.agreement import Gauge
 from protocol.link.fallback import clip
@@ -111,7 +111,7 @@ class Operated:
     @property
     def device(self) -> bool:
         """Whether it moves by itself, so that a step takes the time it takes."""
-        return not isinstance(self.adapter, Simulated)
+        return not isinstance(self.adapter, SimulatedPlant)
 
     @property
     def resumable(self) -> bool:
@@ -226,4 +226,4 @@ class Operated:
 
 def _core(adapter: PlantAdapter) -> object:
     """What the optional abilities are asked of: the stepped plant, or the adapter itself."""
-    return adapter.plant if isinstance(adapter, Simulated) else adapter
+    return adapter.plant if isinstance(adapter, SimulatedPlant) else adapter

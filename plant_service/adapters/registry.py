@@ -9,17 +9,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from plant_service.adapters.base import PlantAdapter, PlantError, Simulated, Stepped, stepped
+from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
 from protocol.runtime.user_code import UserCodeError
-from protocol.scenario import PLANTS, Plant, Scenario
+from protocol.scenario import PLANTS, PlantTable, Scenario
 from protocol.scenario.parts import Positive
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 
-class LinearPlant(Plant):
+class LinearPlant(PlantTable):
     """x+ = A x + B u + d."""
 
     kind: Literal["linear"] = "linear"
@@ -33,10 +33,10 @@ class LinearPlant(Plant):
 
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant at the reading ``start``."""
-        return Simulated(Linear(self.A, self.B, start), self.period_s)
+        return SimulatedPlant(Linear(self.A, self.B, start), self.period_s)
 
 
-class ModelledElsewhere(Plant):
+class ModelledElsewhere(PlantTable):
     """A plant that is no matrices: those of its model stand under ``[defender]``."""
 
     @field_validator("A", "B")
@@ -67,7 +67,7 @@ class OdePlant(ModelledElsewhere):
         function = load_attribute(self.object, folder)
         if not callable(function):
             raise PlantError(f"{self.object}: expected a function of t, x and u")
-        return Simulated(Ode(function, start, self.period_s, self.substeps), self.period_s)
+        return SimulatedPlant(Ode(function, start, self.period_s, self.substeps), self.period_s)
 
 
 class PythonPlant(ModelledElsewhere):
@@ -118,7 +118,7 @@ class FmuPlant(ModelledElsewhere):
 
         path = folder / self.file
         fmu = Fmu(path, self.sha256, self.inputs, self.outputs, self.start, self.seed)
-        return Simulated(fmu, self.period_s)
+        return SimulatedPlant(fmu, self.period_s)
 
 
 class GymnasiumPlant(ModelledElsewhere):
@@ -144,10 +144,10 @@ class GymnasiumPlant(ModelledElsewhere):
             )
         at = start if self.initial_state else None
         env = make(self.id, self.state, at, self.period_s, self.arguments)
-        return Simulated(env, self.period_s)
+        return SimulatedPlant(env, self.period_s)
 
 
-KINDS: tuple[type[Plant], ...] = (LinearPlant, OdePlant, PythonPlant, FmuPlant, GymnasiumPlant)
+KINDS: tuple[type[PlantTable], ...] = (LinearPlant, OdePlant, PythonPlant, FmuPlant, GymnasiumPlant)
 for kind in KINDS:
     (name,) = kind.model_fields["kind"].annotation.__args__  # type: ignore[union-attr]
     PLANTS.register(name, kind)
@@ -215,7 +215,7 @@ def _adapted(plant: Any, name: str, period_s: float) -> PlantAdapter:
     if all(callable(getattr(plant, method, None)) for method in ("start", "apply", "sample")):
         found: PlantAdapter = plant
         return found
-    return Simulated(stepped(plant, name), period_s)
+    return SimulatedPlant(stepped(plant, name), period_s)
 
 
 def _point(scenario: Scenario, n: int, m: int) -> OperatingPoint:

@@ -10,7 +10,7 @@ from typing import Any
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
 from protocol.secret.nonces import NonceSource, Raw, contribution, fresh_nonce
-from protocol.secret.tasks import Broken, Done, Judged, Task, Verdict
+from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
 
 
 class Keying:
@@ -104,7 +104,7 @@ class Keying:
         blocks = self.blocks
         if blocks is None or self.broken:
             return ()
-        tasks: list[Task] = [Verdict(blocks.session, judgement) for judgement in judged]
+        tasks: list[Task] = [BlockVerdict(blocks.session, judgement) for judgement in judged]
         while (closed := blocks.to_keep()) is not None:
             tasks.append(closed)
         return tuple(tasks)

@@ -11,8 +11,8 @@ from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
-from protocol.scenario.parts import Part
-from protocol.scenario.plant import Disturbance, OperatingPoint, Plant
+from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
     ScenarioError,
     describe_errors,
@@ -38,12 +38,12 @@ __all__ = [
     "Disturbance",
     "Keys",
     "Link",
-    "OperatingPoint",
-    "Part",
-    "Plant",
+    "OperatingPointTable",
+    "PlantTable",
     "Regulator",
     "Scenario",
     "ScenarioError",
+    "ScenarioTable",
     "Secrecy",
     "TapView",
     "describe_errors",

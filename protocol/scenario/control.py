@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from protocol.knowledge import NotNegative, Policy, PolicyCost
-from protocol.scenario.parts import Part, Positive, check_matrix, shape, shape_problem
+from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.vectors import FiniteMatrix
@@ -23,7 +23,7 @@ Weights = Annotated[
 """One weight for all components, or one for each; a wrong one is one error, not one a form."""
 
 
-class Cost(Part):
+class Cost(ScenarioTable):
     """J(u) = (A x + B u)' diag(next_state) (A x + B u) + u' diag(input) u."""
 
     next_state: Weights = 0.0
@@ -32,7 +32,7 @@ class Cost(Part):
     """Weight of the input: one number, or one an input."""
 
 
-class Regulator(Part):
+class Regulator(ScenarioTable):
     """Weights of the linear quadratic regulator that gives K where no gain is stated."""
 
     next_state: tuple[Annotated[float, Field(ge=0)], ...]
@@ -41,7 +41,7 @@ class Regulator(Part):
     """Weights of the input, m numbers above 0; large ones make a slow loop and larger sets."""
 
 
-class Control(Part):
+class Control(ScenarioTable):
     """The control law (27): sets, terminal gain, horizon and the costs.
 
     A law with fields of its own reads a subclass, :data:`protocol.scenario.kinds.LAWS`. The sets

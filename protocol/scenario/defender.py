@@ -5,13 +5,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from protocol.scenario.parts import Part, shape, shape_problem
+from protocol.scenario.parts import ScenarioTable, shape, shape_problem
 from protocol.scenario.plant import Disturbance
 from protocol.scenario.sets import ConvexSet
 from protocol.vectors import FiniteMatrix
 
 
-class Calibration(Part):
+class Calibration(ScenarioTable):
     """What ``wyner fit`` promises of D_c, and under which law it found it.
 
     A session of ``steps`` steps leaves D_c with probability at most ``violation``, at this
@@ -32,7 +32,7 @@ class Calibration(Part):
     """SHA-256 of what the calibration was made under; another law makes it stale."""
 
 
-class Defender(Part):
+class Defender(ScenarioTable):
     """The identified model (5): A and B (the plant's own where not given) and D_c."""
 
     A: FiniteMatrix | None = None

@@ -4,14 +4,14 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from protocol.scenario.parts import Part
+from protocol.scenario.parts import ScenarioTable
 from protocol.secret.blocks import Schedule, schedule_of
 from protocol.secret.bound import NONCE_BITS, Assumption, Directions, GilbertElliott
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
-class Bursts(Part):
+class Bursts(ScenarioTable):
     """All four parameters of a tap's channel of two states, good and bad."""
 
     loss_good: Probability
@@ -24,7 +24,7 @@ class Bursts(Part):
     """Probability, a copy, to come back."""
 
 
-class Keys(Part):
+class Keys(ScenarioTable):
     """The claim that keys rest on.
 
     ``eps_E`` is the least probability, given everything that happened before, that a tap misses the

@@ -13,16 +13,16 @@ from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
 from protocol.registry import Registry
 from protocol.scenario.control import Control
-from protocol.scenario.parts import Part
-from protocol.scenario.plant import Plant
+from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.plant import PlantTable
 
 LAWS: Registry[type[Control]] = Registry("law")
 """For each name of ``control.law`` the table ``[control]`` that this law reads."""
 
-PLANTS: Registry[type[Plant]] = Registry("plant")
+PLANTS: Registry[type[PlantTable]] = Registry("plant")
 """For each kind of plant the table ``[plant]`` that it reads."""
 
-P = TypeVar("P", bound=Part)
+P = TypeVar("P", bound=ScenarioTable)
 
 
 class UncheckedControl(Control, extra="allow"):
@@ -35,7 +35,7 @@ class UncheckedControl(Control, extra="allow"):
         yield from ()
 
 
-class UncheckedPlant(Plant, extra="allow"):
+class UncheckedPlant(PlantTable, extra="allow"):
     """``[plant]`` of a kind that this process does not know."""
 
 

@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from protocol.scenario.parts import Part, Positive
+from protocol.scenario.parts import Positive, ScenarioTable
 
 
-class Link(Part):
+class Link(ScenarioTable):
     """How the loop behaves when the network does not.
 
     On a missed step the plant holds its input, applies zero, or the ``regulator``: u = K x by

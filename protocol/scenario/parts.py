@@ -10,7 +10,7 @@ from protocol.vectors import FiniteMatrix
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class Part(BaseModel):
+class ScenarioTable(BaseModel):
     """A table of a scenario file: unknown fields are errors, values cannot change."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

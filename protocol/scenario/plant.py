@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, field_validator
 
 from protocol.knowledge import NotNegative
-from protocol.scenario.parts import Part, Positive, check_matrix, shape, shape_problem
+from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 
-class Disturbance(Part):
+class Disturbance(ScenarioTable):
     """What the simulated plant really suffers: d(k), drawn from ``n`` uniform numbers a step.
 
     ``uniform`` draws from the box D; ``corners`` from its corners; ``truncated-gaussian`` and
@@ -40,7 +40,7 @@ class Disturbance(Part):
     """Allow D to leave D_c; keys may then differ between the two ends."""
 
 
-class OperatingPoint(Part):
+class OperatingPointTable(ScenarioTable):
     """Where deviations are counted from and in which unit: x = (y - state) / state_scale.
 
     ``state`` may be left out where the plant settles at the operating input first.
@@ -63,7 +63,7 @@ class OperatingPoint(Part):
                 yield from shape_problem(f"plant.operating_point.{name}", len(values), size)
 
 
-class Plant(Part):
+class PlantTable(ScenarioTable):
     """The plant that is simulated or driven, every ``period_s`` seconds; the common fields.
 
     A kind has fields of its own and reads a subclass, :data:`protocol.scenario.kinds.PLANTS`.
@@ -92,7 +92,7 @@ class Plant(Part):
     """x(0); empty where the plant starts as it stands."""
     disturbance: Disturbance
     """What disturbs the plant."""
-    operating_point: OperatingPoint | None = None
+    operating_point: OperatingPointTable | None = None
     """Where deviations are counted from, and in which unit."""
     limits: tuple[tuple[FiniteFloat, FiniteFloat], ...] | None = None
     """Low and high of each reading; outside, the plant goes to its safe state."""

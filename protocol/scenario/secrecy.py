@@ -5,11 +5,11 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from protocol.registry import UnknownError
-from protocol.scenario.parts import Part
+from protocol.scenario.parts import ScenarioTable
 from protocol.schemes.registry import SCHEMES
 
 
-class Secrecy(Part):
+class Secrecy(ScenarioTable):
     """The agreement rule's public-by-assumption half: D_e = alpha D_c, and M candidates.
 
     ``scheme`` is one that :data:`protocol.schemes.registry.SCHEMES` knows, or a class of the

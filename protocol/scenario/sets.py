@@ -4,11 +4,11 @@ from typing import Self
 
 from pydantic import model_validator
 
-from protocol.scenario.parts import Part, Positive, check_matrix
+from protocol.scenario.parts import Positive, ScenarioTable, check_matrix
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 
-class ConvexSet(Part):
+class ConvexSet(ScenarioTable):
     """A compact convex set with the origin inside: a box or the polytope { v : H v <= h }.
 
     Parameters

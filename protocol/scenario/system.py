@@ -20,8 +20,8 @@ from protocol.scenario.kinds import (
     by_kind,
 )
 from protocol.scenario.link import Link
-from protocol.scenario.parts import Part
-from protocol.scenario.plant import Plant
+from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
@@ -35,7 +35,7 @@ DESIGN_VERSION = 3
 """Version of the synthesis; part of the key of a cached design."""
 
 
-class Scenario(Part):
+class Scenario(ScenarioTable):
     """One system: plant, defender's model, law, agreement rule, link, tap and keys."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
@@ -44,7 +44,9 @@ class Scenario(Part):
     """One line for people."""
     source: str = ""
     """Where its numbers come from."""
-    plant: SerializeAsAny[Annotated[Plant, by_kind(PLANTS, Plant, UncheckedPlant, "kind")]]
+    plant: SerializeAsAny[
+        Annotated[PlantTable, by_kind(PLANTS, PlantTable, UncheckedPlant, "kind")]
+    ]
     """What is simulated or driven."""
     defender: Defender
     """What both ends know of the plant, and she does not."""

@@ -1,10 +1,10 @@
 """``[tap]``: the eavesdropper's place at the field bus."""
 
 from protocol.knowledge import Delay, Direction, Loss, NotNegative
-from protocol.scenario.parts import Part
+from protocol.scenario.parts import ScenarioTable
 
 
-class TapView(Part):
+class TapView(ScenarioTable):
     """What the tap sees of the field bus, and how well."""
 
     eavesdroppers: tuple[str, ...] = ()

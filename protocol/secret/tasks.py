@@ -5,7 +5,7 @@ from typing import NamedTuple
 from protocol.secret.blocks import Closed, Judgement, Stored
 
 
-class Verdict(NamedTuple):
+class BlockVerdict(NamedTuple):
     """What became of a block, to be written down."""
 
     session: str
@@ -27,5 +27,5 @@ class Broken(NamedTuple):
     reason: str
 
 
-Task = Closed | Verdict
+Task = Closed | BlockVerdict
 Done = Stored | Judged | Broken

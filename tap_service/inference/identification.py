@@ -33,7 +33,7 @@ GAUSSIAN_EDGE: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ModelFit:
     """An identified model.
 
     Parameters
@@ -64,7 +64,7 @@ def identify(
     starts: Sequence[tuple[Array, Array]] = (),
     *,
     refine: bool = True,
-) -> Fit:
+) -> ModelFit:
     """Identify A, B, the offset and the disturbance's support.
 
     Parameters
@@ -103,7 +103,7 @@ def identify(
             break
     if not rounds:
         widths = np.abs(_residuals(x, candidates, x_next, theta)[steps, choice]).max(axis=0)
-    return Fit(
+    return ModelFit(
         A=theta[:n].T.copy(),
         B=theta[n:-1].T.copy(),
         offset=theta[-1].copy(),

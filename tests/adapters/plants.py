@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sample, Simulated
+from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sample, SimulatedPlant
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.ode import Ode
 from protocol.agreement import Gauge
@@ -80,20 +80,20 @@ def gymnasium_line() -> Any:
 def line(kind: str, folder: Path) -> PlantAdapter:
     """The double integrator as a plant of this kind."""
     if kind == "linear":
-        return Simulated(Linear(A, B, START), PERIOD_S)
+        return SimulatedPlant(Linear(A, B, START), PERIOD_S)
     if kind == "ode":  # Runge-Kutta is exact where the solution is a polynomial
-        return Simulated(Ode(dynamics, START, PERIOD_S, substeps=1), PERIOD_S)
+        return SimulatedPlant(Ode(dynamics, START, PERIOD_S, substeps=1), PERIOD_S)
     if kind == "python":
-        return Simulated(PythonLine(), PERIOD_S)
+        return SimulatedPlant(PythonLine(), PERIOD_S)
     if kind == "gymnasium":
         from plant_service.adapters.gymnasium_env import StateEnvironment
 
-        return Simulated(StateEnvironment(gymnasium_line(), "state"), PERIOD_S)
+        return SimulatedPlant(StateEnvironment(gymnasium_line(), "state"), PERIOD_S)
     from plant_service.adapters.fmu import Fmu
 
     pytest.importorskip("fmpy")
     path, sha256 = build_fmu(f"line_{kind}", folder)
-    return Simulated(Fmu(path, sha256, ["u"], ["place", "speed"]), PERIOD_S)
+    return SimulatedPlant(Fmu(path, sha256, ["u"], ["place", "speed"]), PERIOD_S)
 
 
 class Device:

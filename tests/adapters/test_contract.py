@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from plant_service.adapters import Operated, OperatingPoint, PlantError, Simulated
+from plant_service.adapters import Operated, OperatingPoint, PlantError, SimulatedPlant
 from protocol.agreement import Gauge
 from protocol.link.fallback import clip
 from tests.adapters.plants import KINDS, START, Device, PythonLine, line, operated
@@ -97,7 +97,7 @@ def test_a_disturbance_is_added_to_the_state_and_stays_there(kind: str, tmp_path
 
 
 def test_a_plain_object_can_neither_be_resumed_nor_disturbed() -> None:
-    plant = operated(Simulated(PythonLine(), 1.0))
+    plant = operated(SimulatedPlant(PythonLine(), 1.0))
     assert not plant.resumable
     assert not plant.displaceable
 
@@ -164,7 +164,7 @@ def test_a_simulation_that_returns_no_numbers_is_told_what_was_expected() -> Non
         def step(self, u: object, period_s: float) -> list[float]:
             return "far"  # type: ignore[return-value]
 
-    plant = operated(Simulated(Wordy(), 1.0))
+    plant = operated(SimulatedPlant(Wordy(), 1.0))
     plant.start(None)
     plant.apply((0.0,))
     with pytest.raises(PlantError, match="got the reading 'far', expected a sequence of numbers"):
@@ -172,7 +172,7 @@ def test_a_simulation_that_returns_no_numbers_is_told_what_was_expected() -> Non
 
 
 def test_reading_before_the_first_input_is_refused() -> None:
-    plant = operated(Simulated(PythonLine(), 1.0))
+    plant = operated(SimulatedPlant(PythonLine(), 1.0))
     plant.start(None)
     with pytest.raises(PlantError, match="read before an input was applied"):
         plant.sample()
@@ -183,7 +183,7 @@ def test_reading_before_the_first_input_is_refused() -> None:
 
 def test_deviations_are_counted_from_the_operating_point_in_units_of_the_scale() -> None:
     point = OperatingPoint((-6.0, -2.0), (0.5,), (2.0, 4.0), (0.1,))
-    plant = Operated(Simulated(PythonLine(), 1.0), point, Gauge(half_widths=(10.0,)))
+    plant = Operated(SimulatedPlant(PythonLine(), 1.0), point, Gauge(half_widths=(10.0,)))
     assert plant.start(None) == (0.5, 0.0)
     plant.apply((5.0,))  # 0.5 + 0.1 * 5 = 1 in physical units
     assert plant.sample() == ((-6.5 + 6.0) / 2.0, (-1.0 + 2.0) / 4.0)
@@ -209,7 +209,9 @@ def test_a_plant_that_settles_starts_where_it_came_to_rest() -> None:
             return [self.x]
 
     point = OperatingPoint((0.0,), (3.0,), (1.0,), (1.0,))
-    plant = Operated(Simulated(Leaky(), 1.0), point, Gauge(half_widths=(1.0,)), settle_steps=60)
+    plant = Operated(
+        SimulatedPlant(Leaky(), 1.0), point, Gauge(half_widths=(1.0,)), settle_steps=60
+    )
     assert plant.start(None) == (0.0,)
     assert plant.point.state == (6.0,)
     plant.apply((1.0,))

@@ -14,7 +14,7 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters import Operated, PlantError
 from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.from_journal import plant_endpoint
-from plant_service.punctuality import Punctuality, Watch
+from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
 from protocol.link.endpoint import Actions, Append, Keep
@@ -417,7 +417,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
         confidence=0.99,
         law_fingerprint="x",
     )
-    watch = Watch(promise)
+    watch = ReachWatch(promise)
     told = []
     for step in range(200):
         out = step % 20 == 0  # every second session of ten steps
@@ -427,7 +427,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     assert len(lines) == 1
     assert "expected at most 0.05 of them; fit it anew" in lines[0]
     assert watch.doubt
-    kept = Watch(promise)
+    kept = ReachWatch(promise)
     for step in range(2000):
         kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)), 0)
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")

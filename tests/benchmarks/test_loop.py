@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.loop import Service, bare_round, measure, render
+from benchmarks.loop import ServiceProcess, bare_round, measure, render
 from benchmarks.loop_parts import Stopwatch
 from protocol.runtime.process import Failure
 from protocol.scenario import ScenarioError
@@ -86,7 +86,7 @@ def test_a_scenario_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 
 def test_a_service_that_fails_is_named_with_its_last_words() -> None:
-    service = Service("plant", ["--pace", "backwards"])
+    service = ServiceProcess("plant", ["--pace", "backwards"])
     try:
         with pytest.raises(Failure, match=r"plant did not start: .*backwards"):
             service.wait_until_up()

@@ -17,7 +17,7 @@ from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
 from protocol.registry import UnknownError
 from protocol.runtime.run_folder import SCENARIO
-from protocol.scenario import Control, Part, Scenario, parse_scenario
+from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
 from protocol.shipped import SCENARIOS
 from tests.system.test_services import System
 from wyner.cli.main import main
@@ -26,7 +26,7 @@ from wyner.simulate.network import simulate
 from wyner.simulate.safety import violations
 
 
-class Ends(Part):
+class Ends(ScenarioTable):
     share: float = 0.9
 
 

@@ -13,13 +13,13 @@ from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Message
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Judgement
-from protocol.secret.tasks import Done, Task, Verdict
+from protocol.secret.tasks import BlockVerdict, Done, Task
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
 
 STEP = Append(b"heard", b"said")
 RECORD = Keep(SenderRecord(), later=True)
-VERDICT = Verdict("1" * 16, Judgement(0, "confirmed", ""))
+VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed", ""))
 EVENT = Missed("1" * 16, 0, (0.0,), (0.0,), (0.0,))
 
 

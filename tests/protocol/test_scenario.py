@@ -14,9 +14,9 @@ import pytest
 from protocol.scenario import (
     LAWS,
     Control,
-    Part,
     Scenario,
     ScenarioError,
+    ScenarioTable,
     load_scenario,
     parse_scenario,
 )
@@ -123,7 +123,7 @@ def test_one_wrong_field_is_exactly_one_line_that_shows_the_value(path: str) -> 
     assert line.startswith(f'mine.toml: {path}: got "wrong", ')
 
 
-class Spacing(Part):
+class Spacing(ScenarioTable):
     spacing: float = 2.0
 
 

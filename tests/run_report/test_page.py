@@ -12,7 +12,7 @@ import pytest
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 from wyner.run_report import write_report
-from wyner.run_report.chart import MOST_POINTS, Line, chart, thinned, ticks
+from wyner.run_report.chart import MOST_POINTS, Curve, chart, thinned, ticks
 
 SECRET = b"Hi"
 HOSTILE = "<script>alert(1)</script>"
@@ -146,7 +146,7 @@ def test_a_long_line_keeps_its_peaks() -> None:
 
 
 def test_labels_are_escaped_and_empty_charts_are_drawn() -> None:
-    picture = chart("<t>", [Line("<a>", [])], "<x>", "<y>")
+    picture = chart("<t>", [Curve("<a>", [])], "<x>", "<y>")
     assert "<t>" not in picture
     assert "&lt;a&gt;" in picture
 

@@ -14,7 +14,7 @@ from protocol.runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.scoring import report as reporting
-from wyner.scoring.report import Share, report
+from wyner.scoring.report import Portion, report
 from wyner.scoring.score import (
     Proportion,
     RunScore,
@@ -64,7 +64,7 @@ def test_an_interval_holds_its_share_and_stays_in_range(right: int, of: int) -> 
 def test_of_no_trials_nothing_is_said() -> None:
     assert Proportion(0, 0).share is None
     assert Proportion(0, 0).interval == (0.0, 1.0)
-    assert Share.over([]).text() == "-"
+    assert Portion.over([]).text() == "-"
 
 
 def test_a_score_counts_keys_bits_and_messages() -> None:
@@ -193,10 +193,10 @@ def test_the_strongest_is_the_one_who_leaves_least() -> None:
 
 def test_intervals_over_runs_are_wider_than_over_steps_when_runs_differ() -> None:
     parts = [Proportion(100, 100)] * 5 + [Proportion(50, 100)] * 5
-    share = Share.over(parts)
+    share = Portion.over(parts)
     low, high = Proportion(750, 1000).interval
     assert share.high - share.low > 2 * (high - low)
-    assert share == Share.over(parts)  # the same twice
+    assert share == Portion.over(parts)  # the same twice
 
 
 def test_json_and_rows_hold_every_figure() -> None:

@@ -27,14 +27,14 @@ from tap_service.eavesdroppers import (
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.scoring.replay import COUNTS
-from wyner.scoring.score import Proportion, Said, TapScore, score
+from wyner.scoring.score import EavesdropperScore, Proportion, Said, score
 from wyner.studies.secrecy.runs import Run, simulate, text_of
 from wyner.studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 
 CLEAR = View()
 
 
-def play(run: Run, name: str, view: View = CLEAR) -> tuple[Said, TapScore]:
+def play(run: Run, name: str, view: View = CLEAR) -> tuple[Said, EavesdropperScore]:
     kind = named(name)
     said = said_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
     return said, score(run.truth, said)

@@ -14,7 +14,7 @@ from tap_service.eavesdroppers.smoother import Smoother
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.particle_smoother import LEAST, SAMPLES, OffersReader
 from tap_service.inference.policy import KnownLaw
-from wyner.scoring.score import Said, TapScore, score
+from wyner.scoring.score import EavesdropperScore, Said, score
 from wyner.studies.secrecy.runs import Run, law_of, scenario_at, simulate
 from wyner.studies.secrecy.study import heard_by, said_about
 
@@ -35,7 +35,7 @@ def reader_for(run: Run, noise: float = 0.0) -> OffersReader:
     return OffersReader(np.array(k.A), np.array(k.B), shape, law_told(run.scenario), noise)
 
 
-Played = tuple[Run, Smoother, Said, TapScore]
+Played = tuple[Run, Smoother, Said, EavesdropperScore]
 
 
 def played(

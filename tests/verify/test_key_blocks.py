@@ -16,7 +16,7 @@ from wyner.verify import key_blocks
 from wyner.verify.capture import Seen
 from wyner.verify.clause import Judging, Place, Tally
 from wyner.verify.evidence import Evidence, Pair, Part
-from wyner.verify.records import BlockStored, Item, Told, TracedTransition, Walked
+from wyner.verify.records import BlockStoredLine, Item, Told, TracedTransition, Walked
 
 A, B = "a" * 16, "b" * 16
 SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
@@ -174,7 +174,7 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
 
 
 def stored(number: int, keys: int, session: str = A) -> Told:
-    return Told(BlockStored("block", session, number, keys), b"")
+    return Told(BlockStoredLine("block", session, number, keys), b"")
 
 
 def block_items(number: int, keys: int, counts: int = 3, session: str = A) -> list[Item]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from tap_service.command import Told, add_options, run_told, told_by
+from tap_service.command import ToldKnowledge, add_options, run_told, told_by
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -23,9 +23,9 @@ def run(args: argparse.Namespace) -> int:
         return run_told(args, told_by(args.knowledge))
     from protocol.scenario.files import scenario_of
 
-    def told_of(name: str) -> Told:
+    def told_of(name: str) -> ToldKnowledge:
         scenario = scenario_of(name)
-        return Told(
+        return ToldKnowledge(
             scenario.knowledge(),
             scenario.oracle_knowledge(),
             view=scenario.tap.model_dump(exclude={"eavesdroppers"}),

@@ -31,7 +31,7 @@ HEADER: Final = (
 
 
 @dataclass(slots=True)
-class Row:
+class LoopRow:
     """What is known of one loop."""
 
     loop: str
@@ -100,7 +100,7 @@ class FleetTable:
 
     def __init__(self) -> None:
         self.garbage = 0
-        self._rows: dict[str, Row] = {}
+        self._rows: dict[str, LoopRow] = {}
         self._arrived: list[tuple[type[Message], str, bytes]] = []
 
     def attach(self, ops: "Bus", intel: "Bus") -> None:
@@ -122,7 +122,7 @@ class FleetTable:
             except ValidationError:
                 self.garbage += 1
                 continue
-            self._rows.setdefault(loop, Row(loop)).note(status, now_s)
+            self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
 
     def lines(self, now_s: float, most: int | None = None) -> list[str]:
         """The table: a sum, the header, the loops; with ``most`` no more lines than that."""
@@ -140,7 +140,7 @@ class FleetTable:
         return [total, HEADER, *shown]
 
 
-def _order(row: Row, now_s: float) -> tuple[bool, int, str]:
+def _order(row: LoopRow, now_s: float) -> tuple[bool, int, str]:
     return (row.state(now_s) == "running", -row.lately, row.loop)
 
 

@@ -19,13 +19,13 @@ from protocol.secret.records import (
 )
 from protocol.secret.store import MOST_KEYS, KeyStore
 from wyner.kme.messages import (
-    Answer,
     DeliveredKey,
     Error,
     KeyContainer,
     KeyId,
     KeyIds,
     KeyRequest,
+    KmeAnswer,
     Request,
     Status,
 )
@@ -245,6 +245,6 @@ def key_ids_of(query: Mapping[str, str]) -> KeyIds:
     return KeyIds(key_IDs=(KeyId(key_ID=query["key_ID"][:64]),))
 
 
-def as_json(answer: Answer) -> bytes:
+def as_json(answer: KmeAnswer) -> bytes:
     """An answer as it is sent: without the optional fields that it does not have."""
     return answer.model_dump_json(exclude_defaults=True).encode()

@@ -35,13 +35,13 @@ class KeyIds(Request):
     key_IDs: tuple[KeyId, ...] = Field(min_length=1, strict=False)
 
 
-class Answer(BaseModel):
+class KmeAnswer(BaseModel):
     """What a key management entity sends."""
 
     model_config = ConfigDict(frozen=True)
 
 
-class Status(Answer):
+class Status(KmeAnswer):
     """Table 10."""
 
     source_KME_ID: str
@@ -58,21 +58,21 @@ class Status(Answer):
     status_extension: Extension
 
 
-class DeliveredKey(Answer):
+class DeliveredKey(KmeAnswer):
     """An entry of table 12: a UUID and the key in base64."""
 
     key_ID: str
     key: str
 
 
-class KeyContainer(Answer):
+class KeyContainer(KmeAnswer):
     """Table 12. The table prints ``Keys``, every example ``keys``: clients read the latter."""
 
     keys: tuple[DeliveredKey, ...]
     key_container_extension: Extension
 
 
-class Error(Answer):
+class Error(KmeAnswer):
     """Table 14."""
 
     message: str

@@ -28,7 +28,7 @@ from wyner.kme.entity import (
     parsed,
 )
 from wyner.kme.identity import common_name
-from wyner.kme.messages import Answer, KeyContainer, KeyIds, KeyRequest
+from wyner.kme.messages import KeyContainer, KeyIds, KeyRequest, KmeAnswer
 
 MOST_BYTES: Final = 64 * 1024
 """Of a request's body."""
@@ -41,7 +41,7 @@ IDLE_S: Final = 15.0
 
 LOOK_S: Final = 0.5
 
-Asked = Callable[[str, web.Request], Awaitable[Answer]]
+Asked = Callable[[str, web.Request], Awaitable[KmeAnswer]]
 
 
 class Allowance:
@@ -152,29 +152,29 @@ class KeyServer:
         self._last[request.transport] = time.monotonic()
         return web.Response(body=as_json(answer), content_type="application/json", charset="utf-8")
 
-    async def _on_disk(self, call: Callable[[], Answer]) -> Answer:
+    async def _on_disk(self, call: Callable[[], KmeAnswer]) -> KmeAnswer:
         # A client that hangs up must not leave half a delivery behind: it is made to its end.
         loop = asyncio.get_running_loop()
         return await asyncio.shield(loop.run_in_executor(self._writer, call))
 
-    async def _status(self, caller: str, request: web.Request) -> Answer:
+    async def _status(self, caller: str, request: web.Request) -> KmeAnswer:
         return await self._on_disk(partial(self._entity.status, caller, _sae(request)))
 
-    async def _get_key(self, caller: str, request: web.Request) -> Answer:
+    async def _get_key(self, caller: str, request: web.Request) -> KmeAnswer:
         asked = key_request_of(request.query)
         return await self._on_disk(partial(self._entity.get_key, caller, _sae(request), asked))
 
-    async def _post_key(self, caller: str, request: web.Request) -> Answer:
+    async def _post_key(self, caller: str, request: web.Request) -> KmeAnswer:
         asked = parsed(KeyRequest, await _body(request) or b"{}")
         return await self._on_disk(partial(self._entity.get_key, caller, _sae(request), asked))
 
-    async def _get_ids(self, caller: str, request: web.Request) -> Answer:
+    async def _get_ids(self, caller: str, request: web.Request) -> KmeAnswer:
         return await self._with_ids(caller, request, key_ids_of(request.query))
 
-    async def _post_ids(self, caller: str, request: web.Request) -> Answer:
+    async def _post_ids(self, caller: str, request: web.Request) -> KmeAnswer:
         return await self._with_ids(caller, request, parsed(KeyIds, await _body(request)))
 
-    async def _with_ids(self, caller: str, request: web.Request, asked: KeyIds) -> Answer:
+    async def _with_ids(self, caller: str, request: web.Request, asked: KeyIds) -> KmeAnswer:
         ids = tuple(k.key_ID for k in asked.key_IDs)
         named = self._entity.get_key_with_ids
         return await self._on_disk(partial(named, caller, _sae(request), ids))

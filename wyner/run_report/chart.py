@@ -19,7 +19,7 @@ DASHES: Final = ("", "6 3", "2 3", "8 3 2 3", "1 4", "10 4", "4 2")
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class Curve:
     """A line of a chart; ``steps`` draws it as a staircase, ``place`` chooses colour and dashes."""
 
     label: str
@@ -68,7 +68,7 @@ def _number(value: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class PlotFrame:
     """The plotting area and the ranges shown in it."""
 
     x: tuple[float, float]
@@ -78,7 +78,7 @@ class Frame:
     @classmethod
     def about(
         cls, points: Iterable[tuple[float, float]], height: int, *, equal: bool = False
-    ) -> "Frame":
+    ) -> "PlotFrame":
         """A frame about all points with a little air; ``equal`` gives both axes one scale."""
         shown = [p for p in points if math.isfinite(p[0]) and math.isfinite(p[1])] or [(0.0, 0.0)]
         x = _range([p[0] for p in shown], air=0.04 if equal else 0.0)
@@ -155,7 +155,7 @@ def svg(title: str, height: int, parts: Iterable[str]) -> str:
 
 def chart(
     title: str,
-    lines: Sequence[Line],
+    lines: Sequence[Curve],
     x_label: str,
     y_label: str,
     *,
@@ -178,7 +178,7 @@ def chart(
     points = [p for line in lines for p in line.points]
     if floor is not None and points:
         points.append((points[0][0], floor))
-    frame = Frame.about(points, height)
+    frame = PlotFrame.about(points, height)
     parts = frame.axes(x_label, y_label)
     for line in lines:
         d = frame.path(thinned(line.points), steps=line.steps)
@@ -216,7 +216,7 @@ def plane(
     height: int = 380,
 ) -> str:
     """Closed outlines in the plane, both axes to one scale, and a star."""
-    frame = Frame.about([p for _, ring, _ in rings for p in ring] + [star], height, equal=True)
+    frame = PlotFrame.about([p for _, ring, _ in rings for p in ring] + [star], height, equal=True)
     parts = frame.axes(*labels)
     for _, ring, place in rings:
         parts.append(f'<path class="line" {_look(place)} d="{frame.path(ring)}Z"/>')

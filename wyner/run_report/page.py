@@ -14,7 +14,7 @@ from protocol.convex import corners
 from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE, write_atomically
 from protocol.scenario import Scenario
 from protocol.text import readable
-from wyner.run_report.chart import Line, Mark, chart, plane
+from wyner.run_report.chart import Curve, Mark, chart, plane
 from wyner.scoring.report import HEADINGS, rows
 from wyner.scoring.report import report as report_of
 from wyner.scoring.score import RunScore, Said, ScoreError, Truth, read_said, score, truth_of
@@ -22,7 +22,7 @@ from wyner.scoring.summary import in_short
 from wyner.verify import check
 from wyner.verify.clause import Finding
 from wyner.verify.evidence import Evidence, Part, read_evidence
-from wyner.verify.records import Missed, Told, TracedTransition, Walked
+from wyner.verify.records import MissedLine, Told, TracedTransition, Walked
 from wyner.verify.seal import FILES, ITSELF
 
 PAGE: Final = Path("report.html")
@@ -46,7 +46,7 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; border-left: 3px solid var
 .FAIL { font-weight: bold; }
 """
 
-Step = TracedTransition | Missed
+Step = TracedTransition | MissedLine
 
 
 def write_report(run_dir: Path, output: Path | None = None) -> Path:
@@ -106,7 +106,7 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
 class _Recorded:
     """What the page shows of the traces: the plant's steps of its last life, and the messages."""
 
-    steps: list[TracedTransition | Missed] = field(default_factory=list)
+    steps: list[TracedTransition | MissedLine] = field(default_factory=list)
     payloads: dict[str, list[bytes]] = field(default_factory=dict)
     born_in: str = ""
 
@@ -118,10 +118,10 @@ class _Recorded:
         for item in part.plant:
             if isinstance(item, Walked):
                 self._step(item.t)
-            elif isinstance(item, Missed):
+            elif isinstance(item, MissedLine):
                 self._step(item)
 
-    def _step(self, step: TracedTransition | Missed) -> None:
+    def _step(self, step: TracedTransition | MissedLine) -> None:
         if step.k == 0 and step.session != self.born_in:
             self.steps, self.born_in = [], step.session
         self.steps.append(step)
@@ -155,9 +155,9 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     x = [(t.k * T, t.x) for t in steps]
     u = [(t.k * T, t.u or ()) for t in steps]
     marks = [Mark(t.k * T) for t in steps if isinstance(t, TracedTransition) and t.symbol >= 0]
-    states = [Line(f"x{i + 1}", [(at, v[i]) for at, v in x], i) for i in range(e.scenario.n)]
+    states = [Curve(f"x{i + 1}", [(at, v[i]) for at, v in x], i) for i in range(e.scenario.n)]
     inputs = [
-        Line(f"u{i + 1}", [(at, v[i]) for at, v in u if v], i, steps=True)
+        Curve(f"u{i + 1}", [(at, v[i]) for at, v in u if v], i, steps=True)
         for i in range(e.scenario.m)
     ]
     yield chart("States over time", states, "plant time (s)", "state", marks=marks)
@@ -218,10 +218,10 @@ def _keys(e: Evidence, said: list[Said] | str) -> Iterator[str]:
         times = [0.0, *(at[1] * T for at in steps)]
         return list(zip(times, total, strict=True))
 
-    lines = [Line("agreed by both ends", grown([True] * len(steps)), 6, steps=True)]
+    lines = [Curve("agreed by both ends", grown([True] * len(steps)), 6, steps=True)]
     for place, tap in enumerate(said):
         right = [tap.live.get(at) == truth.keys[at] for at in steps]
-        lines.append(Line(f"right, {tap.name}", grown(right), place, steps=True))
+        lines.append(Curve(f"right, {tap.name}", grown(right), place, steps=True))
     yield chart("Key symbols over time", lines, "plant time (s)", "key symbols", floor=0.0)
     yield (
         f'<p class="note">Her first guess of each step; blind guessing has one in '

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from tap_service.eavesdroppers.base import KeysHeld
-from wyner.scoring.score import Proportion, RunScore, TapScore
+from wyner.scoring.score import EavesdropperScore, Proportion, RunScore
 
 RESAMPLES: Final = 2000
 FEWEST_RUNS: Final = 5
@@ -24,7 +24,7 @@ BOUND: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class Portion:
     """A pooled share with its 95 % interval."""
 
     value: float | None
@@ -33,7 +33,7 @@ class Share:
     of: int
 
     @classmethod
-    def over(cls, parts: Sequence[Proportion]) -> "Share":
+    def over(cls, parts: Sequence[Proportion]) -> "Portion":
         """Pool runs: bootstrap over them where there are enough, else Wilson over all trials."""
         pooled = Proportion(sum(p.right for p in parts), sum(p.of for p in parts))
         low, high = pooled.interval
@@ -49,15 +49,15 @@ class Share:
         return cls(pooled.share, low, high, pooled.of)
 
     @classmethod
-    def wilson(cls, parts: Sequence[Proportion]) -> "Share":
+    def wilson(cls, parts: Sequence[Proportion]) -> "Portion":
         """Pool trials that do not depend on one another, such as messages of separate runs."""
         pooled = Proportion(sum(p.right for p in parts), sum(p.of for p in parts))
         return cls(pooled.share, *pooled.interval, pooled.of)
 
-    def error(self) -> "Share":
+    def error(self) -> "Portion":
         """The complement: an error rate."""
         value = None if self.value is None else 1 - self.value
-        return Share(value, 1 - self.high, 1 - self.low, self.of)
+        return Portion(value, 1 - self.high, 1 - self.low, self.of)
 
     def text(self) -> str:
         """As a table shows it."""
@@ -100,10 +100,10 @@ class TapReport:
 
     name: str
     runs: int
-    symbol_errors: Share
-    symbol_errors_live: Share
-    bit_errors: Share
-    exact: Share
+    symbol_errors: Portion
+    symbol_errors_live: Portion
+    bit_errors: Portion
+    exact: Portion
     guessing: float | None
     min_entropy: float | None
     left_bits: float | None
@@ -191,9 +191,9 @@ def report(scores: Sequence[RunScore]) -> Report:
     )
 
 
-def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
+def _tap(name: str, mine: Sequence[tuple[RunScore, EavesdropperScore]]) -> TapReport:
     scores = [t for _, t in mine]
-    keys = Share.over([t.keys_reviewed for t in scores])
+    keys = Portion.over([t.keys_reviewed for t in scores])
     size = scores[0].size
     guessing = None if keys.value is None else max(keys.value, 1.0 / size)
     entropy = None if guessing is None else abs(math.log2(guessing))
@@ -211,9 +211,9 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
         name=name,
         runs=len(scores),
         symbol_errors=keys.error(),
-        symbol_errors_live=Share.over([t.keys for t in scores]).error(),
-        bit_errors=Share.over([t.bits for t in scores]).error(),
-        exact=Share.wilson([t.messages for t in scores]),
+        symbol_errors_live=Portion.over([t.keys for t in scores]).error(),
+        bit_errors=Portion.over([t.bits for t in scores]).error(),
+        exact=Portion.wilson([t.messages for t in scores]),
         guessing=guessing,
         min_entropy=entropy,
         left_bits=left,
@@ -228,7 +228,7 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, TapScore]]) -> TapReport:
 def as_json(r: Report) -> dict[str, Any]:
     """The report as one object."""
 
-    def share(s: Share) -> dict[str, Any]:
+    def share(s: Portion) -> dict[str, Any]:
         return {"value": s.value, "low": s.low, "high": s.high, "of": s.of}
 
     strongest = r.strongest

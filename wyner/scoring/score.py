@@ -153,7 +153,7 @@ class Said:
 
 
 @dataclass(frozen=True, slots=True)
-class TapScore:
+class EavesdropperScore:
     """One eavesdropper's score in one run.
 
     Parameters
@@ -210,10 +210,10 @@ class RunScore:
 
     run: str
     truth: Truth
-    taps: tuple[TapScore, ...]
+    taps: tuple[EavesdropperScore, ...]
 
 
-def score(truth: Truth, said: Said) -> TapScore:
+def score(truth: Truth, said: Said) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     blind = 1.0 / truth.size
     keys = _on_record(truth, said)
@@ -231,7 +231,7 @@ def score(truth: Truth, said: Said) -> TapScore:
         if payload in unclaimed:
             unclaimed.remove(payload)
             exact += 1
-    return TapScore(
+    return EavesdropperScore(
         name=said.name,
         keys=Proportion(right(said.live), len(keys)),
         keys_reviewed=Proportion(right({**said.live, **said.reviewed}), len(keys)),

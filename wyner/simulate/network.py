@@ -105,7 +105,7 @@ class Disk(Protocol):
         """Lose everything."""
 
 
-class PlantDisk(Disk, from_journal.PlantDisk, Protocol):
+class PlantStorage(Disk, from_journal.PlantDisk, Protocol):
     """The plant's."""
 
 
@@ -184,7 +184,7 @@ class Simulation:
         faults: Faults | None = None,
         step_s: float | None = None,
         run: int = 0,
-        plant_journal: PlantDisk | None = None,
+        plant_journal: PlantStorage | None = None,
         stores: Mapping[Side, KeyStore] | None = None,
     ) -> None:
         self.history = History()

@@ -27,7 +27,7 @@ CLAIM: Final = Assumption(0.3)
 CONTROL_COLUMNS: Final = ("control", "rule", "blocks", "breached", "worst_bits", "last_seed")
 
 
-class Outcome(NamedTuple):
+class KeyRun(NamedTuple):
     """A block's rows by the broken rule and by the right one, with what she missed under each."""
 
     broken: int
@@ -36,13 +36,13 @@ class Outcome(NamedTuple):
     missed_kept: int
 
 
-def one_row_more(random: Random) -> Outcome:
+def one_row_more(random: Random) -> KeyRun:
     """A row more than she missed of the counted copies."""
     missed = sum(random.random() < 0.3 for _ in range(COPIES))
-    return Outcome(missed + 1, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
+    return KeyRun(missed + 1, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
 
 
-def same_nonce(random: Random) -> Outcome:
+def same_nonce(random: Random) -> KeyRun:
     """Repeats carry the nonce; both ways lose half, so a message goes out until it is answered."""
     missed = first_missed = first_counted = 0
     for _ in range(COPIES):
@@ -55,27 +55,27 @@ def same_nonce(random: Random) -> Outcome:
         first_missed += first and misses[0]
     rows = CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES)
     kept = CLAIM.rows(TRANSITIONS, TRANSITIONS, first_counted)
-    return Outcome(rows, missed, kept, first_missed)
+    return KeyRun(rows, missed, kept, first_missed)
 
 
-def jammer(random: Random) -> Outcome:
+def jammer(random: Random) -> KeyRun:
     """Q of the counted copies; she jams at the partner's whatever she did not hear herself."""
     sent = counted = 0
     while counted < COPIES:
         sent += 1
         counted += random.random() >= 0.3
     kept = quantile(COPIES, 0.3, EPS) - (sent - counted)
-    return Outcome(quantile(counted, 0.3, EPS), 0, max(0, kept), 0)
+    return KeyRun(quantile(counted, 0.3, EPS), 0, max(0, kept), 0)
 
 
-def high_claim(random: Random) -> Outcome:
+def high_claim(random: Random) -> KeyRun:
     """Half of the copies claimed, three of ten missed."""
     missed = sum(random.random() < 0.3 for _ in range(COPIES))
     broken = Assumption(0.5).rows(TRANSITIONS, TRANSITIONS, COPIES)
-    return Outcome(broken, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
+    return KeyRun(broken, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
 
 
-def bursts(random: Random) -> Outcome:
+def bursts(random: Random) -> KeyRun:
     """Misses in bursts of fifty copies, claimed as if each were drawn by itself."""
     channel = GilbertElliott(0.0, 1.0, 0.02 * 3 / 7, 0.02)
     bad = random.random() < channel.mean
@@ -84,10 +84,10 @@ def bursts(random: Random) -> Outcome:
         bad = random.random() >= channel.to_good if bad else random.random() < channel.to_bad
         missed += bad
     kept = Assumption(channel.eps_inf).rows(TRANSITIONS, TRANSITIONS, COPIES)
-    return Outcome(CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed, kept, missed)
+    return KeyRun(CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed, kept, missed)
 
 
-CONTROLS: Final[dict[str, Callable[[Random], Outcome]]] = {
+CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
     "one row too many": one_row_more,
     "repeats with the nonce": same_nonce,
     "Q without L, jammer": jammer,

@@ -14,7 +14,7 @@ from wyner.verify.capture import Seen
 from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence
 from wyner.verify.records import wrong
-from wyner.verify.steps import Applied
+from wyner.verify.steps import AppliedStep
 
 PUBLIC: Final[dict[str, frozenset[str]]] = {
     "measurement": frozenset(
@@ -135,7 +135,7 @@ def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:
     tally.count(not unlike, session, j, k, text)
 
 
-def _unlike_offer(e: Evidence, m: dict[str, Any], step: Applied | None) -> list[str]:
+def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None) -> list[str]:
     if step is None or step.j == NO_SYMBOL:
         return []  # it was not applied
     unlike = []
@@ -146,7 +146,7 @@ def _unlike_offer(e: Evidence, m: dict[str, Any], step: Applied | None) -> list[
     return unlike
 
 
-def _unlike(e: Evidence, seen: Seen, step: Applied | None) -> list[str]:
+def _unlike(e: Evidence, seen: Seen, step: AppliedStep | None) -> list[str]:
     """Fields of a measurement that the plant's trace has otherwise."""
     steps, session, m = e.steps, seen.session, seen.message
     unlike = []

@@ -23,7 +23,7 @@ from protocol.runtime.run_folder import (
 from protocol.scenario import Scenario, load_scenario
 from wyner.verify.capture import CaptureLines, Seen
 from wyner.verify.journals import Kept, read_controller, read_plant
-from wyner.verify.records import Item, Missed, Shape, Walked
+from wyner.verify.records import Item, MissedLine, Shape, Walked
 from wyner.verify.sides import SideReader
 from wyner.verify.steps import Steps
 
@@ -215,7 +215,7 @@ class _Sides:
             if self._plant is not None and self._plant.t.session != item.t.session:
                 self._over.add(self._plant.t.session)
             self._e.steps.counted(item.t, item.carry.pad)
-        elif isinstance(item, Missed):
+        elif isinstance(item, MissedLine):
             self._e.steps.missed(item)
 
 

@@ -11,7 +11,7 @@ from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
 from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence, Part
-from wyner.verify.records import BlockStored, Told, TracedTransition, Walked
+from wyner.verify.records import BlockStoredLine, Told, TracedTransition, Walked
 
 FILES: Final[tuple[tuple[Side, str], ...]] = (
     ("controller", str(CONTROLLER_KEYS)),
@@ -139,12 +139,12 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
     tally.note = f"{made_in_all} keys made of {len(plant.stored)} blocks at the plant"
 
 
-def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStored]]:
+def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStoredLine]]:
     for side, items in part.sides():
         for item in items:
             if isinstance(item, Walked):
                 yield side, item.t
-            elif isinstance(item, Told) and isinstance(item.line, BlockStored):
+            elif isinstance(item, Told) and isinstance(item.line, BlockStoredLine):
                 yield side, item.line
 
 

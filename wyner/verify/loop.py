@@ -10,7 +10,7 @@ from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from wyner.verify.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.verify.evidence import Evidence
-from wyner.verify.records import Break, Missed, TracedTransition, Walked
+from wyner.verify.records import Break, MissedLine, TracedTransition, Walked
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
@@ -36,8 +36,8 @@ def switching(e: Evidence, tally: Tally) -> Judging:
                 x, u, place, born_in = cut.x_next, cut.u or zero, cut.k + 1, cut.session
             first = False
             if isinstance(item, Walked):
-                step: TracedTransition | Missed = item.t
-            elif isinstance(item, Missed):
+                step: TracedTransition | MissedLine = item.t
+            elif isinstance(item, MissedLine):
                 step = item
             else:
                 restarted = restarted or isinstance(item, Break)
@@ -88,11 +88,11 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
     while (part := (yield)) is not None:
         for item in part.plant:
             if isinstance(item, Walked):
-                step: TracedTransition | Missed = item.t
+                step: TracedTransition | MissedLine = item.t
                 assert item.t.coin is not None
                 applied = item.t.candidates[item.t.coin] == item.t.u
                 g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
-            elif isinstance(item, Missed):
+            elif isinstance(item, MissedLine):
                 step = item
                 if step.interrupted or e.rules.predicted:
                     continue  # what was applied is not known, or where it leads nobody predicted
@@ -110,7 +110,7 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
         tally.note += f"; the disturbance may leave D_c here, and did in {left} steps"
 
 
-def _gauge(e: Evidence, step: TracedTransition | Missed) -> float:
+def _gauge(e: Evidence, step: TracedTransition | MissedLine) -> float:
     rule = e.rules.agreement
     centre = predict(rule.A, rule.B, step.x, step.u or ())
     return rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])

@@ -13,9 +13,9 @@ from wyner.verify.records import (
     Again,
     Break,
     Item,
-    Missed,
-    Queued,
-    Recovered,
+    MissedLine,
+    QueuedLine,
+    RecoveredLine,
     Refused,
     Told,
     TracedTransition,
@@ -95,14 +95,14 @@ class Framing:
         if isinstance(item, Again):
             if self.last is not None and item.before is self.last.at and not item.kept:
                 self.due, self.owed = self.last, None
-        elif isinstance(item, Missed):
+        elif isinstance(item, MissedLine):
             self._goes_on(item.session)
         elif isinstance(item, Break):
             if item.ended:
                 self._overdue(self.due)
             self.owed, self.due = self.due or self.owed, None
             self.lost = self.forgotten + (self.owed is not None)
-        elif isinstance(item.line, Recovered | Refused) or item.line.event == "delivered":
+        elif isinstance(item.line, RecoveredLine | Refused) or item.line.event == "delivered":
             self._reported(item)
         return None
 
@@ -209,7 +209,7 @@ class _Queue:
             self.restarted = True
             if latest and not item.ended:
                 self.doubtful[latest] = len(self.told) - 1
-        elif isinstance(item, Told) and isinstance(item.line, Queued):
+        elif isinstance(item, Told) and isinstance(item.line, QueuedLine):
             if item.line.event == "sent":
                 self._sent(item.line.id, item.payload)
             else:

@@ -44,7 +44,7 @@ class TracedTransition:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Missed:
+class MissedLine:
     """A step without a counted offer, as the plant's trace holds it.
 
     An ``interrupted`` one was under way when the plant's process died; ``candidates`` and ``coin``
@@ -67,7 +67,7 @@ class Missed:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class SessionBegan:
+class SessionLine:
     """A session was begun, resumed or given up."""
 
     event: Literal["session"]
@@ -76,7 +76,7 @@ class SessionBegan:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Queued:
+class QueuedLine:
     """A message was handed to the controller, or every symbol of it was counted there."""
 
     event: Literal["sent", "delivered"]
@@ -85,7 +85,7 @@ class Queued:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Recovered:
+class RecoveredLine:
     """A whole frame passed its check at the plant."""
 
     event: Literal["recovered"]
@@ -102,7 +102,7 @@ class Refused:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class BlockStored:
+class BlockStoredLine:
     """A key block is on disk; ``keys`` were made of it."""
 
     event: Literal["block"]
@@ -112,7 +112,7 @@ class BlockStored:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class BlockJudged:
+class BlockJudgedLine:
     """The partner's word on a key block is on disk."""
 
     event: Literal["judged"]
@@ -122,7 +122,7 @@ class BlockJudged:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class Timing:
+class TimingLine:
     """How punctual the plant was."""
 
     event: Literal["timing"]
@@ -133,27 +133,35 @@ class Timing:
     overruns: int
 
 
-EventLine = SessionBegan | Queued | Recovered | Refused | BlockStored | BlockJudged | Timing
+EventLine = (
+    SessionLine
+    | QueuedLine
+    | RecoveredLine
+    | Refused
+    | BlockStoredLine
+    | BlockJudgedLine
+    | TimingLine
+)
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "plant": {
         "transition": TypeAdapter(TracedTransition),
-        "missed": TypeAdapter(Missed),
-        "interrupted": TypeAdapter(Missed),
-        "timing": TypeAdapter(Timing),
-        "session": TypeAdapter(SessionBegan),
-        "recovered": TypeAdapter(Recovered),
+        "missed": TypeAdapter(MissedLine),
+        "interrupted": TypeAdapter(MissedLine),
+        "timing": TypeAdapter(TimingLine),
+        "session": TypeAdapter(SessionLine),
+        "recovered": TypeAdapter(RecoveredLine),
         "refused": TypeAdapter(Refused),
-        "block": TypeAdapter(BlockStored),
-        "judged": TypeAdapter(BlockJudged),
+        "block": TypeAdapter(BlockStoredLine),
+        "judged": TypeAdapter(BlockJudgedLine),
     },
     "controller": {
         "transition": TypeAdapter(TracedTransition),
-        "session": TypeAdapter(SessionBegan),
-        "sent": TypeAdapter(Queued),
-        "delivered": TypeAdapter(Queued),
-        "block": TypeAdapter(BlockStored),
-        "judged": TypeAdapter(BlockJudged),
+        "session": TypeAdapter(SessionLine),
+        "sent": TypeAdapter(QueuedLine),
+        "delivered": TypeAdapter(QueuedLine),
+        "block": TypeAdapter(BlockStoredLine),
+        "judged": TypeAdapter(BlockJudgedLine),
     },
 }
 """What each side may trace: the event, and the type of its line."""
@@ -201,7 +209,7 @@ class Break(NamedTuple):
     ended: bool
 
 
-Item = Walked | Missed | Told | Again | Break
+Item = Walked | MissedLine | Told | Again | Break
 
 
 class Shape(NamedTuple):
@@ -234,7 +242,7 @@ class Shape(NamedTuple):
             return f"coin: got {t.coin}, expected 0 to {size - 1}"
         return ""
 
-    def unlike_missed(self, step: Missed) -> str:
+    def unlike_missed(self, step: MissedLine) -> str:
         """The same of a missed step."""
         if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
             return f"expected {self.n} states and {self.m} inputs"
@@ -260,7 +268,7 @@ def payload_of(line: EventLine) -> bytes:
     ValueError
         When it is no base64.
     """
-    if not isinstance(line, Queued | Recovered):
+    if not isinstance(line, QueuedLine | RecoveredLine):
         return b""
     try:
         return base64.b64decode(line.payload, validate=True)

@@ -18,9 +18,9 @@ from wyner.verify.records import (
     Again,
     Break,
     Item,
-    Missed,
+    MissedLine,
     Problem,
-    SessionBegan,
+    SessionLine,
     Shape,
     Told,
     TracedTransition,
@@ -158,7 +158,7 @@ class SideReader:
         self.problems: list[Problem] = []
         self.overwritten = 0
         self.last: TracedTransition | None = None
-        self.last_missed: Missed | None = None
+        self.last_missed: MissedLine | None = None
         self.transitions: dict[str, int] = {}
         self.announced: set[str] = set()
         self.from_journal = False
@@ -176,7 +176,7 @@ class SideReader:
         self._state: Any = None
         self._broken = True
         self._announce = side == "plant" and not self._seeking
-        self._held: Missed | None = None
+        self._held: MissedLine | None = None
         self._reported: TracedTransition | None = None
         self.behind = 0
         self._stale = False
@@ -246,7 +246,7 @@ class SideReader:
             return
         try:
             line = adapter.validate_json(raw)
-            if isinstance(line, Missed):
+            if isinstance(line, MissedLine):
                 if unlike := self._shape.unlike_missed(line):
                     raise ValueError(unlike)
                 yield from self._missed(number, line)
@@ -265,7 +265,7 @@ class SideReader:
         except ValueError as error:
             self.problem(number, f"{kind}: {error}")
             return
-        if isinstance(line, SessionBegan):
+        if isinstance(line, SessionLine):
             self._began(number, line)
         elif self._announce:
             self._unannounced(number)
@@ -285,7 +285,7 @@ class SideReader:
             oldest = 0
         self.header, self._kept = first, oldest
 
-    def _began(self, number: int, line: SessionBegan) -> None:
+    def _began(self, number: int, line: SessionLine) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
             self.problem(number, "session: announced already")
         self._announce = False
@@ -361,7 +361,7 @@ class SideReader:
         self.behind += self._stale
         return self._stale
 
-    def _missed(self, number: int, step: Missed) -> Iterator[Item]:
+    def _missed(self, number: int, step: MissedLine) -> Iterator[Item]:
         self._belongs(number, step.session)
         if self._seeking:
             self.last_missed = step

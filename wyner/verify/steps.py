@@ -5,12 +5,12 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from wyner.verify.records import Missed, Shape, TracedTransition
+from wyner.verify.records import MissedLine, Shape, TracedTransition
 
 NONE: Final = -1
 
 
-class Applied(NamedTuple):
+class AppliedStep(NamedTuple):
     """What the plant's trace holds of step k, in short; ``j`` is -1 where it was missed."""
 
     j: int
@@ -76,7 +76,7 @@ class Steps:
         session.x_next.append(self.of_state(t.x_next))
         session.newest = t.k
 
-    def missed(self, step: Missed) -> None:
+    def missed(self, step: MissedLine) -> None:
         """File a missed step."""
         session = self._at(step.session, step.k)
         if session is None:
@@ -116,13 +116,13 @@ class Steps:
         found = self._sessions[session]
         return found.first, found.first + len(found)
 
-    def find(self, session: str, k: int) -> Applied | None:
+    def find(self, session: str, k: int) -> AppliedStep | None:
         """Step k of a session."""
         found = self._sessions.get(session)
         if found is None or not 0 <= k - found.first < len(found):
             return None
         i = k - found.first
-        return Applied(
+        return AppliedStep(
             found.j[i],
             found.cipher[i],
             found.pad[i],

@@ -7,7 +7,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wyner.scoring.report import Report, Share
+from wyner.scoring.report import Portion, Report
 from wyner.studies.figures.style import COLOURS, FigureError, drawing, save
 from wyner.studies.secrecy.tables import Row, read_rows, share_of
 
@@ -53,13 +53,13 @@ def note_of(rows: Sequence[Row], text: str = "95 % bootstrap intervals over runs
 
 def shares_of(
     rows: Sequence[Row], tap: str, conditions: Sequence[str], right: str, of: str
-) -> list[Share]:
+) -> list[Portion]:
     """What one eavesdropper got under each condition."""
     mine = [r for r in rows if r["tap"] == tap]
     return [share_of([r for r in mine if r["condition"] == c], right, of) for c in conditions]
 
 
-def heights(shares: Sequence[Share]) -> tuple[list[float], list[list[float]]]:
+def heights(shares: Sequence[Portion]) -> tuple[list[float], list[list[float]]]:
     """Values, and how far their intervals reach below and above."""
     values = [s.value or 0.0 for s in shares]
     below = [max(v - s.low, 0.0) for v, s in zip(values, shares, strict=True)]

@@ -20,7 +20,7 @@ from wyner.studies.fit.conformal import (
     template,
     violation_bound,
 )
-from wyner.studies.fit.identification import FitError, Model, identify
+from wyner.studies.fit.identification import FitError, FittedModel, identify
 from wyner.studies.fit.sessions import OpenPlant, excite, residuals_under
 
 Tables = dict[str, Any]
@@ -95,7 +95,7 @@ class Fit:
 
     tables: Tables
     scenario: Scenario
-    model: Model | None
+    model: FittedModel | None
     rounds: int
     exceeded: int
 

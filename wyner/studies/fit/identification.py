@@ -13,7 +13,7 @@ class FitError(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class FittedModel:
     """x+ = A x + B u + d, and how well the data determine it.
 
     Parameters
@@ -38,7 +38,7 @@ LARGEST_CONDITION = 1e6
 """Regressors that are nearer to dependent than this determine nothing."""
 
 
-def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> Model:
+def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> FittedModel:
     """Fit A and B to T transitions by ordinary least squares.
 
     Parameters
@@ -77,7 +77,7 @@ def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> Model:
     residuals = Y - Z @ theta.T
     spread = np.linalg.inv((Z / lengths).T @ (Z / lengths)).diagonal() / lengths**2
     variance = (residuals**2).sum(axis=0) / (T - n - m)
-    return Model(
+    return FittedModel(
         A=theta[:, :n],
         B=theta[:, n:],
         residuals=residuals,

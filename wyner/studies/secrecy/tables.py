@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from wyner.scoring.report import Share
+from wyner.scoring.report import Portion
 from wyner.scoring.score import Proportion
 from wyner.shipped import DATA
 from wyner.studies.grid import ROOT
@@ -36,14 +36,16 @@ def read_rows(study: str, data: Path = DATA) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def share_of(rows: Sequence[Row], right: str, of: str) -> Share:
+def share_of(rows: Sequence[Row], right: str, of: str) -> Portion:
     """A share over runs with its interval."""
-    return Share.over([Proportion(float(r[right]), int(r[of])) for r in rows])
+    return Portion.over([Proportion(float(r[right]), int(r[of])) for r in rows])
 
 
-def exact_of(rows: Sequence[Row]) -> Share:
+def exact_of(rows: Sequence[Row]) -> Portion:
     """Share of runs whose message was had whole and exact, of those in which the plant had it."""
-    return Share.wilson([Proportion(float(r["messages_exact"]), int(r["messages"])) for r in rows])
+    return Portion.wilson(
+        [Proportion(float(r["messages_exact"]), int(r["messages"])) for r in rows]
+    )
 
 
 def table(study: str) -> list[tuple[str, ...]]:
