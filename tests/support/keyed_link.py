@@ -4,7 +4,6 @@ Nothing happens by itself: whoever holds the world says which message arrives, w
 and over what, and what must hold is checked as it goes.
 """
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Literal
 
@@ -23,6 +22,7 @@ from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
 from protocol.secret.worker import work
+from tests.support.copies import Copies
 from tests.support.line_ends import line_controller, line_plant
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
@@ -103,8 +103,7 @@ class World:
         self.done: dict[Side, list[Done]] = {side: [] for side in SIDES}
         self.ends: dict[Side, Endpoint] = {}
         self.keepers: dict[Side, Keeper] = {}
-        self.copies: Counter[tuple[str, int, str]] = Counter()
-        self.nonces: dict[str, tuple[str, int, str]] = {}
+        self.copies = Copies()
         self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
         for side in SIDES:
@@ -228,14 +227,7 @@ class World:
         if kind in (Measurement, Offer):
             message = kind.model_validate_json(payload)
             assert isinstance(message, Measurement | Offer)
-            at = (message.session, message.k, kind.topic)
-            if message.copy_number == 0:
-                self.copies[at] += 1
-                assert self.copies[at] == 1, "copy 0 left twice"
-            assert message.nonce not in self.nonces, "a nonce left twice"
-            self.nonces[message.nonce] = at
-            assert len(message.nonce) == 44
-            assert len(message.tag) == 32
+            self.copies.left(message)
 
     def traced(self, side: Side, event: Event) -> None:
         if isinstance(event, BlockJudged):
