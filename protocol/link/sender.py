@@ -224,12 +224,14 @@ class Sender:
                 refusal=f"plant {hello.instance} speaks up while plant {self._plant} runs: "
                 "two plants on one loop?"
             )
-        if ours and hello.instance == self._plant and hello.applied_k < record.applied_k:
-            return NOTHING  # it was overtaken
         if hello.controller is None:
             self._elsewhere = None
             return SenderEffects(reply=self.greeting())
-        if hello.controller != self.instance:
+        asked = hello.controller == self.instance
+        late = ours and hello.applied_k < record.applied_k
+        if late and (hello.instance == self._plant or not asked):
+            return NOTHING  # it was overtaken
+        if not asked:
             return self._step_back(hello)
         self._elsewhere = None
         if ours:
@@ -237,9 +239,9 @@ class Sender:
             if hello.applied_k in (record.applied_k, outstanding):
                 self._plant = hello.instance
                 return SenderEffects(reply=self._hello("accepted", hello))
-            return self._end_session(hello, "the journals do not fit together")
+            return self._refuse(hello, "the journals do not fit together")
         if hello.transitions or hello.session in record.ended:
-            return self._end_session(hello, "the plant is in a session this journal does not know")
+            return self._refuse(hello, "the plant is in a session this journal does not know")
         self._adopt(hello)
         return SenderEffects(save=True, reply=self._hello("accepted", hello))
 
@@ -477,9 +479,12 @@ class Sender:
         self.keying.end()
         return True
 
-    def _end_session(self, hello: PlantHello, why: str) -> SenderEffects:
-        save = self._drop_session() if hello.session == self.record.session else False
-        return SenderEffects(save=save, reply=self._hello("unknown-session", hello), refusal=why)
+    def _refuse(self, hello: PlantHello, why: str) -> SenderEffects:
+        """Have the plant begin another session; the one here is over once it does.
+
+        Whoever asks may be gone for long: its hello may come late, and end nothing.
+        """
+        return SenderEffects(reply=self._hello("unknown-session", hello), refusal=why)
 
     def _step_back(self, hello: PlantHello) -> SenderEffects:
         """The plant asks another controller, or is with one: offer nothing in that session.

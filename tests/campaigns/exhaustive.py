@@ -1,102 +1,142 @@
 """Every interleaving, to a depth: ``python -m tests.campaigns.exhaustive --scheme switched``.
 
-Depth first with states hashed, one depth after the other, so that the first counterexample is a
-shortest one. What was finished is appended to a file, from which ``--resume`` goes on.
+Breadth first with states hashed, so that the first counterexample is a shortest one. Every new
+state is then left alone with a network that loses nothing, and must go on. Where it stopped is
+kept on disk; the same command goes on from there.
 """
 
 import argparse
+import gc
 import json
+import pickle
 import sys
 import time
+from array import array
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
+from protocol.link import perform
 from protocol.runtime.run_folder import write_atomically
-from tests.campaigns.world import SCHEMES, Broken, Doing, World, unpacked
+from tests.campaigns.end import SCHEMES
+from tests.campaigns.space import SIDES, Space
 from wyner.studies.grid import code_version
 
+EACH: Final = 100_000
+"""Events between two lines of progress."""
 
-@dataclass
+
+BEFORE_A_MESSAGE: Final = slice(-11, -1)
+"""The last ten states before a message is whole: a key block is made on the way."""
+
+
 class Exploration:
-    """All states within ``depth`` events and ``deaths`` deaths.
+    """All states within so many events and faults of a run in which nothing goes wrong.
 
-    ``going_on`` tries one new state in so many for whether it goes on once all is well.
+    Parameters
+    ----------
+    space : Space
+    faults : int
+        Deaths, lost journals and freezes at most.
+    starts : slice
+        Where in that run, from its first hello to a whole message, to begin.
     """
 
-    scheme: str
-    depth: int
-    deaths: int
-    going_on: int = 50
-    step_s: float | None = None
-    warm: bool = False
-    until: float = float("inf")
-    tick: Callable[["Exploration"], None] = lambda _: None
-    seen: dict[int, int] = field(default_factory=dict)
-    steps: int = 0
-    went_on: int = 0
-    path: list[Doing] = field(default_factory=list)
-    why: str = ""
-    complete: bool = True
+    def __init__(self, space: Space, faults: int, starts: slice) -> None:
+        self.space, self.faults = space, faults
+        self.first = space.begin()[starts]
+        self.seen: dict[int, int] = {}
+        """States, and the fewest faults that lead there so far."""
+        self.depth = self.events = self.tried = 0
+        self.why = ""
+        self.path: list[str] = []
+        self._parents, self._labels = array("L"), array("L")
+        self._frontier, self._next = array("L"), array("L")
+        self._states: list[int] = []
+        self._next_states: list[int] = []
+        self._place = 0
+        for number, start in enumerate(self.first):
+            if start.state not in self.seen:
+                self._add(start.state, faults, number, 0)
+        self._turn()
 
-    def run(self) -> bool:
-        """Explore; False when something broke, and ``path`` leads there."""
-        world = World(self.scheme, self.step_s)
-        if self.warm:
-            world.warm_up()
-        self.seen[world.key()] = self.depth
-        return self._below(world, self.depth)
+    def _add(self, state: int, left: int, parent: int, label: int) -> None:
+        self.seen[state] = left
+        self._next.append(len(self._parents))
+        self._next_states.append(state)
+        self._parents.append(parent)
+        self._labels.append(label)
 
-    def _below(self, world: World, left: int) -> bool:
-        if left == 0:
-            return True
-        if time.monotonic() > self.until:
-            self.complete = False
-            return True
-        packed = world.packed()
-        for doing in list(world.choices(self.deaths)):
-            after = unpacked(packed)
-            self.path.append(doing)
-            self.steps += 1
-            if self.steps % 2000 == 0:
-                self.tick(self)
-            try:
-                after.do(doing)
-            except (Broken, AssertionError) as error:
-                self.why = str(error) or type(error).__name__
+    def _turn(self) -> None:
+        """What was found is explored next."""
+        self._frontier, self._next = self._next, array("L")
+        self._states, self._next_states = self._next_states, []
+        self._place = 0
+
+    def deeper(self, goes_on: Callable[[], bool] = lambda: True) -> bool:
+        """Explore one event further; False when something broke, or it was not to go on."""
+        seen, space, states, nodes = self.seen, self.space, self._states, self._frontier
+        while self._place < len(states):
+            state, node = states[self._place], nodes[self._place]
+            left = seen[state]
+            for side, outcome, after, broken in space.next(state, left):
+                self.events += 1
+                rest = left - outcome.faults
+                label = 2 * outcome.label + side
+                if broken:
+                    return self._breaks(node, label, broken)
+                known = seen.get(after, -1)
+                if known >= rest:
+                    continue
+                self._add(after, rest, node, label)
+                if known < 0 and (wrong := space.goes_on(after)):
+                    return self._breaks(node, label, wrong)
+            self._place += 1
+            if self._place % 100 == 0 and not goes_on():
                 return False
-            key = after.key()
-            known = self.seen.get(key, -1)
-            if known < left - 1:
-                self.seen[key] = left - 1
-                if known < 0 and not self._goes_on(after):
-                    return False
-                if not self._below(after, left - 1):
-                    return False
-            self.path.pop()
+        self.depth += 1
+        self._turn()
         return True
 
-    def _goes_on(self, world: World) -> bool:
-        if len(self.seen) % self.going_on:
-            return True
-        self.went_on += 1
-        try:
-            holds = unpacked(world.packed()).goes_on()
-        except (Broken, AssertionError) as error:
-            self.why = f"once all was well: {error}"
-            return False
-        self.why = "" if holds else "no message symbol comes through once all is well"
-        return holds
+    @property
+    def share(self) -> float:
+        """Of the states at the present depth, how many have been explored."""
+        return self._place / max(1, len(self._states))
+
+    @property
+    def over(self) -> bool:
+        """Whether no state is left to be explored."""
+        return not self._states
+
+    def _breaks(self, node: int, label: int, why: str) -> bool:
+        labels = [label]
+        while node >= len(self.first):
+            labels.append(self._labels[node])
+            node = self._parents[node]
+        self.why, self.path = why, [self._told(label) for label in reversed(labels)]
+        return False
+
+    def _told(self, label: int) -> str:
+        side, doing = label % 2, self.space.ends[label % 2].doings[label // 2]
+        words = f"{SIDES[side]} {doing.what}"
+        if doing.message >= 0:
+            words += f" {self.space.messages.told(doing.message)}"
+        if doing.what == "hears" and side == 0 and "offer" in words:
+            words += f", coin {doing.coin}"
+        if doing.pace:
+            words += {"late": ", after a long time", "soon": ", at once"}[doing.pace]
+        if doing.death >= 0:
+            words += f", and dies after {doing.death} of what it does then"
+        return words
 
 
 def shortest(
-    scheme: str, deepest: int, deaths: int, going_on: int, step_s: float, *, warm: bool
+    space: Space, deepest: int, faults: int, starts: slice = BEFORE_A_MESSAGE
 ) -> Exploration:
-    """Explore depth by depth up to ``deepest``, or until something breaks."""
-    for depth in range(1, deepest + 1):
-        found = Exploration(scheme, depth, deaths, going_on, step_s, warm)
-        if not found.run():
-            break
+    """Explore up to ``deepest`` events, or until something breaks."""
+    found = Exploration(space, faults, starts)
+    while found.depth < deepest and found.deeper():
+        pass
     return found
 
 
@@ -104,57 +144,92 @@ def main(argv: list[str] | None = None) -> int:
     """Explore for as long as is asked; 1 when something broke."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, required=True)
-    parser.add_argument("--deaths", type=int, default=2)
-    parser.add_argument("--deadline", type=float, metavar="S", help="steps end, and are missed")
-    parser.add_argument("--warm", action="store_true", help="begin once both ends have met")
-    parser.add_argument("--shallowest", type=int, default=1)
-    parser.add_argument("--deepest", type=int, default=30)
-    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--faults", type=int, default=2, help="deaths, lost journals, freezes")
+    parser.add_argument("--lockstep", action="store_true", help="steps have no deadline")
+    parser.add_argument("--no-keys", action="store_true", help="no key blocks are made")
+    parser.add_argument("--remembered", type=int, default=2, help="messages on their way")
+    parser.add_argument("--from-hello", action="store_true", help="begin before both ends met")
+    parser.add_argument("--deepest", type=int, default=100)
+    parser.add_argument("--states", type=int, default=10**9, help="stop after so many")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--results", type=Path, default=Path("campaign-exhaustive.json"))
-    parser.add_argument("--resume", action="store_true", help="go on after the last whole depth")
     args = parser.parse_args(argv)
-    name = f"{args.scheme}, {args.deaths} deaths"
-    name += ", lock-step" if args.deadline is None else f", a deadline of {args.deadline:g} s"
-    name += ", once met" if args.warm else ""
-    results = json.loads(args.results.read_text()) if args.results.exists() else {}
-    first = results.get(name, {}).get("depth", 0) + 1 if args.resume else args.shallowest
-    until = time.monotonic() + args.seconds
-
-    def tick(e: Exploration) -> None:
-        line = f"\r{name}: depth {e.depth}, {len(e.seen):,} states, {e.steps:,} events"
-        print(line, end="", file=sys.stderr, flush=True)
-
-    for depth in range(first, args.deepest + 1):
-        e = Exploration(
+    name = f"{args.scheme}, {'lock-step' if args.lockstep else 'with a deadline'}, "
+    name += f"keys {'off' if args.no_keys else 'on'}, {args.faults} faults"
+    name += ", from the first hello" if args.from_hello else ""
+    name += f", {args.remembered} remembered" if args.remembered != 2 else ""
+    perform.give_way = lambda: None  # type: ignore[misc]  # nobody else is in this process
+    gc.freeze()
+    gc.disable()  # hardly anything here goes round in circles
+    kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")
+    version = code_version("tests/campaigns/*.py")
+    found: Exploration | None = None
+    if kept.exists():
+        with kept.open("rb") as file:
+            if pickle.load(file) == version:
+                found = pickle.load(file)
+    if found is None:
+        space = Space(
             args.scheme,
-            depth,
-            args.deaths,
-            step_s=args.deadline,
-            warm=args.warm,
-            until=until,
-            tick=tick,
+            timed=not args.lockstep,
+            keys=not args.no_keys,
+            remembered=args.remembered,
         )
-        holds = e.run()
-        told = {
-            "version": code_version(),
-            "depth": depth,
+        starts = slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
+        found = Exploration(space, args.faults, starts)
+    e = found
+    began, events = time.monotonic(), e.events
+    until = began + args.seconds
+    told_at = saved_at = began
+
+    def told() -> dict[str, object]:
+        return {
+            "version": version,
+            "depth": round(e.depth + e.share, 3),
             "states": len(e.seen),
-            "events": e.steps,
-            "went_on": e.went_on,
-            "complete": e.complete,
+            "events": e.events,
+            "ends": [len(end) for end in e.space.ends],
+            "messages": len(e.space.messages),
+            "broken": e.why,
         }
-        print(f"\r{name}: {told}", file=sys.stderr)
-        if not holds:
-            print(f"{e.why}, after {len(e.path)} events:")
-            for number, doing in enumerate(e.path, start=1):
-                print(f"{number:4} {doing}")
-            return 1
-        results[name if e.complete else f"{name}, cut short"] = told
+
+    def save() -> None:
+        results = json.loads(args.results.read_text()) if args.results.exists() else {}
+        results[name] = told()
         write_atomically(args.results, json.dumps(results, indent=1).encode())
-        if not e.complete:
-            break
+        part = kept.with_suffix(".part")
+        with part.open("wb") as file:
+            pickle.dump(version, file)
+            pickle.dump(e, file, pickle.HIGHEST_PROTOCOL)
+        part.replace(kept)
+
+    def goes_on() -> bool:
+        nonlocal told_at, saved_at
+        now = time.monotonic()
+        if now - told_at > TOLD_S:
+            told_at = now
+            rate = (e.events - events) / (now - began)
+            print(f"{name}: {told()}, {rate:,.0f} events/s", file=sys.stderr, flush=True)
+        if now - saved_at > SAVED_S:
+            save()
+            saved_at = time.monotonic()
+        return now < until and len(e.seen) < int(args.states)
+
+    going = True
+    while going and not e.over and e.depth < args.deepest:
+        going = e.deeper(goes_on)
+    print(f"{name}: {told()}", file=sys.stderr)
+    save()
+    if e.why:
+        print(f"{e.why}, after {len(e.path)} events:")
+        for number, words in enumerate(e.path, start=1):
+            print(f"{number:4} {words}")
+        return 1
     return 0
 
+
+TOLD_S: Final = 15.0
+SAVED_S: Final = 900.0
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -117,8 +117,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=Path("campaign-schedules.json"))
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
-    if done.get("version") != code_version():
-        done = {"version": code_version(), "schedules": 0, "keys": 0, "broken": []}
+    done = {"schedules": 0, "keys": 0, "broken": [], "versions": {}, **done}
+    version = code_version()
+    done["versions"].setdefault(version, [done["schedules"], 0])
     perform.give_way = lambda: None  # type: ignore[misc]  # nobody else is in this process
     began, until = time.monotonic(), time.monotonic() + args.seconds
     first = done["schedules"]
@@ -128,7 +129,7 @@ def main(argv: list[str] | None = None) -> int:
         if lines:
             done["broken"].append([seed, *lines])
             print(f"seed {seed}: {lines}")
-        done["schedules"] = seed + 1
+        done["schedules"] = done["versions"][version][1] = seed + 1
         over = time.monotonic() > until or seed + 1 == args.count
         if over or seed % EACH == 0:
             write_atomically(args.results, json.dumps(done).encode())

@@ -28,13 +28,14 @@ def test_fuzzed_messages_stop_no_end(side: str) -> None:
     assert fuzz.fuzz(side, 3000, seed=1) == 3000
 
 
-def test_an_exploration_says_how_far_it_came(tmp_path: Path) -> None:
+def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
-    command = ["--scheme", "pipelined", "--deepest", "4", "--results", str(results), "--resume"]
-    assert exhaustive.main(command) == 0
-    (told,) = json.loads(results.read_text()).values()
-    assert (told["depth"], told["complete"]) == (4, True)
-    assert told["states"] > 50
+    command = ["--scheme", "pipelined", "--from-hello", "--no-keys", "--results", str(results)]
+    for depth in (3, 5):
+        assert exhaustive.main([*command, "--deepest", str(depth)]) == 0
+        (told,) = json.loads(results.read_text()).values()
+        assert (told["depth"], told["broken"]) == (depth, "")
+    assert told["states"] > 500
 
 
 @pytest.mark.slow

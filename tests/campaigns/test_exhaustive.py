@@ -1,27 +1,63 @@
 """A short form of the exhaustive exploration, and rules that it finds broken."""
 
+import random
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from protocol.link import keying, perform
 from protocol.link.endpoint import Actions, Endpoint
+from protocol.link.keying import Keying
 from protocol.link.perform import Ports
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
-from tests.campaigns import world
-from tests.campaigns.exhaustive import Exploration, shortest
-from tests.campaigns.world import SCHEMES
+from protocol.secret.blocks import Blocks
+from protocol.secret.nonces import Raw, contribution
+from tests.campaigns.end import SCHEMES, End, rules_of
+from tests.campaigns.exhaustive import shortest
+from tests.campaigns.space import SIDES, Space
+
+Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_nothing_breaks_within_a_few_events(scheme: str) -> None:
-    found = Exploration(scheme, depth=6, deaths=2, going_on=40)
-    assert found.run(), (found.why, [str(doing) for doing in found.path])
+    found = shortest(Space(scheme, timed=True, keys=True), 2, 2, slice(-6, -1))
+    assert not found.why, (found.why, found.path)
     assert len(found.seen) > 500
-    assert found.went_on > 10
 
 
-def redecide(patch: pytest.MonkeyPatch) -> None:
+def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
+    """Ends that are never packed come to the same states, and say the same."""
+    space = Space("switched", timed=True, keys=True)
+    for seed in range(6):
+        draw = random.Random(seed)
+        ends = [
+            End(side, rules_of("switched", keys=True), timed=True, stores=space.stores)
+            for side in SIDES
+        ]
+        states = [end.first for end in space.ends]
+        sent: list[list[int]] = [list(end.greeting) for end in space.ends]
+        for _ in range(150):
+            side = draw.randrange(2)
+            heard = sent[1 - side][-3:]
+            all_that = space.ends[side].alone(states[side])
+            if heard and draw.random() < 0.85:
+                all_that = space.ends[side].hears(states[side], draw.choice(heard))
+            if not all_that:
+                continue
+            outcome = draw.choice(all_that[: draw.choice((1, 1, 1, len(all_that)))])
+            doing = space.ends[side].doings[outcome.label]
+            message = space.messages[doing.message] if doing.message >= 0 else (None, b"")
+            ends[side].do(doing, *message)
+            assert tuple(map(space.messages.number, ends[side].out)) == outcome.said
+            assert space.ends[side].find(ends[side]) == outcome.after
+            states[side] = outcome.after
+            sent[side] += outcome.said
+
+
+def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
     decide = Sender._decide
 
@@ -31,7 +67,7 @@ def redecide(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Sender, "_decide", anew)
 
 
-def apply_stale(patch: pytest.MonkeyPatch) -> None:
+def apply_stale(patch: Patch) -> None:
     """Rule 5: an offer for a step gone by is applied."""
     check = Receiver.check
 
@@ -41,43 +77,105 @@ def apply_stale(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Receiver, "check", anything)
 
 
-def publish_first(patch: pytest.MonkeyPatch) -> None:
+def publish_first(patch: Patch) -> None:
     """The shell publishes before it saves."""
+    right = perform.perform
 
-    def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
-        while True:
-            for kind, payload in actions.publish:
-                ports.publish(kind, payload)
-            for event in actions.events:
-                ports.trace(event)
-            if actions.write is not None:
-                ports.write(actions.write)
-            if not actions.settle:
-                return
-            actions = endpoint.settle()
+    def wrong(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+        for kind, payload in actions.publish:
+            ports.publish(kind, payload)
+        right(actions._replace(publish=()), endpoint, ports)
 
-    patch.setattr(world, "perform", perform)
+    patch.setattr(perform, "perform", wrong)
 
 
-def take_up_anything(patch: pytest.MonkeyPatch) -> None:
+def take_up_anything(patch: Patch) -> None:
     """Rule 6: a controller that lost its journal goes on in the plant's session."""
-    end = Sender._end_session
+    refuse = Sender._refuse
 
     def adopt(self: Sender, hello: Any, why: str) -> Any:
+        effects = refuse(self, hello, why)
         if hello.session == self.record.session:
-            return end(self, hello, why)
+            return effects
         self._adopt(hello)
-        effects = end(self, hello, why)
         return effects._replace(save=True, reply=self._hello("accepted", hello), refusal="")
 
-    patch.setattr(Sender, "_end_session", adopt)
+    patch.setattr(Sender, "_refuse", adopt)
 
 
-@pytest.mark.parametrize("mutant", [redecide, apply_stale, publish_first, take_up_anything])
+def end_on_a_late_hello(patch: Patch) -> None:
+    """Rule 6: a hello that does not fit ends the session at once, whoever sent it."""
+    refuse = Sender._refuse
+
+    def wrong(self: Sender, hello: Any, why: str) -> Any:
+        dropped = hello.session == self.record.session and self._drop_session()
+        return refuse(self, hello, why)._replace(save=dropped)
+
+    patch.setattr(Sender, "_refuse", wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mended", [True, False])
+def test_a_hello_of_a_former_life_ends_nothing(mended: bool, monkeypatch: Patch) -> None:
+    if not mended:
+        end_on_a_late_hello(monkeypatch)
+    space = Space("switched", timed=True, keys=False, remembered=6)
+    found = shortest(space, 4 if mended else 5, 1, slice(12, 13))
+    assert bool(found.why) != mended
+
+
+def same_nonce_in_repeats(patch: Patch) -> None:
+    """Rule 8: another copy of an offer carries the nonce of its copy 0."""
+    patch.setattr(Keying, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
+
+
+def copy_0_after_a_death(patch: Patch) -> None:
+    """Rule 8: a plant that was started again takes its next copy for the first."""
+    init = Receiver.__init__
+
+    def wrong(self: Receiver, *args: Any, **more: Any) -> None:
+        init(self, *args, **more)
+        self._left = False
+
+    patch.setattr(Receiver, "__init__", wrong)
+
+
+def count_any_copy(patch: Patch) -> None:
+    """Rule 9: the plant counts an offer's nonce whichever copy it applied."""
+
+    def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Raw:
+        return contribution(applied_copy=0, measurement=measurement, **of)
+
+    patch.setattr(keying, "contribution", wrong)
+
+
+def announce_at_once(patch: Patch) -> None:
+    """Rule 10: a block is taken as confirmed once it is stored here."""
+    stored = Blocks.stored
+
+    def wrong(self: Blocks, block: Any) -> Any:
+        return stored(self, block._replace(confirmed=True))
+
+    patch.setattr(Blocks, "stored", wrong)
+
+
+WRONG: dict[Callable[[Patch], None], bool] = {
+    redecide: False,
+    apply_stale: False,
+    publish_first: False,
+    take_up_anything: False,
+    same_nonce_in_repeats: True,
+    copy_0_after_a_death: True,
+    count_any_copy: True,
+    announce_at_once: True,
+}
+
+
+@pytest.mark.parametrize(("mutant", "keys"), WRONG.items())
 def test_a_broken_rule_is_found_with_a_shortest_counterexample(
-    mutant: Any, monkeypatch: pytest.MonkeyPatch
+    mutant: Callable[[Patch], None], keys: bool, monkeypatch: Patch
 ) -> None:
     mutant(monkeypatch)
-    found = shortest("switched", deepest=9, deaths=1, going_on=20, step_s=0.1, warm=True)
+    found = shortest(Space("switched", timed=True, keys=keys), 9, 1)
     assert found.why
     assert 0 < len(found.path) <= 9

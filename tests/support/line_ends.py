@@ -13,6 +13,7 @@ from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.messages import Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
@@ -93,12 +94,14 @@ def line_controller(
     journal: MemoryControllerJournal,
     fresh: SymbolSource,
     instance: str,
+    nonces: NonceSource = fresh_nonce,
+    period_s: float = PERIOD_S,
 ) -> ControllerEndpoint:
     """A controller's endpoint as its journal has it."""
     record, step = journal.load(), journal.step()
     raws = journal.raws(None if record is None else record.session)
-    sender = Sender(rules, propose, journal, fresh, instance, record, step, raws)
-    return ControllerEndpoint(sender, journal, PERIOD_S)
+    sender = Sender(rules, propose, journal, fresh, instance, record, step, raws, nonces)
+    return ControllerEndpoint(sender, journal, period_s)
 
 
 def line_plant(
@@ -108,16 +111,19 @@ def line_plant(
     instance: str,
     now: float,
     step_s: float | None,
+    nonces: NonceSource = fresh_nonce,
+    repeats: int = 4,
 ) -> tuple[PlantEndpoint, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     record, step = journal.load(), journal.step()
     first = record or ReceiverRecord(session=new_id(), k=0, x=(0.0,), u=(0.0,))
     said = None if step is None else step.measurement
     raws = journal.raws(first.session)
-    plant = LinePlant(Receiver(rules, instance, first, journal.chunks(), raws, said))
+    receiver = Receiver(rules, instance, first, journal.chunks(), raws, said, nonces)
+    plant = LinePlant(receiver)
     endpoint = PlantEndpoint(
         plant,
-        Pacing(step_s, 4, now),
+        Pacing(step_s, repeats, now),
         new_id,
         now,
         pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),

@@ -1,0 +1,532 @@
+"""One real end of the link as a state: endpoint, journal and keeper of keys, and what it has done.
+
+All that an end does next follows from itself and from what it hears: :meth:`End.do` is a function.
+So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
+an end's clock stands at 0 before each event, all times being relative to it.
+"""
+
+import base64
+import hashlib
+import io
+import pickle
+import zlib
+from dataclasses import replace
+from functools import cache, lru_cache
+from math import inf
+from typing import Any, Final, Literal, NamedTuple
+
+from controller_service.endpoint import ControllerEndpoint
+from plant_service.endpoint import PlantEndpoint
+from protocol.link import perform as shell
+from protocol.link.endpoint import Actions, Keep, Notice, Outgoing, Write
+from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
+from protocol.link.key_events import BlockJudged
+from protocol.link.perform import Killed, Mortal
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.messages import Measurement, Message, Offer
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.schemes.pipelined import Pipelined
+from protocol.schemes.switched import Switched
+from protocol.secret.blocks import Closed, Schedule
+from protocol.secret.bound import Assumption
+from protocol.secret.keeper import Keeper
+from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.store import KeyStore
+from protocol.secret.tasks import Done, Task
+from protocol.secret.worker import work
+from tests.support.line_ends import LinePlant, line_controller, line_plant
+from tests.support.line_plant import line_rules
+
+Side = Literal["plant", "controller"]
+
+SHIFT: Final = 1.5
+PAYLOADS: Final = (b"",)
+STEP_S: Final = 0.1
+REPEATS: Final = 2
+"""Measurements within a step while no offer comes: two, so that there is a copy 1."""
+
+LONG_S: Final = 10.0
+"""Longer than any silence after which an end does something else."""
+
+JUST_NOW_S: Final = 0.001
+
+BLOCK: Final = Schedule(Assumption(1.0, 0.5), first=2, largest=2)
+"""Key blocks of two transitions, the smallest: four copies, two rows at least for a key."""
+
+SCHEMES: Final = ("switched", "pipelined")
+
+
+@cache
+def rules_of(scheme: str, *, keys: bool) -> Rules:
+    """The rules of a scheme: with coin 0 a disturbance of 0.3 agrees, with coin 1 it does not."""
+    made = Switched(2) if scheme == "switched" else Pipelined(2)
+    rules = line_rules(alpha=3.0, largest_input=1e9, scheme=made)
+    return replace(rules, schedule=BLOCK) if keys else rules
+
+
+def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+    """Two candidates about the origin."""
+    return (-x[0] - SHIFT,), (-x[0] + SHIFT,)
+
+
+class Broken(AssertionError):
+    """A safety property does not hold."""
+
+
+class Doing(NamedTuple):
+    """What may happen to one end.
+
+    ``what`` it is: it ``hears`` a message (by number, with the plant's coin), it ``wakes`` when it
+    is due, its keeper ``keeps`` the next task and it is told, it ``freezes`` longer than any
+    silence, it ``dies``, or it ``forgets``: dies and comes back without its journal. ``pace`` is
+    ``late`` when its partner has been silent for long, and ``soon`` when less than a tenth of a
+    second has passed.
+    ``death`` is the number of things that it still does before it dies over the event, or -1.
+    """
+
+    what: Literal["hears", "wakes", "keeps", "freezes", "dies", "forgets"]
+    message: int = -1
+    coin: int = 0
+    pace: Literal["", "soon", "late"] = ""
+    death: int = -1
+
+    @property
+    def faults(self) -> int:
+        """How much of the budget of faults it takes."""
+        return int(self.what in ("freezes", "dies", "forgets")) + (self.death >= 0)
+
+
+class View(NamedTuple):
+    """What of an end its partner's deeds are compared with.
+
+    The last two transitions that it has counted (an older one cannot be in doubt: the controller
+    is behind by one at most), its key store, the messages that arrived there, whether it has lost
+    its journal, and how often it was started.
+    """
+
+    counted: tuple[CountedTransition, ...] = ()
+    store: int = 0
+    received: int = 0
+    forgot: bool = False
+    lives: int = 0
+
+
+class Stores:
+    """Key stores by what is in them, each kept once."""
+
+    def __init__(self) -> None:
+        self._images: dict[Side, list[bytes]] = {"plant": [], "controller": []}
+        self.keys: dict[Side, list[dict[str, tuple[str, bytes | None]]]] = {
+            "plant": [],
+            "controller": [],
+        }
+        self._numbers: dict[bytes, int] = {}
+        self._worked: dict[tuple[Side, int, Task], tuple[int, Done]] = {}
+        for side in self._images:
+            self.put(KeyStore(None, side))
+
+    def put(self, store: KeyStore) -> int:
+        """The number of a store as it is now."""
+        rows = [store.blocks(), *store.ids(), *store.compare().values()]
+        told = repr([row._replace(t_ns=0) for row in store.blocks()]) + repr(rows[1:])
+        digest = hashlib.blake2b(f"{store.side} {told}".encode(), digest_size=16).digest()
+        if digest not in self._numbers:
+            images = self._images[store.side]
+            self._numbers[digest] = len(images)
+            images.append(zlib.compress(store._db.serialize(), 1))
+            self.keys[store.side].append(
+                {
+                    name: (state, key)
+                    for (name, state), key in zip(
+                        store.ids(), store.compare().values(), strict=True
+                    )
+                }
+            )
+        return self._numbers[digest]
+
+    def work(self, side: Side, number: int, task: Task) -> tuple[int, Done]:
+        """What a keeper makes of a task: the number of its store afterwards, and its answer."""
+        known = self._worked.get((side, number, task))
+        if known is None:
+            with KeyStore(None, side) as store:
+                store._db.deserialize(zlib.decompress(self._images[side][number]))
+                done = work(Keeper(store), task)
+                known = self._worked[side, number, task] = self.put(store), done
+        return known
+
+
+class End:
+    """One end, alive.
+
+    Parameters
+    ----------
+    side : {"plant", "controller"}
+    rules : Rules
+    timed : bool
+        A deadline each step, so that steps are missed; else lock-step.
+    stores : Stores
+    """
+
+    stores: Stores
+
+    def __init__(self, side: Side, rules: Rules, *, timed: bool, stores: Stores) -> None:
+        self.side: Side = side
+        self.rules = rules
+        self.timed = timed
+        self.stores = stores
+        self.now = 0.0
+        self.lives = 0
+        self.view = View()
+        self.tasks: list[Task] = []
+        self._drawn = (-1, 0)  # a transition, and how often its cover was drawn in this life
+        self._said: dict[str, Measurement | Offer] = {}
+        self._first: dict[str, tuple[str, int]] = {}
+        self._ciphers: tuple[tuple[str, int, int], ...] = ()
+        self.journal: MemoryControllerJournal | MemoryPlantJournal
+        if side == "controller":
+            self.journal = MemoryControllerJournal(*PAYLOADS)
+        else:
+            self.journal = MemoryPlantJournal()
+        self.endpoint: ControllerEndpoint | PlantEndpoint
+        self._line: LinePlant | None = None
+        self._ports = Mortal(self)
+        self._begin_event()
+        self._start()
+        self._set_clock()
+
+    def _begin_event(self) -> None:
+        self.out: list[Outgoing] = []
+        self.news: list[CountedTransition] = []
+        self.again = self.ended = self.confirmed = self.answered = False
+        self.things = 0
+        self._nonces: list[str] = []
+        self._heard_k = -1
+
+    # --- lives ------------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        self.lives += 1
+        self.view = self.view._replace(lives=self.lives)
+        self.tasks.clear()
+        self._drawn = (-1, 0)
+        self._line = None
+        instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
+        if isinstance(self.journal, MemoryControllerJournal):
+            self.endpoint = line_controller(
+                self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3
+            )
+        else:
+            self.endpoint, self._line = line_plant(
+                self.rules,
+                self.journal,
+                self.new_session,
+                instance,
+                self.now,
+                STEP_S if self.timed else None,
+                self.nonce,
+                REPEATS,
+            )
+        self._perform(self.endpoint.start(self.now))
+
+    def _perform(self, actions: Actions) -> None:
+        shell.perform(actions, self.endpoint, self._ports)
+
+    def new_session(self) -> str:
+        """An id that no other session has."""
+        sessions = 0 if self._line is None else self._line.receiver.record.sessions
+        return f"{self.lives:08x}{sessions:08x}"
+
+    def symbol(self, transition: int, size: int) -> int:
+        """A cover symbol; a second decision of the same one would show."""
+        last, count = self._drawn
+        count = count + 1 if transition == last else 0
+        self._drawn = (transition, count)
+        return (transition + self.lives + count) % size
+
+    def nonce(self) -> str:
+        """A nonce that tells what it is for."""
+        if self.side == "controller":
+            assert isinstance(self.endpoint, ControllerEndpoint)
+            session, k = self.endpoint.sender.record.session, self._heard_k
+        else:
+            assert self._line is not None
+            record = self._line.receiver.record
+            session, k = record.session, record.k
+        drawn = _nonce(f"{self.side} {self.lives} {session} {k} {len(self._nonces)}")
+        self._nonces.append(drawn)
+        return drawn
+
+    # --- what it asks for -------------------------------------------------------------------------
+
+    def write(self, write: Write) -> None:
+        """Keep it; a message arrives once, and in its place."""
+        self.things += 1
+        self.journal.write(write)
+        if isinstance(write, Keep) and write.received is not None:
+            place = self.view.received
+            self.again = write.received in PAYLOADS[:place]
+            if not self.again:
+                if PAYLOADS[place:][:1] != (write.received,):
+                    raise Broken(f"{write.received!r} arrived, and was not sent")
+                self.view = self.view._replace(received=place + 1)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
+        self.things += 1
+        if kind in (Measurement, Offer):
+            message = kind.model_validate_json(payload)
+            assert isinstance(message, Measurement | Offer)
+            payload = self._said_before(message).wire()
+        self.out.append(Outgoing(kind, payload))
+
+    def _said_before(self, message: Measurement | Offer) -> Measurement | Offer:
+        topic, at = message.topic, (message.session, message.k)
+        dummy = ""
+        if self.rules.schedule is not None and message.copy_number == 1:
+            if message.nonce not in self._nonces:
+                raise Broken(f"{topic} {message.k}: a copy 1 whose nonce was drawn before")
+            dummy = DUMMY  # it means nothing to anybody, so one will do for all
+        elif self.rules.schedule is not None:
+            if at == self._first.get(topic):
+                raise Broken(f"{topic} {message.k}: copy 0 left twice")
+            self._first[topic] = at
+        plain = message.model_copy(update={"copy_number": 0, "nonce": ""})
+        before = self._said.get(topic)
+        if before is not None and before.session == message.session and before.k >= message.k:
+            if before.k > message.k:
+                raise Broken(f"{topic} {message.k} was sent after {before.k}")
+            if before != plain:
+                raise Broken(f"{topic} {message.k} was sent in two versions")
+        self._said[topic] = plain
+        if isinstance(message, Offer):
+            self._offered(message)
+        return message.model_copy(update={"nonce": dummy}) if dummy else message
+
+    def _offered(self, offer: Offer) -> None:
+        """No transition is offered two cipher symbols."""
+        assert isinstance(self.endpoint, ControllerEndpoint)
+        sender = self.endpoint.sender
+        answer = sender._answer
+        # while an answer is not settled the record is the one before it
+        j = sender.record.transitions
+        j += answer is not None and answer.counted is not None and answer.offer == offer
+        for session, known, cipher in self._ciphers:
+            if (session, known) == (offer.session, j) and cipher != offer.cipher:
+                raise Broken(f"transition {j} was offered ciphers {cipher} and {offer.cipher}")
+            if session == offer.session and j < known - 1:
+                raise Broken(f"transition {j} was offered after transition {known}")
+        this = (offer.session, j, offer.cipher)
+        if this not in self._ciphers:
+            self._ciphers = (*self._ciphers, this)[-2:]
+
+    def trace(self, event: Event) -> None:
+        """Note what it has counted; a transition is counted in one version only, and in order."""
+        self.things += 1
+        if isinstance(event, FrameRefused):
+            raise Broken("a frame was refused")
+        if isinstance(event, BlockJudged):
+            if event.what != "confirmed":
+                raise Broken("the two ends hold different key blocks")
+            self.confirmed = True
+        counted = self.view.counted
+        if isinstance(event, SessionBegan) and counted:
+            self.ended = event.session != counted[-1].session
+        mine = event.transition if isinstance(event, Applied) else event
+        if not isinstance(mine, CountedTransition):
+            return
+        self.news.append(mine)
+        if mine in counted:
+            return
+        last = counted[-1] if counted and counted[-1].session == mine.session else None
+        if mine.j != (0 if last is None else last.j + 1):
+            raise Broken(
+                f"transition {mine.j} was counted after {None if last is None else last.j}"
+            )
+        window = 2 if self.side == "plant" else 1
+        self.view = self.view._replace(counted=(*counted, mine)[-window:])
+
+    def keep(self, task: Task) -> None:
+        """A task for the keeper of keys; a nonce counts once, and a copy 1's never."""
+        self.things += 1
+        if isinstance(task, Closed):
+            nonces = {*task.nonces, base64.b64decode(DUMMY)}
+            if len(nonces) != task.counted + 1:
+                raise Broken(f"block {task.number} counts a nonce twice, or a copy 1's")
+        self.tasks.append(task)
+
+    def tell(self, notice: Notice) -> None:
+        """Nobody reads the log."""
+
+    def health(self, status: bytes) -> None:
+        """Nobody asked for statuses."""
+        raise AssertionError(status)
+
+    # --- what may happen --------------------------------------------------------------------------
+
+    def do(self, doing: Doing, kind: type[Message] | None = None, payload: bytes = b"") -> None:
+        """Let it happen.
+
+        Raises
+        ------
+        Broken
+            When a safety property does not hold any more.
+        """
+        self._begin_event()
+        self._ports.doom(after=doing.death)
+        try:
+            self._happens(doing, kind, payload)
+        except Killed:
+            self._ports.doom()
+            self._start()
+        finally:
+            self._ports.doom()
+        self._set_clock()
+
+    def _happens(self, doing: Doing, kind: type[Message] | None, payload: bytes) -> None:
+        endpoint = self.endpoint
+        if doing.what == "hears":
+            assert kind is not None
+            if isinstance(endpoint, ControllerEndpoint):
+                self._heard_k = _k_of(payload) if kind is Measurement else -1
+                self.now += LONG_S if doing.pace == "late" else 0.0
+                endpoint._greeting_at = inf if doing.pace == "soon" else -inf
+            elif self._line is not None:
+                self._line.coin, self._line.d = doing.coin, 0.3
+            self._perform(endpoint.receive(kind, payload, self.now))
+        elif doing.what == "wakes":
+            if doing.pace == "late" and isinstance(endpoint, PlantEndpoint):
+                endpoint._answered_at = -SILENCE_S
+            self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
+            self._perform(endpoint.wake(self.now))
+        elif doing.what == "keeps":
+            store, done = self.stores.work(self.side, self.view.store, self.tasks.pop(0))
+            self.view = self.view._replace(store=store)
+            self._perform(endpoint.kept(done, self.now))
+        elif doing.what == "freezes":
+            self.now += LONG_S if self._line is None else SILENCE_S + 5 * STEP_S
+        else:
+            if doing.what == "forgets":
+                self.journal.forget()
+                self.view = self.view._replace(forgot=True)
+            self._start()
+
+    def _set_clock(self) -> None:
+        """The clock stands at 0 again; what is long past is past, and no more than that."""
+        now, self.now, endpoint = self.now, 0.0, self.endpoint
+        endpoint._now = 0.0
+        if isinstance(endpoint, ControllerEndpoint):
+            away = now - endpoint._plant_at >= endpoint._running_s
+            endpoint._plant_at = -inf if away else 0.0
+            # a greeting that comes too soon after another and one that is lost are the same to all
+            endpoint._greeting_at = -inf
+            return
+        pacing = endpoint._pacing
+        endpoint._hello_at = max(0.0, round(endpoint._hello_at - now, 6))
+        silent = now - endpoint._answered_at >= SILENCE_S
+        self.answered = endpoint._answered_at == now
+        endpoint._answered_at = -SILENCE_S if silent else -JUST_NOW_S
+        endpoint._measured_at, endpoint._measured_k = 0.0, -1  # told, and not looked at
+        pacing.late_s, pacing.overruns = 0.0, 0
+        pacing._deadline = round(pacing._deadline - now, 6)
+        pacing._repeat_at = max(0.0, round(pacing._repeat_at - now, 6))
+
+    # --- as a state -------------------------------------------------------------------------------
+
+    def packed(self) -> bytes:
+        """The end as bytes, the same for the same state."""
+        own = {name: value for name, value in vars(self).items() if name not in PASSING}
+        file = io.BytesIO()
+        for part in (vars(self.journal), own):
+            _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
+        return file.getvalue()
+
+    @classmethod
+    def unpacked(cls, packed: bytes, stores: Stores) -> "End":
+        """An end as it was packed."""
+        file = io.BytesIO(packed)
+        journal, end = pickle.load(file), cls.__new__(cls)
+        _whole.clear()
+        whose = MemoryPlantJournal if "_chunks" in journal else MemoryControllerJournal
+        end.journal = whose()
+        vars(end.journal).update(journal)
+        _whole.update(End=end, journal=end.journal)
+        vars(end).update(pickle.load(file))
+        end.stores = stores
+        end._ports = Mortal(end)
+        end._line = None
+        if isinstance(end.endpoint, PlantEndpoint):
+            assert isinstance(end.endpoint.plant, LinePlant)
+            end._line = end.endpoint.plant
+        return end
+
+
+PASSING: Final = frozenset(
+    (
+        *("stores", "journal", "_ports", "_line"),  # shared, kept apart, or a second name
+        *(
+            "out",
+            "news",
+            "again",
+            "confirmed",
+            "answered",
+            "things",
+            "_nonces",
+            "_heard_k",
+        ),  # of one event
+    )
+)
+
+_whole: Final[dict[str, Any]] = {}
+"""The end that is being unpacked and its journal, to which its parts refer."""
+
+
+class _Packer(pickle.Pickler):
+    """Writes each thing in one way only, and leaves out what is shared by all states."""
+
+    def __init__(self, file: io.BytesIO, protocol: int) -> None:
+        super().__init__(file, protocol)
+        self.fast = True  # no back references: they would tell one state apart from itself
+
+    def reducer_override(self, obj: Any) -> Any:
+        kind = type(obj)
+        if kind is End:
+            return _part, ("End",)
+        if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
+            return _part, ("journal",)
+        if kind is Rules:
+            return _rules, (obj.scheme.name, obj.schedule is not None)
+        if kind is Schedule:
+            return _schedule, ()
+        if isinstance(obj, Message):
+            return _message, (kind, obj.wire())
+        return NotImplemented
+
+
+def _part(name: str) -> Any:
+    return _whole[name]
+
+
+def _rules(scheme: str, keys: bool) -> Rules:
+    return rules_of(scheme, keys=keys)
+
+
+def _schedule() -> Schedule:
+    return BLOCK
+
+
+@lru_cache(maxsize=100_000)
+def _message(kind: type[Message], wire: bytes) -> Message:
+    return kind.model_validate_json(wire)
+
+
+def _nonce(name: str) -> str:
+    return base64.b64encode(
+        hashlib.blake2b(name.encode(), digest_size=NONCE_BYTES).digest()
+    ).decode()
+
+
+DUMMY: Final = _nonce("dummy")
+
+
+def _k_of(payload: bytes) -> int:
+    return Measurement.model_validate_json(payload).k

@@ -1,0 +1,481 @@
+"""Both ends and the network between them as one state, and what may happen next.
+
+What an end does depends on that end alone, so each of its steps is made once, by the real code, and
+looked up afterwards: a state of the whole is four numbers. The network remembers the last messages
+of each direction and delivers any of them, in any order, again and again, or never: that is loss,
+repetition, delay and reordering at once.
+"""
+
+import hashlib
+import zlib
+from collections.abc import Hashable, Iterator
+from typing import Final, NamedTuple, TypeVar
+
+from protocol.link.endpoint import Outgoing
+from protocol.link.session import CountedTransition, Rules
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from tests.campaigns.end import Broken, Doing, End, Side, Stores, View, rules_of
+
+T = TypeVar("T", bound=Hashable)
+
+BITS: Final = 28
+"""Of each of a state's numbers."""
+
+PATIENT: Final = 5
+"""A plant that was not answered so often has waited for long."""
+
+LONGEST: Final = 400
+"""Events within which all must go on once all is well."""
+
+SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
+
+
+class Outcome(NamedTuple):
+    """What came of something that happened to one end.
+
+    ``label`` is the number of what happened, ``after`` its state, ``said`` the messages that it
+    sent, ``counted`` the transitions that it counted. ``again``: a message arrived that had
+    arrived; ``ended``: a session ended in which something was counted; ``carried``: a message
+    symbol came through; ``confirmed``: a key block was; ``kept``: its keeper of keys did something;
+    ``answered``: the plant heard its controller. ``broken`` says which property does not hold.
+    """
+
+    label: int
+    after: int
+    said: tuple[int, ...] = ()
+    counted: tuple[CountedTransition, ...] = ()
+    again: bool = False
+    ended: bool = False
+    carried: bool = False
+    confirmed: bool = False
+    kept: bool = False
+    answered: bool = False
+    faults: int = 0
+    broken: str = ""
+
+
+class Ends:
+    """All states of one end that were met, and what comes of each.
+
+    Parameters
+    ----------
+    side : {"plant", "controller"}
+    rules : Rules
+    timed : bool
+        A deadline each step.
+    stores : Stores
+    messages : dict of Outgoing to int
+        The numbers of messages, shared by both ends.
+    """
+
+    def __init__(
+        self, side: Side, rules: Rules, *, timed: bool, stores: Stores, messages: "Messages"
+    ) -> None:
+        self.side: Side = side
+        self.views: list[View] = []
+        self.busy: list[bool] = []
+        """Whether its keeper of keys has something to do."""
+        self.doings: list[Doing] = []
+        self._labels: dict[Doing, int] = {}
+        self._kept: dict[Hashable, Hashable] = {}
+        self._stores, self._messages = stores, messages
+        self._numbers: dict[bytes, int] = {}
+        self._images: list[bytes] = []
+        self._made: dict[tuple[int, Doing], tuple[Outcome, int]] = {}
+        self._hears: dict[tuple[int, int], tuple[Outcome, ...]] = {}
+        self._alone: dict[int, tuple[Outcome, ...]] = {}
+        end = End(side, rules, timed=timed, stores=stores)
+        self.first = self._number(end)
+        self.greeting = tuple([messages.number(message) for message in end.out])
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def find(self, end: End) -> int | None:
+        """The number of a state, if it was met."""
+        return self._numbers.get(hashlib.blake2b(end.packed(), digest_size=16).digest())
+
+    def _number(self, end: End) -> int:
+        image = end.packed()
+        digest = hashlib.blake2b(image, digest_size=16).digest()
+        number = self._numbers.setdefault(digest, len(self._images))
+        if number == len(self._images):
+            self._images.append(zlib.compress(image, 1))
+            counted = tuple(map(self._same, end.view.counted))
+            self.views.append(self._same(end.view._replace(counted=counted)))
+            self.busy.append(bool(end.tasks))
+        return number
+
+    def _same(self, value: T) -> T:
+        """The first one of its equals: each is kept once."""
+        return self._kept.setdefault(value, value)  # type: ignore[return-value]
+
+    def _make(self, state: int, doing: Doing) -> tuple[Outcome, int]:
+        """Let it happen, once; what comes of it, and how many things the end did over it."""
+        known = self._made.get((state, doing))
+        if known is not None:
+            return known
+        label = self._labels.setdefault(doing, len(self.doings))
+        if label == len(self.doings):
+            self.doings.append(doing)
+        end = End.unpacked(zlib.decompress(self._images[state]), self._stores)
+        before = end.view.counted
+        kind, payload = self._messages[doing.message] if doing.message >= 0 else (None, b"")
+        try:
+            end.do(doing, kind, payload)
+        except Exception as error:  # whatever the real code raises is a fault of it
+            why = str(error) if isinstance(error, Broken) else f"{type(error).__name__}: {error}"
+            made = Outcome(label, state, faults=doing.faults, broken=why), 0
+        else:
+            carried = any(t.role == "message" and t not in before for t in end.news)
+            made = (
+                Outcome(
+                    label,
+                    self._number(end),
+                    tuple([self._messages.number(message) for message in end.out]),
+                    tuple(map(self._same, end.news)),
+                    end.again,
+                    end.ended,
+                    carried,
+                    end.confirmed,
+                    doing.what == "keeps",
+                    end.answered,
+                    doing.faults,
+                ),
+                end.things,
+            )
+        vars(end).clear()  # it goes round in circles
+        self._made[state, doing] = made
+        return made
+
+    def step(self, state: int, doing: Doing) -> Outcome:
+        """What comes of one thing that happens."""
+        return self._make(state, doing)[0]
+
+    def hears(self, state: int, message: int) -> tuple[Outcome, ...]:
+        """All that may come of a message."""
+        known = self._hears.get((state, message))
+        if known is None:
+            kind = self._messages[message].kind
+            doings = [Doing("hears", message, coin) for coin in ((0, 1) if kind is Offer else (0,))]
+            if kind is PlantHello:
+                doings.append(Doing("hears", message, pace="late"))
+            elif kind is Measurement:
+                doings.append(Doing("hears", message, pace="soon"))
+            known = self._hears[state, message] = tuple(self._distinct(state, doings))
+        return known
+
+    def alone(self, state: int) -> tuple[Outcome, ...]:
+        """All that may happen without a message."""
+        known = self._alone.get(state)
+        if known is None:
+            doings = [Doing("dies"), Doing("forgets")]
+            if self.busy[state]:
+                doings.append(Doing("keeps"))
+            if self.side == "plant":
+                doings += (Doing("wakes"), Doing("wakes", pace="late"), Doing("freezes"))
+            known = self._alone[state] = tuple(self._distinct(state, doings))
+        return known
+
+    def _distinct(self, state: int, doings: list[Doing]) -> Iterator[Outcome]:
+        """What comes of each, and of each with a death before every thing that the end does.
+
+        What changes nothing, or comes to the same with no more faults, is left out.
+        """
+        met: set[tuple[object, ...]] = {(state, (), (), False, False)}
+        outcomes = []
+        for doing in doings:
+            outcome, things = self._make(state, doing)
+            if doing.pace == "late" and doing.message >= 0 and self._idle(state, doing, outcome):
+                continue
+            outcomes.append(outcome)
+            if doing.pace != "soon":
+                outcomes += [self._make(state, doing._replace(death=n))[0] for n in range(things)]
+        for outcome in sorted(outcomes, key=lambda outcome: outcome.faults):
+            what = (outcome.after, outcome.said, outcome.counted, outcome.again, outcome.ended)
+            if outcome.broken or what not in met:
+                met.add(what)
+                yield outcome
+
+    def _idle(self, state: int, doing: Doing, outcome: Outcome) -> bool:
+        """Whether the time that passed before makes no difference yet: then it can pass later."""
+        soon = self.step(state, doing._replace(pace=""))
+        aged = soon if soon.broken else self.step(soon.after, Doing("freezes"))
+        return (aged.after, soon.said, soon.counted) == (
+            outcome.after,
+            outcome.said,
+            outcome.counted,
+        )
+
+
+class Messages:
+    """All messages that were sent, each with its number."""
+
+    def __init__(self) -> None:
+        self._all: list[Outgoing] = []
+        self._numbers: dict[Outgoing, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __getitem__(self, number: int) -> Outgoing:
+        return self._all[number]
+
+    def number(self, message: Outgoing) -> int:
+        """The number of a message."""
+        number = self._numbers.setdefault(message, len(self._all))
+        if number == len(self._all):
+            self._all.append(message)
+        return number
+
+    def told(self, number: int) -> str:
+        """A message in a few words."""
+        kind, payload = self._all[number]
+        message = kind.model_validate_json(payload)
+        if isinstance(message, Measurement | Offer):
+            copy = f", copy {message.copy_number}" if message.nonce else ""
+            return f"{message.topic} {message.k} of session {message.session[:8]}{copy}"
+        assert isinstance(message, PlantHello | ControllerHello)
+        if isinstance(message, PlantHello):
+            asks = "anyone" if message.controller is None else message.controller[:8]
+            return f"hello of plant {message.instance[:8]} to {asks}, at {message.applied_k}"
+        return f"{message.verdict} of controller {message.instance[:8]}"
+
+
+class Moved(NamedTuple):
+    """A state of the whole that comes next, what happened to which side, and what broke if any."""
+
+    side: int
+    outcome: Outcome
+    state: int
+    broken: str
+
+
+Network = tuple[tuple[int, ...], tuple[int, ...]]
+
+
+class Space:
+    """All states of the whole.
+
+    A state is an integer: the network's number, the plant's and the controller's.
+
+    Parameters
+    ----------
+    scheme : str
+        ``switched`` or ``pipelined``.
+    timed : bool
+        A deadline each step, so that steps are missed; else lock-step.
+    keys : bool
+        Keys are made.
+    remembered : int
+        Messages of each direction that the network may still deliver.
+    """
+
+    def __init__(self, scheme: str, *, timed: bool, keys: bool, remembered: int = 2) -> None:
+        self.remembered = remembered
+        self.stores, self.messages = Stores(), Messages()
+        rules = rules_of(scheme, keys=keys)
+        self.keys = keys
+        self.ends = tuple(
+            [
+                Ends(side, rules, timed=timed, stores=self.stores, messages=self.messages)
+                for side in SIDES
+            ]
+        )
+        self._networks: list[Network] = []
+        self._network_numbers: dict[Network, int] = {}
+        self._pushed: dict[tuple[int, int, tuple[int, ...]], int] = {}
+        self._stores_agree: dict[tuple[int, int], str] = {}
+        self._well: set[_Well] = set()
+
+    # --- states -----------------------------------------------------------------------------------
+
+    def state(self, network: int, plant: int, controller: int) -> int:
+        """The three numbers as one."""
+        return (((network << BITS) | plant) << BITS) | controller
+
+    def _network(self, network: Network) -> int:
+        number = self._network_numbers.setdefault(network, len(self._networks))
+        if number == len(self._networks):
+            self._networks.append(network)
+        return number
+
+    def _push(self, network: int, side: int, said: tuple[int, ...]) -> int:
+        """The network once ``side`` has sent something."""
+        known = self._pushed.get((network, side, said))
+        if known is None:
+            both = list(self._networks[network])
+            queue = both[1 - side]
+            for message in said:
+                queue = (*[other for other in queue if other != message], message)
+                queue = queue[-self.remembered :]
+            both[1 - side] = queue
+            known = self._pushed[network, side, said] = self._network((both[0], both[1]))
+        return known
+
+    # --- what may happen --------------------------------------------------------------------------
+
+    def next(self, state: int, faults: int) -> Iterator[Moved]:
+        """All that may happen next with so many faults at most."""
+        mask = (1 << BITS) - 1
+        controller, plant, network = state & mask, (state >> BITS) & mask, state >> 2 * BITS
+        now = (plant, controller)
+        waiting = self._networks[network]
+        for side, end in enumerate(self.ends):
+            mine = now[side]
+            for outcomes in (
+                end.alone(mine),
+                *[end.hears(mine, message) for message in waiting[side]],
+            ):
+                for outcome in outcomes:
+                    if outcome.faults > faults:
+                        continue
+                    after, said = outcome.after, outcome.said
+                    broken = outcome.broken
+                    theirs = now[1 - side]
+                    if not broken and (
+                        outcome.counted or outcome.again or outcome.kept or outcome.ended
+                    ):
+                        broken = self._differs(side, outcome, theirs)
+                    net = self._push(network, side, said) if said else network
+                    if side == 0:
+                        yield Moved(0, outcome, (((net << BITS) | after) << BITS) | theirs, broken)
+                    else:
+                        yield Moved(1, outcome, (((net << BITS) | theirs) << BITS) | after, broken)
+
+    def _differs(self, side: int, outcome: Outcome, theirs: int) -> str:
+        """Where what one end has done does not go with the other; empty where it does."""
+        mine, other = self.ends[side].views[outcome.after], self.ends[1 - side].views[theirs]
+        for t in outcome.counted:
+            same = [c for c in other.counted if (c.session, c.j) == (t.session, t.j)]
+            if same and same[0] != t:
+                return f"transition {t.j}: the two ends counted it differently"
+            if not same and SIDES[side] == "controller":
+                return f"transition {t.j} was counted by the controller and not by the plant"
+        if not (mine.forgot or other.forgot):
+            if outcome.again:
+                return "a message arrived again"
+            controller = (other, mine)[side]
+            if outcome.ended and controller.lives == 1:
+                return "a session ended, and neither was a journal lost nor a controller"
+        pair = (mine.store, other.store) if side == 0 else (other.store, mine.store)
+        known = self._stores_agree.get(pair)
+        if known is None:
+            known = self._stores_agree[pair] = self._stores_differ(*pair)
+        return known
+
+    def _stores_differ(self, plant: int, controller: int) -> str:
+        both = self.stores.keys["plant"][plant], self.stores.keys["controller"][controller]
+        for mine, theirs in (both, both[::-1]):
+            for name, (state, key) in mine.items():
+                if name in theirs and theirs[name][1] != key:
+                    return "a key differs between the two ends"
+                if state == "confirmed" and name not in theirs:
+                    return "a key was confirmed that the other end does not hold"
+        shared = [[name for name in one if name in other] for one, other in (both, both[::-1])]
+        return "" if shared[0] == shared[1] else "the two ends order their keys differently"
+
+    # --- when all is well -------------------------------------------------------------------------
+
+    def goes_on(self, state: int) -> str:
+        """What does not come once nothing is lost and nobody dies; empty where all comes.
+
+        What was under way is lost. From there on what happens is determined, so a state that comes
+        to one that is known to go on goes on, too. What must come is a message symbol and, where
+        keys are made, a block that both ends confirm.
+        """
+        mask = (1 << BITS) - 1
+        at = _Well((state >> BITS) & mask, state & mask)
+        goals = ("a message symbol", "a key block")[: 1 + self.keys]
+        path: list[_Well] = []
+        met: set[_Well] = set()
+        last = dict.fromkeys(goals, -1)
+        confirmed = [-1, -1]
+        while at not in self._well:
+            if at in met or len(path) > LONGEST:
+                missing = [goal for goal in goals if last[goal] < 0]
+                if missing:
+                    return f"{' and '.join(missing)} does not come through once all is well"
+                raise AssertionError("a loop of which each round carries a symbol")
+            met.add(at)
+            path.append(at)
+            at, side, outcome = self._well_step(at)
+            if wrong := outcome.broken or self._differs(
+                side, outcome, (at.controller, at.plant)[side]
+            ):
+                return f"once all is well: {wrong}"
+            if outcome.carried and side == 0:
+                last[goals[0]] = len(path)
+            if outcome.confirmed and self.keys:
+                confirmed[side] = len(path)
+                last[goals[1]] = min(confirmed)
+            if min(last.values()) > 0:
+                break
+        else:
+            self._well.update(path)
+            return ""
+        self._well.update(path[: min(last.values())])
+        return ""
+
+    def _well_step(self, at: "_Well") -> "tuple[_Well, int, Outcome]":
+        plant, controller, to_plant, to_controller, coin, idle = at
+        side, message = 0, -1
+        if to_plant:
+            message, to_plant = to_plant[0], to_plant[1:]
+            doing = Doing("hears", message, coin if self.messages[message].kind is Offer else 0)
+            coin ^= self.messages[message].kind is Offer
+        elif to_controller:
+            side, message, to_controller = 1, to_controller[0], to_controller[1:]
+            # the plant asks again and again: in the end the one before it has been away for long
+            asks = self.messages[message].kind is PlantHello
+            doing = Doing("hears", message, pace="late" if asks else "")
+        elif self.ends[0].busy[plant]:
+            doing = Doing("keeps")
+        elif self.ends[1].busy[controller]:
+            side, doing = 1, Doing("keeps")
+        else:
+            idle = (idle + 1) % PATIENT
+            doing = Doing("wakes", pace="" if idle else "late")
+        outcome = self.ends[side].step((plant, controller)[side], doing)
+        if outcome.answered:
+            idle = 0
+        if side == 0:
+            plant, to_controller = outcome.after, to_controller + outcome.said
+        else:
+            controller, to_plant = outcome.after, to_plant + outcome.said
+        return _Well(plant, controller, to_plant, to_controller, coin, idle), side, outcome
+
+    def begin(self) -> list["Start"]:
+        """The states of a run in which nothing goes wrong, from the first hello to a message."""
+        plant, controller = self.ends
+        at = _Well(plant.first, controller.first, controller.greeting, plant.greeting)
+        network = self._network(
+            (controller.greeting[-self.remembered :], plant.greeting[-self.remembered :])
+        )
+        starts = [Start(self.state(network, at.plant, at.controller), None)]
+        while True:
+            at, side, outcome = self._well_step(at)
+            network = self._push(network, side, outcome.said)
+            starts.append(
+                Start(self.state(network, at.plant, at.controller), (side, outcome.label))
+            )
+            if self.ends[0].views[at.plant].received:
+                return starts
+
+
+class Start(NamedTuple):
+    """A state of a run in which nothing goes wrong, and what led there."""
+
+    state: int
+    how: tuple[int, int] | None
+
+
+class _Well(NamedTuple):
+    """A state of such a run: both ends, what is under way to each, and the next coin."""
+
+    plant: int
+    controller: int
+    to_plant: tuple[int, ...] = ()
+    to_controller: tuple[int, ...] = ()
+    coin: int = 0
+    idle: int = 0
