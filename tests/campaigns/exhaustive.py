@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from protocol.link import perform
 from protocol.runtime.run_folder import write_atomically
 from tests.campaigns.end import SCHEMES
 from tests.campaigns.space import SIDES, Space
@@ -158,7 +157,6 @@ def main(argv: list[str] | None = None) -> int:
     name += f"keys {'off' if args.no_keys else 'on'}, {args.faults} faults"
     name += ", from the first hello" if args.from_hello else ""
     name += f", {args.remembered} remembered" if args.remembered != 2 else ""
-    perform.give_way = lambda: None  # type: ignore[misc]  # nobody else is in this process
     gc.freeze()
     gc.disable()  # hardly anything here goes round in circles
     kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link import perform
 from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.run_folder import write_atomically
 from protocol.scenario import Scenario
@@ -120,7 +119,6 @@ def main(argv: list[str] | None = None) -> int:
     done = {"schedules": 0, "keys": 0, "broken": [], "versions": {}, **done}
     version = code_version()
     done["versions"].setdefault(version, [done["schedules"], 0])
-    perform.give_way = lambda: None  # type: ignore[misc]  # nobody else is in this process
     began, until = time.monotonic(), time.monotonic() + args.seconds
     first = done["schedules"]
     for seed in range(first, args.count):
