@@ -14,7 +14,7 @@ class Copies:
         """Look at one, and raise AssertionError where it breaks the rule."""
         at = (message.topic, message.session, message.k)
         if message.copy_number == 0:
-            assert at not in self._first, f"copy 0 of {message.topic} {message.k} left twice"
+            assert at not in self._first, "copy 0 left twice"
             self._first.add(at)
         assert message.nonce not in self._nonces, "a nonce left twice"
         self._nonces.add(message.nonce)
