@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from protocol.runtime.endpoints import (
     add_endpoint_arguments,
@@ -21,6 +22,10 @@ from protocol.runtime.options import (
 )
 from protocol.runtime.parts import Bounds
 from protocol.runtime.process import UsageError
+
+if TYPE_CHECKING:
+    from controller_service.laws.online import OnlineLaw
+    from protocol.scenario import Scenario
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,35 +50,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
-    from controller_service.laws.base import CandidateLaw, ProgramError
-    from controller_service.laws.registry import cached_design, make_law
-    from controller_service.progress import shown_progress
     from controller_service.service import ControllerConfig, run_controller, run_controllers
-    from controller_service.sets.design import SynthesisError
-    from protocol.scenario import Scenario
     from protocol.scenario.files import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
     at_least("--seed", args.seed, 0)
-
-    def law_of(scenario: Scenario) -> CandidateLaw:
-        try:
-            with shown_progress() as progress:
-                design = cached_design(scenario, progress)
-            return make_law(scenario, design)
-        except (SynthesisError, ProgramError) as error:
-            raise UsageError(f"{scenario.name}: {error}") from None
 
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     fleet = fleet_of(args)
     if fleet is not None:
         folder = run_dir_of(args.run_dir)
         with buses_of(args, "controller") as (stopping, field, ops):
-            return run_controllers(fleet, folder, law_of, bounds, field, ops, stopping)
+            return run_controllers(fleet, folder, _law_of, bounds, field, ops, stopping)
     scenario = scenario_of(args.scenario)
     config = ControllerConfig(
         scenario=scenario,
-        law=law_of(scenario),
+        law=_law_of(scenario),
         loop=loop_of(args),
         message=message_of(args.message, args.message_file),
         seed=args.seed,
@@ -87,3 +79,24 @@ def run(args: argparse.Namespace) -> int:
     with buses_of(args, "controller") as (stopping, field, ops):
         keep_scenario(config.run_dir, args.scenario)
         return run_controller(config, field, ops, stopping)
+
+
+def _law_of(scenario: "Scenario") -> "OnlineLaw":
+    """The scenario's law: by its tables, where an earlier start has left them; else it is made."""
+    from controller_service.laws.online import ProgramError, store_law, stored_law
+
+    stored = stored_law(scenario)
+    if stored is not None:
+        return stored
+    from controller_service.laws.registry import cached_design, make_law
+    from controller_service.progress import shown_progress
+    from controller_service.sets.design import SynthesisError
+
+    try:
+        with shown_progress() as progress:
+            design = cached_design(scenario, progress)
+        law = make_law(scenario, design)
+    except (SynthesisError, ProgramError) as error:
+        raise UsageError(f"{scenario.name}: {error}") from None
+    store_law(law, scenario)
+    return law

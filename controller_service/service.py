@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from controller_service.endpoint import STATUS_S, ControllerEndpoint
-from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.model import load_model
 from protocol.link.sealing import SealingEnd
@@ -51,7 +51,7 @@ class ControllerConfig:
     """
 
     scenario: Scenario
-    law: CandidateLaw
+    law: OnlineLaw
     run_dir: Path
     loop: str
     message: bytes | None = None
@@ -175,14 +175,14 @@ def run_controller(
 def run_controllers(
     fleet: Fleet,
     run_dir: Path,
-    law_of: Callable[[Scenario], CandidateLaw],
+    law_of: Callable[[Scenario], OnlineLaw],
     bounds: Bounds,
     field: Bus,
     ops: Bus,
     stopping: threading.Event,
 ) -> int:
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
-    laws: dict[str, tuple[Scenario, CandidateLaw]] = {}
+    laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
 
     def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerEndpoint, Files]:
         folder = run_dir / loop.id

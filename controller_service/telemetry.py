@@ -3,7 +3,7 @@
 import time
 from typing import Literal, Protocol
 
-from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OnlineLaw
 from protocol.link.sender import Outbox, Sender
 from protocol.messages import ControllerStatus
 from protocol.scenario import Scenario
@@ -32,7 +32,7 @@ class ControllerTelemetry:
     """
 
     def __init__(
-        self, scenario: Scenario, law: CandidateLaw, *, seeded: bool, keys_refused: str = ""
+        self, scenario: Scenario, law: OnlineLaw, *, seeded: bool, keys_refused: str = ""
     ) -> None:
         self.phase: Phase = "greeting"
         self.detail = ""

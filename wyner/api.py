@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OutsideError, ProgramError
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import Design, SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped

@@ -10,21 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controller_service.laws.online import OneState, ProgramError, Solver
 from controller_service.laws.planar import Planar
 from controller_service.laws.programs import General, Quadratic
 from controller_service.sets.design import Design, Progress, input_interval, synthesise
 from protocol.arrays import Array, Indices
-from protocol.convex import Polytope
 from protocol.scenario import Cost, Scenario
 from protocol.scenario.sets import ConvexSet
-
-
-class OutsideError(LookupError):
-    """A state outside every T_i; the message names the state, the largest set and the distance."""
-
-
-class ProgramError(LookupError):
-    """A program without an answer that satisfies its constraints."""
 
 
 class CandidateLaw(Protocol):
@@ -87,19 +79,15 @@ class CandidateLaw(Protocol):
         """K, shape (m, n), where every candidate of index i is K x; None elsewhere."""
 
 
-class Programs(Protocol):
+class Programs(Solver, Protocol):
     """What a law asks of a solver: index and one input for each cost."""
-
-    def index(self, x: Sequence[float]) -> int: ...  # noqa: D102
-
-    def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]: ...  # noqa: D102
 
     def indices(self, X: Array) -> Indices: ...  # noqa: D102
 
     def candidates_many(self, X: Array, indices: Indices) -> Array: ...  # noqa: D102
 
 
-class ProgramLaw:
+class ProgramLaw(OneState):
     """Candidates phi_0(x), phi_1(x), ... that minimise one cost each, at every index.
 
     At index 0 the target is T_0 ~ D_c: T_0 is robust invariant, so the programs are feasible.
@@ -126,7 +114,7 @@ class ProgramLaw:
                 Quadratic.of(design.A, design.B, cost)
             except ValueError as error:
                 raise ProgramError(f"control.costs.{j}: {error}") from None
-        self.programs = _programs(design, U, costs)
+        self.programs: Programs = _programs(design, U, costs)
         self._N = design.horizon
 
     @classmethod
@@ -139,21 +127,6 @@ class ProgramLaw:
             With one line, when there are none.
         """
         return synthesise(scenario, progress)
-
-    def index(self, x: Sequence[float]) -> int:
-        """See :meth:`CandidateLaw.index`."""
-        i = self.programs.index(x)
-        if i > self._N:
-            raise self._outside(x)
-        return i
-
-    def candidates(self, x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        """See :meth:`CandidateLaw.candidates`."""
-        i = self.index(x)
-        try:
-            return self.answers(x, i)
-        except ValueError as error:
-            raise ProgramError(f"at x = {list(x)}, index {i}: {error}") from None
 
     def indices(self, X: ArrayLike) -> Indices:
         """See :meth:`CandidateLaw.indices`."""
@@ -177,21 +150,9 @@ class ProgramLaw:
         """See :meth:`CandidateLaw.gain`."""
         return None
 
-    def answers(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
-        """The candidates at x of index i; ValueError when no input is left."""
-        return self.programs.candidates(x, i)
-
     def answers_many(self, X: Array, indices: Indices) -> Array:
         """The candidates of each row, shape (R, M, m); ValueError when no input is left."""
         return self.programs.candidates_many(X, indices)
-
-    def _outside(self, x: Sequence[float]) -> OutsideError:
-        # The look-up's rounding and this one's differ: at an edge the excess may come out negative.
-        excess = max(0.0, Polytope(*self.design.set(self._N)).excess(x))
-        return OutsideError(
-            f"the state {[float(v) for v in x]} is outside T_{self._N}, the largest set: it lies "
-            f"{excess:.6g} beyond a facet"
-        )
 
 
 def _programs(design: Design, inputs: ConvexSet, costs: Sequence[Cost]) -> Programs:

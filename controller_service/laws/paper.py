@@ -1,7 +1,5 @@
 """The law ``paper``: (27) as it stands, with u = K x inside T_0."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from controller_service.laws.base import ProgramLaw
@@ -16,29 +14,16 @@ class PaperLaw(ProgramLaw):
 
     def __init__(self, scenario: Scenario, design: Design) -> None:
         super().__init__(scenario, design)
-        self._M = len(scenario.control.costs)
-        self._rows: list[list[float]] = design.K.tolist()
+        self.copies = len(scenario.control.costs)
+        self.inner = design.K.tolist()
 
     def gain(self, i: int) -> Array | None:
         """K inside T_0."""
         return self.design.K if i == 0 else None
 
-    def answers(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
-        """See :meth:`ProgramLaw.answers`."""
-        if i > 0:
-            return self.programs.candidates(x, i)
-        u = []
-        for row in self._rows:
-            # From the left, product by product: to the last bit what many states get.
-            total = row[0] * float(x[0])
-            for k, v in zip(row[1:], x[1:], strict=True):
-                total = total + k * float(v)
-            u.append(total)
-        return (tuple(u),) * self._M
-
     def answers_many(self, X: Array, indices: Indices) -> Array:
         """See :meth:`ProgramLaw.answers_many`."""
-        out = np.repeat(products(self.design.K, X)[:, None, :], self._M, axis=1)
+        out = np.repeat(products(self.design.K, X)[:, None, :], self.copies, axis=1)
         rest = np.flatnonzero(indices)
         if len(rest):
             out[rest] = self.programs.candidates_many(X[rest], indices[rest])

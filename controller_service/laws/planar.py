@@ -10,12 +10,11 @@ of the target bounds u from above and one from below; they depend on the line's 
 are found in two more sorted lists.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from controller_service.laws.online import Lookup, Table
 from controller_service.laws.programs import Quadratic
 from controller_service.sets.design import Design
 from controller_service.tolerances import CHAIN_PARALLEL
@@ -50,7 +49,7 @@ class Sectors:
             # Corner j is of rows j and j + 1: the sector before corner `start` is row `start`'s.
             ring = np.roll(np.column_stack([H, h]), -start, axis=0)
             rows.append(np.vstack([ring, ring[:1]]))
-        self.first = len(keys[0])  # corners of T_0
+        self.first, self.last = len(keys[0]), len(rows[-1])  # corners of T_0, rows of T_N
         self.keys = np.concatenate(keys)
         table = np.vstack(rows)
         self.a1, self.a2, self.b = (np.ascontiguousarray(table[:, j]) for j in range(3))
@@ -89,23 +88,11 @@ class Chain:
         self.q, self.c1, self.c2 = (np.ascontiguousarray(table[:, i]) for i in range(3))
 
 
-class _Table(NamedTuple):
-    """Keys and three columns beside them, as arrays whose items are plain floats.
-
-    Lists of floats and tuples took 25 MiB for 250 sets; the arrays' own memory is read instead.
-    """
-
-    keys: memoryview
-    first: memoryview
-    second: memoryview
-    third: memoryview
+def _table(*columns: Array) -> Table:
+    return Table(*(np.ascontiguousarray(column).data.cast("B").cast("d") for column in columns))
 
 
-def _table(*columns: Array) -> _Table:
-    return _Table(*(np.ascontiguousarray(column).data for column in columns))
-
-
-class Planar:
+class Planar(Lookup):
     """Index and candidates of a planar plant with one input."""
 
     def __init__(
@@ -139,7 +126,7 @@ class Planar:
     def _lists(self) -> None:
         """Tables for the path of one state."""
         s = self.sectors
-        self._first = s.first
+        self._first, self._last = s.first, s.last
         self._facets = _table(s.keys, s.a1, s.a2, s.b)
         self._upper, self._lower = (
             _table(c.keys, c.q, c.c1, c.c2) for c in (self.upper, self.lower)
@@ -148,26 +135,6 @@ class Planar:
             zip(self.line1.tolist(), self.line2.tolist(), self.shift.tolist(), strict=True)
         )
         self._gains = [(float(k[0]), float(k[1])) for k in self.gains]
-
-    def index(self, x: Sequence[float]) -> int:
-        """i(k), or N + 1 outside every set: T_0 first, where a closed loop nearly always is."""
-        x1, x2 = float(x[0]), float(x[1])
-        r = abs(x1) + abs(x2)
-        q = x2 / r if r > 0.0 else x2
-        p = 2.0 - q if x1 < 0.0 else (4.0 + q if x2 < 0.0 else q)
-        keys, a1, a2, b = self._facets
-        at = bisect_right(keys, p, 0, self._first)
-        if a1[at] * x1 + a2[at] * x2 <= b[at]:
-            return 0
-        low, high = 1, self.N + 1
-        while low < high:
-            i = (low + high) >> 1
-            at = bisect_right(keys, 4.0 * i + p) + i
-            if a1[at] * x1 + a2[at] * x2 <= b[at]:
-                high = i
-            else:
-                low = i + 1
-        return low
 
     def indices(self, X: Array) -> Indices:
         """i(k) of each row, N + 1 outside every set."""
@@ -195,37 +162,6 @@ class Planar:
             high = np.where(open_ & inside, i, high)
             low = np.where(open_ & ~inside, i + 1, low)
         return low
-
-    def interval(self, x1: float, x2: float, j: int) -> tuple[float, float]:
-        """Inputs in U that steer x into the tightened target j; empty when low > high."""
-        l1, l2, shift = self._lines[j]
-        key = (l1 * x1 + l2 * x2) + shift
-        keys, q, c1, c2 = self._upper
-        at = bisect_right(keys, key) + j
-        high = q[at] - (c1[at] * x1 + c2[at] * x2)
-        keys, q, c1, c2 = self._lower
-        at = bisect_right(keys, key) + j
-        low = q[at] - (c1[at] * x1 + c2[at] * x2)
-        return (
-            low if low > self.u_min else self.u_min,
-            high if high < self.u_max else self.u_max,
-        )
-
-    def candidates(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
-        """One input for each cost at index i; ValueError when the interval is empty."""
-        x1, x2 = float(x[0]), float(x[1])
-        low, high = self.interval(x1, x2, i - 1 if i > 0 else 0)
-        if not low <= high:
-            raise ValueError(f"no input in [{low!r}, {high!r}]")
-        out = []
-        for k1, k2 in self._gains:
-            u = k1 * x1 + k2 * x2
-            if u < low:
-                u = low
-            elif u > high:
-                u = high
-            out.append((u,))
-        return tuple(out)
 
     def candidates_many(self, X: Array, indices: Indices) -> Array:
         """One input for each row and cost, shape (R, M, 1); ValueError where none is left."""

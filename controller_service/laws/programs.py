@@ -170,6 +170,10 @@ class General:
             # u = -(F x) / P, the coefficients rounded once.
             self.gains = [-q.F / q.P[0, 0] for q in self.costs]
 
+    def excess(self, x: Sequence[float]) -> float:
+        """How far x is outside the largest set, in the unit of its h; zero or less inside."""
+        return self.sets[self.N].excess(x)
+
     def inside(self, i: int, X: Array) -> NDArray[np.bool_]:
         """Whether each row is in T_i."""
         p = self.sets[i]

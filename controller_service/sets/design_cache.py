@@ -7,23 +7,16 @@ fingerprint; whatever does not fit is computed again, never trusted.
 import hashlib
 import io
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from controller_service.sets.cache_folder import default_folder
 from controller_service.sets.design import Design, Terminal
 from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 
 MAGIC = b"wyner-design-5\n"
-
-
-def default_folder() -> Path:
-    """``$XDG_CACHE_HOME/wyner/designs``, else ``~/.cache/wyner/designs``."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
-    return root / "wyner" / "designs"
 
 
 def design_path(fingerprint: str, folder: Path | None = None) -> Path:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_service.laws.base import CandidateLaw, OutsideError
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OutsideError
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from controller_service.sets.recursion import support

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import controller_service.laws.programs as programs_module
-from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OutsideError, ProgramError
 from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise

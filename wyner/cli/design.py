@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the design."""
     import time
 
-    from controller_service.laws.base import ProgramError
+    from controller_service.laws.online import ProgramError
     from controller_service.laws.registry import cached_design, make_law, synthesise
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
@@ -106,7 +106,7 @@ def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw"
 
 def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:
     """The design's figures as one object for machines."""
-    from controller_service.laws.base import OutsideError
+    from controller_service.laws.online import OutsideError
     from controller_service.sets.dead_link import dead_link_budget
     from protocol.convex import Polytope, corners, planar_area
 

@@ -51,7 +51,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, tell."""
-    from controller_service.laws.base import ProgramError
+    from controller_service.laws.online import ProgramError
     from controller_service.laws.registry import make_law, synthesise
     from controller_service.sets.design import SynthesisError
     from plant_service.adapters import Operated

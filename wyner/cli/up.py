@@ -215,7 +215,7 @@ def _take_signals() -> None:
 
 def _design(scenario: "Scenario") -> None:
     """Compute the design before anything starts, and check that the plant starts inside it."""
-    from controller_service.laws.base import ProgramError
+    from controller_service.laws.online import ProgramError
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError

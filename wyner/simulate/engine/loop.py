@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from controller_service.laws.base import CandidateLaw, OutsideError, ProgramError
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OutsideError, ProgramError
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge
 from protocol.arrays import Array, Symbols
 from protocol.scenario import Scenario
