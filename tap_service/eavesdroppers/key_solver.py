@@ -3,7 +3,8 @@
 She knows the claim, and so where blocks begin, how many rows they have and the matrix; which copies
 counted she reads off the messages, and takes each for counted of which she did not hear. A block of
 R rows of which she missed e counted copies gives her R - e combinations of rows: none, where the
-claim holds. With what she has she opens sealed messages, word by word.
+claim holds. With what she has she opens sealed messages, word by word. Where keys are made of words
+she counts what she holds in the same way, and opens with blocks alone that she heard all of.
 """
 
 from collections import deque
@@ -15,6 +16,8 @@ import numpy as np
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.secret.blocks import schedule_of
+from protocol.secret.bound import clopper_pearson
+from protocol.secret.extractor import WORDS, extract, words
 from protocol.secret.galois import Words
 from protocol.secret.keeper import PUBLIC_TAG_BYTES
 from protocol.secret.nonces import NONCE_BYTES, as_bytes
@@ -31,7 +34,7 @@ from tap_service.eavesdroppers.base import (
     ReadText,
     even,
 )
-from tap_service.inference.key_solver import Held, held, within
+from tap_service.inference.key_solver import Held, bits_held, held, within
 from tap_service.inference.miss_rate import Misses
 
 KEPT_BLOCKS: Final = 64
@@ -39,7 +42,6 @@ KEPT_BLOCKS: Final = 64
 
 KEPT_SEALED: Final = 32
 
-WORDS: Final = NONCE_BYTES // 2
 SHOWN: Final = PUBLIC_TAG_BYTES // 2
 """Words of row 0 that a public tag shows."""
 
@@ -104,10 +106,13 @@ class KeySolver(Eavesdropper):
         self._schedule = schedule
         self._claim = schedule.assumption
         self._even = even(self.size)
+        clopper_pearson(1, 2, 0.5)  # it loads a library: now, and not while messages wait
         self._misses = Misses()
         self._steps: dict[str, dict[int, _Step]] = {}
         self._tags: dict[tuple[str, int], _Tags] = {}
         self._sealed: dict[str, Sealed] = {}
+        self._texts: dict[str, tuple[int, ReadText]] = {}
+        self._news = 0  # of what sealed messages are opened with
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
         self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
         self._blocks = self._broken = self._bits = 0
@@ -123,7 +128,9 @@ class KeySolver(Eavesdropper):
         if isinstance(message, Sealed):
             self._sealed.setdefault(message.id, message)
             if len(self._sealed) > KEPT_SEALED:
-                del self._sealed[next(iter(self._sealed))]
+                oldest = next(iter(self._sealed))
+                del self._sealed[oldest]
+                self._texts.pop(oldest, None)
             return
         step = self._step(message.session, message.k)
         if isinstance(message, Offer):
@@ -137,7 +144,9 @@ class KeySolver(Eavesdropper):
                 self._step(message.session, message.applied_k).offer_taken = message.applied_copy
         if message.block >= 0:
             at = (message.session, message.block)
-            self._tags.setdefault(at, _Tags()).shown[type(message)] = message.tag
+            shown = self._tags.setdefault(at, _Tags()).shown
+            self._news += shown.get(type(message)) != message.tag
+            shown[type(message)] = message.tag
             if len(self._tags) > 2 * KEPT_BLOCKS:
                 del self._tags[next(iter(self._tags))]
 
@@ -195,11 +204,14 @@ class KeySolver(Eavesdropper):
         if rows < 2:
             return  # it makes no key
         missed = sum(nonce is None for nonce in nonces)
-        bits = 0
-        if missed < rows:
-            solved = _Solved(session, number, held(nonces, rows))
-            self._solved.append(solved)
-            bits = solved.held.bits
+        bits = bits_held(rows, missed)
+        if bits and self._claim.by_words and not missed:
+            keys = words(extract([nonce for nonce in nonces if nonce], rows, by_words=True))
+            found = Held(rows, 0, bits, np.eye(rows, dtype=np.uint16), keys)
+            self._solved.append(_Solved(session, number, found))
+        elif bits and not self._claim.by_words:  # by words the system is sixteen times as large
+            self._solved.append(_Solved(session, number, held(nonces, rows)))
+        self._news += bits > 0
         block = HeldBlock(
             session=session, number=number, counted=len(nonces), rows=rows, missed=missed, bits=bits
         )
@@ -213,7 +225,11 @@ class KeySolver(Eavesdropper):
     def belief(self) -> Belief:
         """What she holds of the keys, and what she reads of sealed messages."""
         rate = self._misses.judge(self._claim.eps_E)
-        read = tuple(self._read(message) for message in self._sealed.values())
+        for name, message in self._sealed.items():
+            news, text = self._texts.get(name, (-1, None))
+            if text is None or (news != self._news and text.known_bits < text.bits):
+                self._texts[name] = self._news, self._read(message)
+        read = tuple(self._texts[name][1] for name in self._sealed)
         return Belief(
             keys=KeysHeld(
                 blocks=self._blocks,

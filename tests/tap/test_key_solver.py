@@ -21,7 +21,6 @@ from tests.support.keyed_link import Side, World
 from tests.support.line_plant import line_rules
 
 CLAIM = Assumption(0.5)
-RULES = replace(line_rules(alpha=4.0, largest_input=1e9), schedule=schedule_of(CLAIM))
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
 TEXT = "The old mill, at nine, and bring the other half of the map with you, unfolded."
 """78 bytes and an odd one: three keys of pad."""
@@ -30,10 +29,11 @@ TEXT = "The old mill, at nine, and bring the other half of the map with you, unf
 class Recorded(World):
     """A world whose field messages are kept; some of them never arrive."""
 
-    def __init__(self, lose: Callable[[Message], bool] = lambda _: False) -> None:
+    def __init__(self, claim: Assumption, lose: Callable[[Message], bool]) -> None:
         self.field: list[FieldMessage] = []
         self._lose = lose
-        super().__init__(RULES, period_s=0.3)
+        rules = line_rules(alpha=4.0, largest_input=1e9)
+        super().__init__(replace(rules, schedule=schedule_of(claim)), period_s=0.3)
 
     def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
         if kind in (Measurement, Offer):
@@ -46,11 +46,13 @@ class Recorded(World):
 
 
 @cache
-def recorded(lossy: bool = False) -> tuple[list[FieldMessage], list[BlockRow], str]:
+def recorded(
+    lossy: bool = False, claim: Assumption = CLAIM
+) -> tuple[list[FieldMessage], list[BlockRow], str]:
     """Messages of some blocks and a sealed one, the controller's blocks, and the sealed text."""
     draw = random.Random(4)
-    world = Recorded(lambda _: lossy and draw.random() < 0.01)
-    while len(world.stores["controller"].blocks()) < 4:
+    world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
+    while world.stores["controller"].available() < 4:
         world.well(100)
     books = {side: SealedBook(world.stores[side]) for side in ("controller", "plant")}
     books["controller"].queue("m", TEXT.encode())
@@ -85,10 +87,15 @@ def without(messages: Iterable[FieldMessage], loss: float, seed: int) -> Iterato
             yield message
 
 
-@pytest.mark.parametrize("lossy", [False, True])
-def test_who_hears_all_holds_every_row_and_reads_what_is_sealed(lossy: bool) -> None:
-    messages, blocks, text = recorded(lossy)
-    keys = held_by(messages)
+@pytest.mark.parametrize(
+    ("lossy", "claim"),
+    [(False, CLAIM), (True, CLAIM), (False, Assumption(0.5, unheard_bits=128))],
+)
+def test_who_hears_all_holds_every_row_and_reads_what_is_sealed(
+    lossy: bool, claim: Assumption
+) -> None:
+    messages, blocks, text = recorded(lossy, claim)
+    keys = held_by(messages, KNOWLEDGE.model_copy(update={"keys": claim}))
     assert [(b.number, b.counted, b.rows, b.missed) for b in keys.newest] == [
         (b.number, b.counted, b.rows, 0) for b in blocks if b.rows >= 2
     ]

@@ -6,14 +6,23 @@ many rows is certain.
 
 from collections.abc import Callable, Iterator
 from random import Random
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
-from protocol.secret.bound import Assumption, GilbertElliott, quantile
+import numpy as np
+
+from protocol.secret.authentication import PRIME, tag
+from protocol.secret.bound import NONCE_BITS, Assumption, GilbertElliott, quantile
+from protocol.secret.extractor import WORDS, cauchy, extract
+from protocol.secret.galois import inverse, multiply
+from protocol.secret.keeper import PUBLIC_TAG_BYTES
+from protocol.secret.nonces import NONCE_BYTES
 from tap_service.inference.key_solver import bits_held
 
 SOURCES: Final = (
     "wyner/studies/keys.py",
+    "protocol/secret/authentication.py",
     "protocol/secret/bound.py",
+    "protocol/secret/extractor.py",
     "tap_service/inference/key_solver.py",
 )
 """Where the numbers of this module come from."""
@@ -28,18 +37,21 @@ CONTROL_COLUMNS: Final = ("control", "rule", "blocks", "breached", "worst_bits",
 
 
 class KeyRun(NamedTuple):
-    """A block's rows by the broken rule and by the right one, with what she missed under each."""
+    """Bits of a block that she holds, or made different at the ends: the rule broken, and kept."""
 
     broken: int
-    missed_broken: int
     kept: int
-    missed_kept: int
+
+    @classmethod
+    def of(cls, broken: int, missed_broken: int, kept: int, missed_kept: int) -> Self:
+        """From the rows by either rule, and what she missed under it."""
+        return cls(bits_held(broken, missed_broken), bits_held(kept, missed_kept))
 
 
 def one_row_more(random: Random) -> KeyRun:
     """A row more than she missed of the counted copies."""
     missed = sum(random.random() < 0.3 for _ in range(COPIES))
-    return KeyRun(missed + 1, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
+    return KeyRun.of(missed + 1, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
 
 
 def same_nonce(random: Random) -> KeyRun:
@@ -55,7 +67,7 @@ def same_nonce(random: Random) -> KeyRun:
         first_missed += first and misses[0]
     rows = CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES)
     kept = CLAIM.rows(TRANSITIONS, TRANSITIONS, first_counted)
-    return KeyRun(rows, missed, kept, first_missed)
+    return KeyRun.of(rows, missed, kept, first_missed)
 
 
 def jammer(random: Random) -> KeyRun:
@@ -65,14 +77,14 @@ def jammer(random: Random) -> KeyRun:
         sent += 1
         counted += random.random() >= 0.3
     kept = quantile(COPIES, 0.3, EPS) - (sent - counted)
-    return KeyRun(quantile(counted, 0.3, EPS), 0, max(0, kept), 0)
+    return KeyRun.of(quantile(counted, 0.3, EPS), 0, max(0, kept), 0)
 
 
 def high_claim(random: Random) -> KeyRun:
     """Half of the copies claimed, three of ten missed."""
     missed = sum(random.random() < 0.3 for _ in range(COPIES))
     broken = Assumption(0.5).rows(TRANSITIONS, TRANSITIONS, COPIES)
-    return KeyRun(broken, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
+    return KeyRun.of(broken, missed, CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed)
 
 
 def bursts(random: Random) -> KeyRun:
@@ -84,7 +96,38 @@ def bursts(random: Random) -> KeyRun:
         bad = random.random() >= channel.to_good if bad else random.random() < channel.to_bad
         missed += bad
     kept = Assumption(channel.eps_inf).rows(TRANSITIONS, TRANSITIONS, COPIES)
-    return KeyRun(CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed, kept, missed)
+    return KeyRun.of(CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES), missed, kept, missed)
+
+
+def half_heard(random: Random) -> KeyRun:
+    """She hears the first half of each message that she misses, claimed as missed as a whole."""
+    missed = sum(random.random() < 0.3 for _ in range(COPIES))
+    half = NONCE_BITS // 2
+    broken = CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES)
+    kept = Assumption(0.3, unheard_bits=half).rows(TRANSITIONS, TRANSITIONS, COPIES)
+    # of half of the words she heard all; by words she lacks half of what she missed
+    unheard = missed * WORDS // 2
+    return KeyRun(half * broken, NONCE_BITS // WORDS * max(0, WORDS * kept - unheard))
+
+
+def forged(random: Random) -> KeyRun:
+    """She changes two nonces on their way to one end, so that row 0 stays as it is."""
+    rows = CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES)
+    nonces = [random.randbytes(NONCE_BYTES) for _ in range(COPIES)]
+    theirs = list(nonces)
+    i, j = random.sample(range(COPIES), 2)
+    change = np.array(random.randrange(1, 1 << 16), np.uint16)
+    row_0 = cauchy(1, COPIES)[0]
+    other = multiply(multiply(row_0[i], change), inverse(row_0[j]))
+    for place, word in ((i, change), (j, other)):
+        first = int.from_bytes(nonces[place][:2]) ^ int(word)
+        theirs[place] = first.to_bytes(2) + nonces[place][2:]
+    one, two = extract(nonces, rows), extract(theirs, rows)
+    differ = NONCE_BITS * sum(a != b for a, b in zip(one[1:], two[1:], strict=True))
+    point, pad = random.randrange(PRIME), random.randrange(PRIME)
+    unseen = one[0][:PUBLIC_TAG_BYTES] == two[0][:PUBLIC_TAG_BYTES]
+    signed = tag(point, pad, b"".join(nonces)) == tag(point, pad, b"".join(theirs))
+    return KeyRun(differ * unseen, differ * signed)
 
 
 CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
@@ -93,6 +136,8 @@ CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
     "Q without L, jammer": jammer,
     "0.5 claimed, 0.3 true": high_claim,
     "bursts as independent": bursts,
+    "half heard as missed": half_heard,
+    "forger, public tag": forged,
 }
 
 
@@ -101,8 +146,8 @@ def control_rows() -> Iterator[tuple[str, str, int, int, int, int]]:
     for control, draw in CONTROLS.items():
         outcomes = [draw(Random(f"{control} {seed}")) for seed in range(BLOCKS)]
         for rule, held in (
-            ("broken", [bits_held(o.broken, o.missed_broken) for o in outcomes]),
-            ("kept", [bits_held(o.kept, o.missed_kept) for o in outcomes]),
+            ("broken", [o.broken for o in outcomes]),
+            ("kept", [o.kept for o in outcomes]),
         ):
             breached = sum(bits > 0 for bits in held)
             yield control, rule, BLOCKS, breached, max(held), BLOCKS - 1

@@ -37,7 +37,7 @@ FIGURES: Final[dict[str, Kind]] = {
     "signalling-rates": Kind(signalling.draw_rates, ("signalling-rates", "fig7-paper"), (7.4, 4.6)),
     "signalling-price": Kind(signalling.draw_price, ("signalling-price",), (8.0, 3.8)),
     "two-step": Kind(signalling.draw_codes, ("two-step",), (6.4, 3.8)),
-    "key-controls": Kind(keys.draw_controls, ("key-controls",), (7.4, 3.8)),
+    "key-controls": Kind(keys.draw_controls, ("key-controls",), (7.4, 4.6)),
 }
 """The figures, in the order of docs/experiments.md, docs/secrecy.md, docs/signalling.md
 and docs/keys.md."""

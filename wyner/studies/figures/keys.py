@@ -38,7 +38,9 @@ def draw_controls(figure: Figure, data: Path) -> str:
     axes.set_yticks(range(len(controls)), controls)
     axes.invert_yaxis()
     axes.set_xlim(-0.05, 1.05)
-    axes.set_xlabel("share of blocks of which she holds a bit; beside it, the most that she holds")
+    axes.set_xlabel(
+        "share of blocks that she breaks; beside it, the most bits that she holds, or made differ"
+    )
     axes.legend(loc="center", fontsize=7)
     blocks, last = rows[0]["blocks"], rows[0]["last_seed"]
     return f"{blocks} blocks each, one in each of {blocks} runs, seeds 0 to {last}; 95 % intervals"
