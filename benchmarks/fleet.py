@@ -18,13 +18,15 @@ from typing import Any, Final
 from benchmarks.loop import EAVESDROPPERS, ServiceProcess
 from protocol.messages import LATENCY_BOUNDS_S
 from protocol.runtime.process import Failure
-from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
+from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE, write_atomically
 from protocol.runtime.zenoh_bus import free_endpoints
 
 SETTLE_S: Final = 3.0
 """From when every loop has moved to the beginning of the window."""
 
 PATIENCE_S: Final = 60.0
+MESSAGE: Final = "The quick brown fox jumps over the lazy dog."
+
 MISSED_TARGET: Final = 0
 P99_TARGET_MS: Final = 10.0
 MEMORY_TARGET_MIB: Final = 400.0
@@ -33,17 +35,25 @@ _SEEN = re.compile(rb'"topic":"(measurement|offer)".{0,80}?"k":(\d+)', re.DOTALL
 _MISSED = re.compile(rb'"event":"missed"[^}\n]{0,80}?"k":(\d+)')
 
 
+def write_fleet(folder: Path, loops: int, scenario: str) -> Path:
+    """Write the file of a fleet of so many loops of one scenario, anew."""
+    path = folder / "fleet.toml"
+    tables = (
+        f'[[loop]]\nid = "loop-{number:04d}"\nscenario = "{scenario}"\nmessage = "{MESSAGE}"\n'
+        for number in range(loops)
+    )
+    write_atomically(path, "\n".join(tables).encode())
+    return path
+
+
 @contextmanager
-def hosts(
-    folder: Path, loops: int, scenario: str, pace: str, router: bool
-) -> Iterator[dict[str, ServiceProcess]]:
-    """The three hosts, and a router between them where one is asked for."""
+def hosts(fleet: Path, pace: str, *, router: bool = False) -> Iterator[dict[str, ServiceProcess]]:
+    """The three hosts of a fleet's file, beside it, and a router where one is asked for."""
     plant, controller, plant_ops, controller_ops, intel, relay = free_endpoints(6)
-    common = [f"--scenario={scenario}", f"--run-dir={folder}", f"--loops={loops}"]
+    common = [f"--fleet={fleet}", f"--run-dir={fleet.parent}"]
     clients = [f"--connect=field={relay}", "--client=field"]
     commands = {
         "controller": [
-            *("--message=The quick brown fox jumps over the lazy dog.",),
             *(clients if router else (f"--listen=field={controller}", f"--connect=field={plant}")),
             *(f"--listen=ops={controller_ops}", f"--connect=ops={plant_ops}"),
         ],
@@ -71,7 +81,8 @@ def hosts(
         yield services
 
 
-def _statuses(folder: Path) -> list[dict[str, Any]]:
+def statuses_in(folder: Path) -> list[dict[str, Any]]:
+    """What the plants said last."""
     found = []
     for path in folder.glob(f"*/{PLANT_STATUS}"):
         try:
@@ -97,12 +108,12 @@ def quantile_ms(counts: list[int], part: float) -> float:
     return float("inf")
 
 
-def _lost(folder: Path) -> tuple[int, int]:
+def lost(folder: Path) -> tuple[int, int]:
     """Messages that the taps should have, each once, and how many of them they lack.
 
     A missed step's offer may never have been made, so nobody has to have it.
     """
-    expected = lost = 0
+    expected = lacking = 0
     for loop in folder.glob("*/tap"):
         seen: dict[bytes, set[int]] = {b"measurement": set(), b"offer": set()}
         for part in loop.glob("capture*"):
@@ -114,8 +125,8 @@ def _lost(folder: Path) -> tuple[int, int]:
                 due = set(range(min(steps), max(steps) + 1))
                 due -= missed if topic == b"offer" else set()
                 expected += len(due)
-                lost += len(due - steps)
-    return expected, lost
+                lacking += len(due - steps)
+    return expected, lacking
 
 
 def measure(
@@ -139,7 +150,7 @@ def measure(
     router : bool
         Field messages go through a router.
     progress : callable, optional
-        Told in a line what is under way.
+        ToldKnowledge in a line what is under way.
 
     Returns
     -------
@@ -157,11 +168,11 @@ def measure(
     say = progress or (lambda _line: None)
     with tempfile.TemporaryDirectory(prefix="wyner-fleet-") as name:
         folder = Path(name)
-        with hosts(folder, loops, scenario, pace, router) as services:
-            _wait_until_all_run(folder, loops, services)
+        with hosts(write_fleet(folder, loops, scenario), pace, router=router) as services:
+            wait_until_all_run(folder, loops, services)
             say(f"{loops} loops run")
             time.sleep(SETTLE_S)
-            before = _sums(_statuses(folder))
+            before = _sums(statuses_in(folder))
             cpu = {name: _cpu_s(service) for name, service in services.items()}
             began = time.monotonic()
             time.sleep(seconds)
@@ -171,8 +182,8 @@ def measure(
             taken = time.monotonic() - began
             cores = {name: (_cpu_s(s) - cpu[name]) / taken for name, s in services.items()}
             memory = {name: service.rss_mib() for name, service in services.items()}
-            after = _sums(_statuses(folder))
-        expected, lost = _lost(folder)
+            after = _sums(statuses_in(folder))
+        expected, lacking = lost(folder)
     steps = after["k"] - before["k"]
     counts = [b - a for a, b in zip(before["counts"], after["counts"], strict=True)]
     return {
@@ -185,7 +196,7 @@ def measure(
         "cores": cores,
         "cpu_us_per_step": sum(cores.values()) * taken / max(steps, 1) * 1e6,
         "tap_expected": expected,
-        "tap_lost": lost,
+        "tap_lost": lacking,
         "loops": loops,
         "running": after["running"],
         "seconds": seconds,
@@ -193,10 +204,17 @@ def measure(
     }
 
 
-def _wait_until_all_run(folder: Path, loops: int, services: Mapping[str, ServiceProcess]) -> None:
+def wait_until_all_run(folder: Path, loops: int, services: Mapping[str, ServiceProcess]) -> None:
+    """Wait until every loop has moved.
+
+    Raises
+    ------
+    Failure
+        When a host has ended, or it takes too long.
+    """
     until = time.monotonic() + PATIENCE_S
     while True:
-        running = sum(status["transitions"] > 0 for status in _statuses(folder))
+        running = sum(status["transitions"] > 0 for status in statuses_in(folder))
         if running == loops:
             return
         for service in services.values():

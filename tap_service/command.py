@@ -183,7 +183,7 @@ def told_by(path: str) -> ToldKnowledge:
 
 def run_told(
     args: argparse.Namespace,
-    told: ToldKnowledge,
+    told: ToldKnowledge | None,
     told_of: "Callable[[FleetLoop], ToldKnowledge] | None" = None,
 ) -> int:
     """Run the service with what it was told, until it is told to stop.
@@ -214,7 +214,8 @@ def run_told(
     field, intel = endpoints_of(args, "tap", "field"), endpoints_of(args, "tap", "intel")
     fleet = fleet_of(args)
 
-    def config_of(told: ToldKnowledge, loop: str, folder: Path) -> TapConfig:
+    def config_of(told: ToldKnowledge | None, loop: str, folder: Path) -> TapConfig:
+        assert told is not None, "a fleet's taps are told by loop"
         names = names_of(args.eavesdropper)
         names, where = (names, "") if names else (told.names, told.where)
         view = view_of(args, told.view)

@@ -1,10 +1,11 @@
 """The benchmarks in real time: the shape and the arithmetic of their results, never their speed."""
 
 import math
+from pathlib import Path
 
 import pytest
 
-from benchmarks import fleet, pace
+from benchmarks import fleet, overload, pace
 from protocol.messages import LATENCY_BOUNDS_S
 from wyner.cli.main import main
 
@@ -51,3 +52,25 @@ def test_a_pace_is_measured() -> None:
     assert (result["highest_hz"] == 100) == (result["tried"][-1]["missed"] == 0)
     assert [row["rate_hz"] for row in result["latencies"]] == [50]
     assert "Hz" in pace.render(result)
+
+
+@pytest.mark.integration
+def test_a_small_overload_is_measured() -> None:
+    result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)
+    assert result["made"] + result["missed"] == result["asked"]
+    assert result["least"] <= result["median"] <= result["most"]
+    assert 10 * result["least"] <= result["made"] <= 10 * result["most"]
+    assert result["stay"] == 1
+    assert 0 <= result["missed_after"] <= result["steps_after"]
+    assert "9 loops left" in overload.render(result)
+
+
+def test_what_the_taps_lack_is_no_offer_of_a_missed_step(tmp_path: Path) -> None:
+    loop = tmp_path / "loop-0000"
+    (loop / "tap").mkdir(parents=True)
+    (loop / "plant").mkdir()
+    seen = [("measurement", k) for k in (3, 4, 5, 6)] + [("offer", 3), ("offer", 6)]
+    lines = (f'{{"event":"field","topic":"{topic}","message":{{"k":{k}}}}}\n' for topic, k in seen)
+    (loop / "tap" / "capture.jsonl").write_text("".join(lines))
+    (loop / "plant" / "trace.jsonl").write_text('{"event":"missed","session":"s","k":4,"x":[]}\n')
+    assert fleet.lost(tmp_path) == (7, 1)

@@ -25,6 +25,7 @@ BENCHMARKS: Final = {
     "keys": Benchmark("benchmarks.keys", "the live loop without and with keys"),
     "pace": Benchmark("benchmarks.pace", "the highest rate that misses nothing"),
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
+    "overload": Benchmark("benchmarks.overload", "too many loops, and what comes after"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
     "qp": Benchmark("benchmarks.qp", "one step's programs, by solver"),

@@ -2,6 +2,7 @@
 
 import argparse
 
+from protocol.runtime.process import UsageError
 from tap_service.command import ToldKnowledge, add_options, run_told, told_by
 
 
@@ -10,7 +11,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser(
         "tap", help="run the tap service with its eavesdroppers", description=__doc__
     )
-    source = parser.add_mutually_exclusive_group(required=True)
+    source = parser.add_mutually_exclusive_group()
     source.add_argument("--scenario", metavar="S", help="derive what the tap knows from a scenario")
     source.add_argument("--knowledge", metavar="FILE", help="what the tap knows, as JSON")
     add_options(parser)
@@ -19,8 +20,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
-    if args.scenario is None:
+    if args.knowledge is not None:
         return run_told(args, told_by(args.knowledge))
+    if args.scenario is None and args.fleet is None:
+        raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
     from protocol.scenario.files import scenario_of
 
     def told_of(name: str) -> ToldKnowledge:
@@ -33,4 +36,5 @@ def run(args: argparse.Namespace) -> int:
             where=f"{name}: tap.eavesdroppers: ",
         )
 
-    return run_told(args, told_of(args.scenario), lambda loop: told_of(loop.scenario))
+    told = None if args.scenario is None else told_of(args.scenario)
+    return run_told(args, told, lambda loop: told_of(loop.scenario))
