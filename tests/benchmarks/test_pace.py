@@ -49,7 +49,8 @@ def test_a_small_fleet_is_measured() -> None:
 def test_a_pace_is_measured() -> None:
     result = pace.measure(steps=50, rates=(100,), shown={50: 20})
     assert result["highest_hz"] in (0, 100)
-    assert (result["highest_hz"] == 100) == (result["tried"][-1]["missed"] == 0)
+    held = [row for row in result["tried"] if row["missed"] == 0]  # none on a busy machine
+    assert (result["highest_hz"] == 100) == bool(held)
     assert [row["rate_hz"] for row in result["latencies"]] == [50]
     assert "Hz" in pace.render(result)
 
