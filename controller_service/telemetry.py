@@ -71,7 +71,6 @@ class ControllerTelemetry:
             agreements=record.agreements,
             garbage=garbage,
             automaton=record.s,
-            sent_symbols=record.p,
             sending="" if payload is None else readable(payload),
             frame_symbols=length if idle else record.offset,
             frame_length=length,

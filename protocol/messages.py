@@ -298,7 +298,6 @@ class ControllerStatus(Message):
     agreements: Count
     garbage: Count
     automaton: Count
-    sent_symbols: Count
     sending: str = ""
     frame_symbols: Count
     frame_length: Count
@@ -357,7 +356,6 @@ class TapStatus(Message):
     behind: Count
     garbage: Count
     message: str
-    whole_messages: Count
     confidence: float
     candidates_left: Count
     solved_k: Annotated[int, Field(ge=-1)]

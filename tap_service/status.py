@@ -208,7 +208,6 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         message=f"stopped: {listener.failed}"
         if listener.failed
         else readable(belief.message)[:SHOWN_TEXT],
-        whole_messages=belief.whole_count,
         confidence=belief.confidence,
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,

@@ -16,7 +16,7 @@ from wyner.dashboard.fleet import HEADER, SILENT_S, FleetTable, watch
 
 TAP = TapStatus(
     seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, capture_bytes=1, dropped=0,
-    behind=0, garbage=0, message="hi", whole_messages=1, confidence=0.97, candidates_left=0,
+    behind=0, garbage=0, message="hi", confidence=0.97, candidates_left=0,
     solved_k=5,
 )  # fmt: skip
 
