@@ -1,6 +1,7 @@
 """The clauses of keys one by one: what they count, what they find, and how they say it."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -16,7 +17,7 @@ from wyner.verify import key_blocks
 from wyner.verify.capture import Seen
 from wyner.verify.clause import Judging, Place, Tally
 from wyner.verify.evidence import Evidence, Pair, Part
-from wyner.verify.records import BlockStoredLine, Item, Told, TracedTransition, Walked
+from wyner.verify.records import BlockStoredLine, Item, SessionLine, Told, TracedTransition, Walked
 
 A, B = "a" * 16, "b" * 16
 SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
@@ -45,13 +46,15 @@ def evidence(
 
 
 def judge(clause: Judge, e: Evidence, *parts: Part) -> Tally:
+    """A clause that has begun to look goes on until there are no more parts."""
     tally = Tally()
     judging = clause(e, tally)
-    for part in (None, *parts, None):
-        try:
-            judging.send(part)
-        except StopIteration:
-            break
+    if next(judging, "over") == "over":
+        return tally
+    for part in parts:
+        judging.send(part)
+    with suppress(StopIteration):
+        judging.send(None)
     return tally
 
 
@@ -358,6 +361,12 @@ def test_stores_that_are_not_there_or_not_stores(tmp_path: Path) -> None:
 
 
 # --- where no key is claimed ----------------------------------------------------------------------
+
+
+def test_other_lines_are_passed_over() -> None:
+    other = Told(SessionLine("session", A, "met"), b"")
+    items: list[Item] = [other, walked(0, 3), *block_items(0, rows(0) - 1), other]
+    assert judge(key_blocks.blocks, evidence(), Part(items, items, [], [])).failures == 0
 
 
 def test_where_nothing_is_claimed_nothing_is_counted() -> None:

@@ -146,6 +146,18 @@ def far(x: list[float]) -> list[float]:
     return [*x[:-1], x[-1] + 0.5]
 
 
+def twice(lines: Lines) -> int:
+    """Where a transition stands that was written before."""
+    known: set[object] = set()
+    for i, line in enumerate(lines):
+        if line["event"] == "transition":
+            at = (line["session"], line["j"])
+            if at in known:
+                return i
+            known.add(at)
+    raise AssertionError("none was written again")
+
+
 AGREED = {"role": "test", "s": 2}
 CARRIES = {"role": "message"}
 SENT = {"event": "sent", "id": "m7", "payload": text_of(b"c")}
@@ -195,6 +207,9 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     ),
     "u no candidate": ((PLANT, put("transition", 60, u=[0.1])),),
     "a wrong fallback": ((PLANT, put("missed", 1, u=[0.1])),),
+    "the last input stands where zero is agreed": (
+        (PLANT, lambda ls: nth(ls, "missed", 1).update(u=nth(ls, "transition", -11)["u"])),
+    ),
     "a missed step out of reach": ((PLANT, put("missed", 1, x_next=far)),),
     "a candidate beyond U": tuple(
         (p, put("transition", 60, candidates=lambda c: [c[0], [9.0]])) for p in (PLANT, CONTROLLER)
@@ -247,12 +262,16 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     ),
     # written twice, after a kill
     "written again otherwise": ((PLANT, put("transition", 21, cipher=flip, p=up)),),
+    "written again, and again without a restart": (
+        (PLANT, lambda ls: ls.insert(twice(ls), copy.deepcopy(ls[twice(ls)]))),
+    ),
     # the capture
     "a cipher changed": ((CAPTURE, put("offer", 60, cipher=flip)),),
     "a cipher of an offer that was lost changed": ((CAPTURE, put("offer", 9, cipher=flip)),),
     "a cipher that is none": ((CAPTURE, put("offer", 60, cipher="1")),),
     "other candidates": ((CAPTURE, put("offer", 60, candidates=[[0.0], [1.0]])),),
     "another x": ((CAPTURE, put("measurement", 60, x=far)),),
+    "another x, after the last step": ((CAPTURE, put("measurement", -1, x=far)),),
     "another state after": ((CAPTURE, put("measurement", 60, x_after=far)),),
     "another step applied": ((CAPTURE, put("measurement", 60, applied_k=0)),),
     "a step beyond": ((CAPTURE, put("measurement", 60, k=100_000)),),
@@ -391,7 +410,13 @@ FOLDERS: dict[str, Change] = {
     "a last line without its end": lambda folder, _run: (folder / PLANT).write_bytes(
         (folder / PLANT).read_bytes()[:-9]
     ),
+    "no header, and another scenario at the other side": edited(
+        ((PLANT, lambda ls: ls.__delitem__(0)), (CONTROLLER, put("header", scenario="paper")))
+    ),
     "marked": edited(()),
+    "marked, and torn before the end": lambda folder, _run: (folder / PLANT).write_bytes(
+        (folder / PLANT).read_bytes().replace(b'\n{"event":"end"', b'\n{"a\n{"event":"end"')
+    ),
     "marked, and a capture's number changed": edited(EDITS["another x"]),
     "marked, and an empty line more": lambda folder, _run: (folder / PLANT).write_bytes(
         (folder / PLANT).read_bytes() + b"\n"
