@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS, PLANT_STATUS
-from tests.campaigns.kills import children
+from tests.system.test_integration import children_of
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
 
@@ -44,7 +44,7 @@ def pads_left(store: Path) -> dict[str, int]:
 def look(pid: int, run_dir: Path, begun_s: float) -> dict[str, Any] | None:
     """Memory, pads and steps at this moment; None while the services start or end."""
     try:
-        memory = {name: rss_mib(child) for name, child in children(pid).items()}
+        memory = {name: rss_mib(child) for name, child in children_of(pid).items()}
         left = [pads_left(run_dir / path) for path in (CONTROLLER_KEYS, PLANT_KEYS)]
         status = json.loads((run_dir / PLANT_STATUS).read_bytes())
     except (OSError, ValueError, sqlite3.Error, StopIteration):
