@@ -113,6 +113,10 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).schedules
 	$(CAMPAIGN).fuzz
 	$(CAMPAIGN).kills
+	$(CAMPAIGN).kills --jumps
+	$(CAMPAIGN).calls
+	$(CAMPAIGN).spoiled
+	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	WYNER_MUTANTS=all $(BIN)/pytest tests/verify/test_mutants.py
 
 bench: $(STAMPS)/dev

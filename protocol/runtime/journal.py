@@ -141,7 +141,7 @@ class _Journal:
             db.execute(table)
         db.execute("COMMIT")
         if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-            raise sqlite3.DatabaseError(wrong)
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
         try:
             return bytes.fromhex(found["tag"])
         except ValueError:

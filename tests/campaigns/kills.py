@@ -4,6 +4,8 @@ Each run is a whole loop of processes: controller, plant, tap, two key servers, 
 run a router. Any of them is killed at random instants and started again, or frozen for up to six
 seconds, while others are killed. Messages are handed over and keys fetched meanwhile. At the end
 every message must be there once, no key may have been given out twice, and `wyner check` must pass.
+With ``--jumps`` the wall clock of all of them is set by hours again and again, both ways (needs
+a C compiler): nothing may depend on it.
 """
 
 import argparse
@@ -24,7 +26,15 @@ from typing import Any, Final
 from protocol.runtime.run_folder import PLANT_TRACE, write_atomically
 from protocol.runtime.trace import TraceReader
 from protocol.secret.records import StoreError
-from tests.campaigns.live import LiveLoop, Process, all_done, keep_failed, plain_text, wait_for
+from tests.campaigns.live import (
+    LiveLoop,
+    Process,
+    all_done,
+    keep_failed,
+    plain_text,
+    preloaded,
+    wait_for,
+)
 from wyner.studies.grid import code_version
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
@@ -35,6 +45,7 @@ AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""
 
 SERVICES: Final = ("controller", "plant", "tap", "router", "kme-controller", "kme-plant")
+LARGEST_JUMP_S: Final = 48 * 3600
 PACES: Final = ("fast", "x100", "x20")
 
 
@@ -80,6 +91,7 @@ class Reaper:
 
     def __init__(self, loop: LiveLoop, draw: random.Random) -> None:
         self.loop, self.draw = loop, draw
+        self.clock = os.environ.get("WYNER_CLOCK")
         self.counts: Counter[str] = Counter()
         self._thaw: dict[str, float] = {}
         self._back: dict[str, float] = {}
@@ -87,6 +99,11 @@ class Reaper:
     def strike(self) -> None:
         """One more blow, and whatever is due of the earlier ones."""
         draw, now = self.draw, time.monotonic()
+        if self.clock is not None and draw.random() < 0.3:
+            off_s = draw.randint(-LARGEST_JUMP_S, LARGEST_JUMP_S)
+            with Path(self.clock).open("r+b") as clock:
+                clock.write(off_s.to_bytes(8, "little", signed=True))
+            self.counts["clock jumps"] += 1
         name = draw.choice(sorted(self.loop.processes))
         process = self.loop.processes[name]
         if process.alive():
@@ -143,7 +160,7 @@ def one_run(seed: int, folder: Path, kills: int) -> tuple[Counter[str], list[str
         reaper.mend(all_of_it=True)
         if not wait_for(lambda: all_done(operators), AT_LAST_S):
             wrong.append("an operator has no answer")
-        well = time.time()
+        well = loop.mark()
         if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
             wrong.append(f"{loop.delivered(well)} messages arrive although all is well")
         time.sleep(0.5)
@@ -188,9 +205,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--seed", type=int, help="this run alone, kept in --folder")
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--results", type=Path, default=Path("campaign-kills.json"))
+    parser.add_argument("--jumps", action="store_true", help="set the wall clock again and again")
+    parser.add_argument("--results", type=Path, help="default: campaign-kills.json")
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    name = "campaign-jumps.json" if args.jumps else "campaign-kills.json"
+    args.results = args.results or Path(name)
+    if args.jumps:
+        clock = Path(tempfile.mkdtemp()) / "clock"
+        clock.write_bytes(bytes(8))
+        preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_CLOCK=str(clock))
     if args.seed is not None:
         args.folder.mkdir()
         counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN)

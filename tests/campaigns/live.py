@@ -10,7 +10,9 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -35,6 +37,8 @@ PRELOADED: Final = (
 PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2): a service dies with the campaign."""
 
+SOURCE: Final = Path(__file__).with_name("hostile.c")
+
 TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 """The capture is what counts here."""
 
@@ -42,7 +46,7 @@ TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 def fork(argv: Sequence[str], log: Path, death: str = "") -> int:
     """Run ``wyner ARGV`` in a process of its own, in a session of its own; its id.
 
-    ``death`` is for deadly.c, where it is preloaded.
+    ``death`` is for hostile.c, where it is preloaded.
     """
     pid = os.fork()
     if pid:
@@ -227,8 +231,14 @@ class LiveLoop:
         operator.start()
         return operator
 
+    def mark(self) -> float:
+        """Now, as the time stamps of files have it."""
+        marker = self.folder / "now"
+        marker.write_bytes(b"")
+        return marker.stat().st_mtime
+
     def delivered(self, since_s: float) -> int:
-        """Messages that have arrived, as the controller said after a wall time; else -1."""
+        """Messages that have arrived, as the controller said after a mark; else -1."""
         path = self.run_dir / CONTROLLER_STATUS
         with suppress(OSError, ValueError, KeyError):
             if path.stat().st_mtime > since_s:
@@ -254,6 +264,17 @@ class LiveLoop:
         log = self.processes[name].log
         lines = log.read_text(errors="replace").splitlines() if log.exists() else []
         return lines[-1] if lines else ""
+
+
+def preloaded(module: str, argv: Sequence[str], **more: str) -> None:
+    """Go on in a process that has hostile.c preloaded, as all whom it forks; return once it has."""
+    if os.environ.get("LD_PRELOAD", "").endswith("hostile.so"):
+        return
+    library = Path(tempfile.mkdtemp()) / "hostile.so"
+    command = ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl"]
+    subprocess.run(command, check=True)
+    environment = {**os.environ, "LD_PRELOAD": str(library), "OPENBLAS_NUM_THREADS": "1", **more}
+    os.execve(sys.executable, [sys.executable, "-m", module, *argv], environment)
 
 
 def keep_failed(folder: Path, results: Path, name: str) -> None:

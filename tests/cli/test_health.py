@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import socket
 import threading
 import time
@@ -120,7 +119,7 @@ def test_a_tap_that_is_frozen_is_not_healthy(
     old = time.time() - 60
     os.utime(folder / "beliefs.json", (old, old))
     assert health(tmp_path, "tap") == 1
-    assert re.search(r"last report 6\d\.\d s ago", capsys.readouterr().err)
+    assert "last report 60.0 s ago" in capsys.readouterr().err
 
 
 def test_a_router_is_healthy_when_it_takes_a_connection(

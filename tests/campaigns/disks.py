@@ -1,0 +1,170 @@
+"""A full and a read-only disk for each service: ``python -m tests.campaigns.disks``. Needs root.
+
+The folder of one service is a disk of its own (tmpfs), too small for the run or made read-only in
+the middle of it. The service must end with one line that names a file and with exit code 1 or 2,
+at once when it is started again, and without a word of its own as soon as there is room: the run
+goes on, every message arrives once, no key is given out twice, and `wyner check` passes.
+"""
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Final
+
+from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.kills import AT_LAST_S, Customer, judged
+from tests.campaigns.live import LiveLoop, all_done, keep_failed, plain_text, wait_for
+from wyner.studies.grid import code_version
+
+SMALL_KB: Final = (0, 40, 100, 200, 400, 1000)
+"""What a disk that is found too small has room for, besides what is there."""
+
+SERVICES: Final = ("controller", "plant", "tap", "kme-controller", "kme-plant")
+KINDS: Final = ("full", "read-only")
+NOTICED_S: Final = 6.0
+
+
+def mount(*options: str) -> None:
+    """mount(8)."""
+    subprocess.run(["mount", *options], check=True)
+
+
+class Disk:
+    """A file system of its own below a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(mode=0o700)
+        mount("-t", "tmpfs", "-o", "size=64m,mode=0700", "tmpfs", str(folder))
+
+    def fill(self, left_kb: int) -> None:
+        """Leave room for so much."""
+        with (self.folder / "ballast").open("wb") as ballast:
+            room = os.statvfs(self.folder)
+            size = room.f_bavail * room.f_frsize - left_kb * 1024
+            while size > 0:
+                try:
+                    os.posix_fallocate(ballast.fileno(), 0, size)
+                except OSError:  # the services wrote meanwhile
+                    size -= 1 << 16
+                else:
+                    return
+
+    def read_only(self) -> None:
+        """Let nothing be written any more."""
+        mount("-o", "remount,ro", str(self.folder))
+
+    def mend(self) -> None:
+        """All is well again."""
+        mount("-o", "remount,rw", str(self.folder))
+        (self.folder / "ballast").unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Unmount it."""
+        subprocess.run(["umount", "-l", str(self.folder)], check=True)
+
+
+def one_run(service: str, kind: str, left_kb: int, folder: Path) -> tuple[Counter[str], list[str]]:
+    """Fill, or make read-only; what came of it, and what was wrong."""
+    draw = random.Random(left_kb)
+    expected = [plain_text(draw, 100)]
+    loop = LiveLoop(folder, expected[0].encode(), pace="x20")
+    disk = Disk(loop.run_dir / service.removeprefix("kme-"))
+    customer = Customer(loop)
+    victim = loop.processes[service]
+    counts: Counter[str] = Counter()
+    wrong: list[str] = []
+    operators = []
+    loop.start()
+    customer.start()
+    try:
+        time.sleep(1.0)
+        there = service.removeprefix("kme-")
+        sharing = [p for n, p in loop.processes.items() if n.removeprefix("kme-") == there]
+        before = len(victim.log.read_text(errors="replace").splitlines())
+        if kind == "full":
+            disk.fill(left_kb)
+        else:
+            for process in sharing:  # a disk with files open for writing cannot become read-only
+                process.kill()
+            disk.read_only()
+            for process in sharing:
+                process.start()
+        ended = wait_for(lambda: not victim.alive(), NOTICED_S)
+        counts["ended" if ended else "went on"] += 1
+        if ended:
+            said = victim.log.read_text(errors="replace").splitlines()[before:]
+            errors = [line for line in said if line.startswith("wyner: ")]
+            counts[f"{service}, {kind}: {errors[-1:] or said[-1:]}".replace(str(folder), "")] += 1
+            if len(errors) != 1 or victim.ended[-1] not in (1, 2) or "Traceback" in str(said):
+                wrong.append(f"{service}: code {victim.ended[-1]}, said {said[-5:]}")
+            victim.start()
+            wait_for(lambda: not victim.alive(), NOTICED_S)
+        expected.append(plain_text(draw, 12))
+        operators.append(loop.send("second", expected[-1]))
+        time.sleep(0.5)
+        disk.mend()
+        loop.start()
+        if not wait_for(lambda: all_done(operators), AT_LAST_S):
+            wrong.append("an operator has no answer")
+        well = loop.mark()
+        if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
+            wrong.append(f"{loop.delivered(well)} messages arrive although there is room")
+        loop.start()
+        time.sleep(0.5)
+    finally:
+        customer.over.set()
+        customer.join(30)
+        wrong += loop.stop()
+        for operator in operators:
+            operator.kill()
+        if wrong:
+            keep_failed(folder, Path("campaign-disks.json"), f"{service}-{kind}-{left_kb}")
+        wrong += customer.judged()
+        wrong += judged(loop.run_dir, expected, counts)
+        disk.remove()
+    return counts, wrong
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Service after service; 1 when something was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=Path, default=Path("campaign-disks.json"))
+    parser.add_argument("--service", choices=SERVICES)
+    args = parser.parse_args(argv)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if os.geteuid() != 0:
+        print("disks: needs root, to mount", file=sys.stderr)
+        return 2
+    every = [
+        (service, kind, kb)
+        for service in SERVICES
+        for kind in KINDS
+        for kb in (SMALL_KB if kind == "full" else (0,))
+        if args.service in (None, service)
+    ]
+    done = json.loads(args.results.read_text()) if args.results.exists() else {}
+    if done.get("version") != code_version():
+        done = {"version": code_version(), "tried": 0, "counts": {}, "wrong": []}
+    for one in every[done["tried"] :]:
+        with tempfile.TemporaryDirectory() as folder:
+            counts, wrong = one_run(*one, Path(folder))
+        done["tried"] += 1
+        done["counts"] = dict(Counter(done["counts"]) + counts)
+        if wrong:
+            done["wrong"].append([*one, *wrong])
+            print(f"{one}: {wrong}")
+        write_atomically(args.results, json.dumps(done, indent=1).encode())
+        print(f"\r{done['tried']} of {len(every)}", end="", file=sys.stderr, flush=True)
+    return 1 if done["wrong"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
