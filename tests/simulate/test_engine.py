@@ -382,6 +382,18 @@ def test_controls_alpha_one_agrees_nothing_and_no_key_is_mistaken() -> None:
     assert (link.message_symbols <= 100).all()
 
 
+@pytest.mark.parametrize(("loss", "holds"), [(0.3, False), (0.0, True)])
+def test_one_who_goes_for_keys_holds_what_the_claim_leaves_her(loss: float, holds: bool) -> None:
+    scenario, law = system("keys")
+    scenario = scenario.model_copy(update={"tap": scenario.tap.model_copy(update={"loss": loss})})
+    runs = simulate_runs(scenario, law, seed=3, runs=range(2), steps=320, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy"])
+    for place in range(2):
+        got, other = listen(runs, sent, ("key-solver", "nearest-centre"), place)
+        assert (got.key_blocks, got.key_bits > 0) == (3, holds)
+        assert (other.key_blocks, other.key_bits) == (0, 0)
+
+
 def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
     scenario, law = system("sustained")
     runs = simulate_runs(scenario, law, seed=12, runs=range(2), steps=900, record=True)

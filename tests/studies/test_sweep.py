@@ -107,6 +107,17 @@ def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path
         assert task(TEXT.replace(*change)) != first, change
 
 
+def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: Path) -> None:
+    text = (
+        'name = "k"\nscenario = "keys"\nruns = 1\nsteps = 40\nseed = 3\n'
+        'eavesdroppers = ["key-solver"]\n[grid]\n"tap.loss" = [0.0, 0.3]\n'
+    )
+    points = points_of(load_sweep(small(tmp_path, text=text)), tmp_path)
+    assert len({point.task for point in points}) == len(groups_of(points)) == 2
+    with pytest.raises(SweepError, match=r"tap\.loss: changes none of the numbers"):
+        load_sweep(small(tmp_path, text=text.replace("key-solver", "oracle")))
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [
@@ -307,6 +318,7 @@ def test_the_version_covers_what_the_numbers_come_from(
 ) -> None:
     # These say which runs there are and what they add up to; a task does not use them.
     others = others | {
+        "protocol/runtime/run_folder.py",  # where a law's tables are cached
         "protocol/shipped.py",
         "wyner/shipped.py",
         "wyner/scoring/statistics.py",

@@ -29,7 +29,8 @@ from protocol.shipped import SCENARIOS
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"
 NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
-"""Fields of a scenario that the numbers do not depend on."""
+"""Fields of a scenario that the numbers do not depend on, but for ``tap.loss`` where keys are gone
+for."""
 
 Row = dict[str, Any]
 
@@ -117,7 +118,8 @@ class Sweep(_Part):
         if not labels or len(set(labels)) != len(labels):
             raise ValueError(f"variant: got labels {labels}, expected different ones")
         for path in self.grid:
-            if path.split(".")[0] in NEUTRAL:
+            table = path.split(".")[0]
+            if table in NEUTRAL and not (table == "tap" and _for_keys(self)):
                 raise ValueError(f"grid: {path}: changes none of the numbers")
         return self
 
@@ -196,13 +198,22 @@ def _hash(value: object) -> str:
     return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
 
 
-def _heard(sweep: Sweep) -> dict[str, Any]:
+def _for_keys(sweep: Sweep) -> bool:
+    """Whether somebody goes for keys."""
+    from tap_service.eavesdroppers import KEY_SOLVER
+
+    return KEY_SOLVER in sweep.eavesdroppers
+
+
+def _heard(sweep: Sweep, scenario: Scenario) -> dict[str, Any]:
     """What of a point's name the eavesdroppers are; nothing where nobody listens."""
     if not sweep.eavesdroppers:
         return {}
     files = [name.rpartition(":")[0] for name in sweep.eavesdroppers if ":" in name]
     own = [_hash(Path(name).read_text(encoding="utf-8", errors="replace")) for name in files]
+    misses = {"tap.loss": scenario.tap.loss} if _for_keys(sweep) else {}
     return {
+        **misses,
         "eavesdroppers": [name.rpartition("/")[2] for name in sweep.eavesdroppers],
         "message": sweep.message,
         "version": code_version(*TAP_SOURCES),
@@ -260,7 +271,7 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                         "steps": sweep.steps,
                         "seed": sweep.seed,
                         "batch": sweep.batch,
-                        **_heard(sweep),
+                        **_heard(sweep, scenario),
                     }
                 )
                 point = Point(scenario, variant.label, fields, task)
@@ -293,7 +304,8 @@ def groups_of(points: Iterable[Point]) -> list[Group]:
         substance = _substance(point.scenario)
         if not point.scenario.control.knows_alpha:
             del substance["secrecy"]["alpha"]
-        key = canonical([point.scenario.name, point.variant, substance])
+        misses = point.scenario.tap.loss
+        key = canonical([point.scenario.name, point.variant, substance, misses])
         found.setdefault(key, Group([])).points.append(point)
     return list(found.values())
 

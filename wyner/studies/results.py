@@ -24,9 +24,10 @@ MEASURED: Final = (
     "runs_by_symbols",
 )
 """Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
-TAPPED: Final = ("agreed", "right", "delivered", "read")
+TAPPED: Final = ("agreed", "right", "delivered", "read", "key_blocks", "key_bits")
 """Columns of each eavesdropper, after MEASURED: keys agreed and, of these, guessed right at once;
-messages that the plant had whole and, of these, those that she had. Named ``tap.NAME.right``."""
+messages that the plant had whole and, of these, those that she had; key blocks and the bits of
+their rows that she holds, where she goes for keys. Named ``tap.NAME.right``."""
 
 
 def tap_columns(names: Iterable[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ Where more runs are asked for later, a batch that was cut short gets a further r
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any
@@ -122,8 +122,7 @@ def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str)
     counts = dict.fromkeys(tap_columns(name_of(name) for name in eavesdroppers), 0)
     for place in range(len(runs.runs)):
         for name, got in zip(eavesdroppers, listen(runs, link, eavesdroppers, place), strict=True):
-            hers = (got.agreements, got.right, got.delivered, got.read)
-            for column, value in zip(tap_columns([name_of(name)]), hers, strict=True):
+            for column, value in zip(tap_columns([name_of(name)]), astuple(got), strict=True):
                 counts[column] += value
     return counts
 

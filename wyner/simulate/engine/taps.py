@@ -1,10 +1,14 @@
 """Eavesdroppers on simulated runs: the classes that listen live, fed the same public messages."""
 
+from binascii import b2a_base64
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from random import Random
 
 from protocol.agreement import NO_SYMBOL
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.schemes.framing import Deframer
+from protocol.secret.nonces import NONCE_BYTES
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper, named
 from wyner.simulate.engine.link import Transfer
@@ -25,12 +29,16 @@ class Heard:
         Whole messages that the plant recovered.
     read : int
         Of these, the ones among her whole messages in the end.
+    key_blocks, key_bits : int
+        Blocks that made keys, and the bits of their rows that one who goes for keys can compute.
     """
 
     agreements: int
     right: int
     delivered: int
     read: int
+    key_blocks: int = 0
+    key_bits: int = 0
 
 
 def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
@@ -50,10 +58,33 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
         yield Transition("simulated", j, x[j], candidates, cipher, x[j + 1], start=j == 0)
 
 
+def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
+    """Copies 0 of a step that a tap hears, each missed with probability ``loss``."""
+    assert t.x is not None
+    assert t.candidates is not None
+    assert t.cipher is not None
+
+    def nonce() -> str:
+        return b2a_base64(draw.randbytes(NONCE_BYTES), newline=False).decode()
+
+    both: tuple[FieldMessage, ...] = (
+        Measurement.model_construct(
+            session=t.session, k=t.k, x=t.x, applied_k=t.k - 1, x_after=t.x, nonce=nonce()
+        ),
+        Offer.model_construct(
+            session=t.session, k=t.k, candidates=t.candidates, cipher=t.cipher, nonce=nonce()
+        ),
+    )
+    return (message for message in both if draw.random() >= loss)
+
+
 def listen(
     runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
 ) -> list[Heard]:
     """Let each named eavesdropper hear run ``place``, and score her against the truth.
+
+    Nothing is lost; but of the nonces' copies, which the engine does not send, one who goes for
+    keys is given her own draw, and misses as many as the scenario's ``tap.loss`` says.
 
     Parameters
     ----------
@@ -71,9 +102,14 @@ def listen(
         c(scenario.oracle_knowledge() if c.name == ORACLE else scenario.knowledge())
         for c in classes
     ]
+    attackers = [tap for tap in taps if tap.hears_messages]
+    draw = Random(f"copies {runs.seed} {runs.runs[place]}")
     keys = link.agreed[:, place].tolist()
     right = [0] * len(taps)
     for transition, key in zip(transcript(runs, link, place), keys, strict=True):
+        for message in copies(transition, draw, scenario.tap.loss) if attackers else ():
+            for tap in attackers:
+                tap.hear(message)
         for i, tap in enumerate(taps):
             guess = tap.observe(transition)
             right[i] += key != NO_SYMBOL and guess.best == key
@@ -84,6 +120,8 @@ def listen(
     agreements = sum(key != NO_SYMBOL for key in keys)
     out = []
     for tap, hits in zip(taps, right, strict=True):
-        whole = tap.belief().whole
-        out.append(Heard(agreements, hits, len(messages), sum(m in whole for m in messages)))
+        belief = tap.belief()
+        read = sum(m in belief.whole for m in messages)
+        held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
+        out.append(Heard(agreements, hits, len(messages), read, *held))
     return out
