@@ -112,6 +112,8 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).exhaustive --scheme pipelined --deadline 0.1 --warm --seconds 7200 --resume
 	$(CAMPAIGN).schedules
 	$(CAMPAIGN).fuzz
+	$(CAMPAIGN).flood
+	$(CAMPAIGN).files
 	$(CAMPAIGN).kills
 	$(CAMPAIGN).kills --jumps
 	$(CAMPAIGN).calls

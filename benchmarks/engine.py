@@ -154,6 +154,7 @@ def measure(
         "spread": [min(cpu["engine"]), max(cpu["engine"])],
         "wall_steps_per_second": wall_rate["engine"],
         "ratio": rate["engine"] / rate["plain"],
+        "ratios": [e / p for e, p in zip(cpu["engine"], cpu["plain"], strict=True)],
         "wall_ratio": wall_rate["engine"] / wall_rate["plain"],
         "plain_steps_per_second": rate["plain"],
         "plain_spread": [min(cpu["plain"]), max(cpu["plain"])],

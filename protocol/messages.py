@@ -7,9 +7,9 @@ guesses.
 Models are flat (no nested model), so that a recorder's schema of each needs no reference.
 """
 
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from protocol.secret.nonces import NONCE_FORM
 from protocol.vectors import FiniteVector
@@ -20,7 +20,7 @@ SCHEMA: Final = 2
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
 BlockNumber = Annotated[int, Field(ge=-1)]
@@ -273,6 +273,26 @@ class PlantStatus(Message):
     tail_coin: tuple[int, ...] = ()
     tail_automaton: tuple[int, ...] = ()
 
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        n, m = len(self.x), len(self.B[0]) if self.B else 0
+        tails = (self.tail_k, self.tail_x, self.tail_role, self.tail_symbol, self.tail_coin)
+        states = (*self.A, *self.defender_H, *self.tail_x)
+        inputs = (*self.B, *self.pictured_candidates)
+        if self.pictured_k >= 0:
+            states = (*states, self.pictured_x, self.pictured_x_next)
+        if (
+            any(len(tail) != len(self.tail_automaton) for tail in tails)
+            or any(len(row) != n for row in states)
+            or any(len(row) != m for row in inputs)
+            or {len(self.A), len(self.B)} - {0, n}
+            or len(self.defender_h) != len(self.defender_H)
+            or len(self.pictured_gauges) != len(self.pictured_candidates)
+            or len(self.latency_counts) not in (0, len(LATENCY_BOUNDS_S) + 1)
+        ):
+            raise ValueError("expected vectors that fit together")
+        return self
+
 
 class ControllerStatus(Message):
     """What the controller knows, for the dashboard: published at a bounded rate, the newest wins.
@@ -375,6 +395,13 @@ class TapStatus(Message):
     tail_symbol: tuple[int, ...] = ()
     tail_probability: FiniteVector = ()
     tail_agreed: FiniteVector = ()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        tails = (self.tail_k, self.tail_symbol, self.tail_probability)
+        if any(len(tail) != len(self.tail_agreed) for tail in tails):
+            raise ValueError("expected tails of one length")
+        return self
 
 
 FieldMessage = Measurement | Offer | Sealed

@@ -152,6 +152,26 @@ class RateLimitedLog:
             self._silent += 1
 
 
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Where a file's fields are taken as their writer left them: one that is otherwise is one line.
+
+    Set ``WYNER_TRACEBACK=1`` to see what it was.
+
+    Raises
+    ------
+    UsageError
+        In place of what a missing, malformed or senseless field raises.
+    """
+    try:
+        yield
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        if os.environ.get("WYNER_TRACEBACK"):
+            raise
+        why = f"{type(error).__name__}: {error}".split("\n")[0]
+        raise UsageError(f"{what}: not as this program writes it ({why})") from None
+
+
 class Pace:
     """How fast plant time passes: ``realtime``, ``xN`` times that, or ``fast`` (lock-step).
 

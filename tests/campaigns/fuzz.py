@@ -6,9 +6,11 @@ memory may stay, and the loop goes on as if nothing had come.
 
 import argparse
 import json
+import logging
 import random
 import resource
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +21,9 @@ from protocol.link.perform import perform
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
 from protocol.runtime.inbox import Inbox
+from protocol.runtime.process import logger
 from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.listeners import LISTENERS, listener
 from tests.campaigns.world import World, quiet
 from tests.support.line_ends import ToldPorts
 from wyner.studies.grid import code_version
@@ -107,6 +111,33 @@ def fuzz(side: str, count: int, seed: int, until: float = float("inf")) -> int:
     return number
 
 
+def fuzz_listener(
+    name: str, count: int, seed: int, until: float = float("inf"), folder: Path | None = None
+) -> int:
+    """Send ``count`` messages to one that hears a bus beside the ends; how many were sent.
+
+    Raises
+    ------
+    AssertionError
+        When it does not go on, or shows what a terminal would obey.
+    """
+    draw = random.Random(seed + 1)
+    with tempfile.TemporaryDirectory() as temporary:
+        who, heard = listener(name, folder or Path(temporary), _running()[1])
+        inbox: Inbox[tuple[type[Message], bytes]] = Inbox()
+        for number, payload in enumerate(payloads(seed, heard), start=1):
+            inbox.put((draw.choice(who.kinds), payload), len(payload))
+            over = number >= count or time.monotonic() > until
+            while inbox:
+                who.hear(*inbox.get(0.0))
+            if number % 5000 == 0 or over:
+                who.goes_on()
+            if over:
+                break
+        who.close()
+    return number
+
+
 class _Forged(World):
     """A world that does not judge: a forger on the bus may break what the network cannot."""
 
@@ -148,20 +179,40 @@ def _ignore(_what: object) -> None:
     pass
 
 
+class _Lines(logging.Handler):
+    """Counts what a service logs, in place of its log."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """One line more."""
+        self.count += 1
+
+
 def main(argv: list[str] | None = None) -> int:
     """Fuzz both ends; the memory must stay where it was."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=1_000_000, help="messages to each end")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="for each end")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--who", default=",".join((*HEARS, *LISTENERS)), help="of these")
     parser.add_argument("--results", type=Path, default=Path("campaign-fuzz.json"))
     args = parser.parse_args(argv)
     told: dict[str, object] = {"version": code_version()}
-    for side in HEARS:
-        before = megabytes()
-        count = fuzz(side, args.count, args.seed, time.monotonic() + args.seconds)
-        told[side] = {"messages": count, "grown_mb": round(megabytes() - before, 1)}
-        print(f"{side}: {told[side]}", file=sys.stderr)
+    for who in args.who.split(","):
+        before, until = megabytes(), time.monotonic() + args.seconds
+        began, lines = time.monotonic(), _Lines()
+        logger(who).handlers[:] = [lines]
+        count = (fuzz if who in HEARS else fuzz_listener)(who, args.count, args.seed, until)
+        told[who] = {
+            "messages": count,
+            "grown_mb": round(megabytes() - before, 1),
+            "seconds": round(time.monotonic() - began),
+            "log_lines": lines.count,
+        }
+        print(f"{who}: {told[who]}", file=sys.stderr)
     write_atomically(args.results, json.dumps(told, indent=1).encode())
     return 0
 

@@ -20,7 +20,7 @@ from wyner.shipped import DATA, FIGURES_FOLDER
 from wyner.simulate.engine import simulate_runs
 from wyner.studies.figures import FIGURES, FigureError, draw
 from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
-from wyner.studies.figures.style import plain_rows
+from wyner.studies.figures.style import drawing, plain_rows, save
 from wyner.studies.grid import ROOT, Row, load_sweep, points_of
 from wyner.studies.measurements import (
     MEASUREMENTS,
@@ -344,3 +344,15 @@ def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
         assert int(right) == int(agreements) > 0
         assert int(read) <= int(delivered)
     assert rows[0][3:] == ["3", "3"], "uniform: every message is read"
+
+
+def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:
+    kept, link = tmp_path / "kept", tmp_path / "figure.svg"
+    kept.write_text("precious")
+    link.symlink_to(kept)
+    with drawing((1, 1)) as figure, pytest.raises(OSError, match="not a regular file"):
+        save(figure, link)
+    assert kept.read_text() == "precious"
+    save(figure, tmp_path / "other.png")
+    assert (tmp_path / "other.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.svg", "kept", "other.png"]

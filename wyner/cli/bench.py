@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.process import DONE, FAILED, UsageError
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 
@@ -32,11 +32,16 @@ BENCHMARKS: Final = {
 }
 
 
+WATCHES: Final = ("record", "compare")
+
+
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the subcommand."""
     lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
     parser = subparsers.add_parser("bench", help="measure speed beside a reference, in one run")
-    parser.add_argument("name", choices=(*BENCHMARKS, "all"), help=lines)
+    lines += "; all; record: the watched ratios into benchmarks/record.json; compare: with it"
+    parser.add_argument("name", choices=(*BENCHMARKS, "all", *WATCHES), help=lines)
+    parser.add_argument("--of", metavar="NAME,...", help="record, compare: these benchmarks only")
     parser.add_argument("--loops", type=int, metavar="N", help="fleet: loops (default 50)")
     parser.add_argument("--seconds", type=float, metavar="S", help="fleet: measured (default 10)")
     parser.add_argument("--router", action="store_true", help="fleet: through a router")
@@ -46,11 +51,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
-    names = list(BENCHMARKS) if args.name == "all" else [args.name]
     if not (CHECKOUT / "benchmarks").is_dir():
         raise UsageError("bench: the benchmarks come with the source tree; run it from a checkout")
     sys.path.insert(0, str(CHECKOUT))
-    options = _fleet_options(args)
+    names, options = _names(args), _fleet_options(args)
     results: dict[str, Any] = {}
     for name in names:
         print(f"bench {name}: {BENCHMARKS[name].text} ...", file=sys.stderr)
@@ -58,11 +62,46 @@ def run(args: argparse.Namespace) -> int:
         measure: Callable[..., dict[str, Any]] = module.measure
         render: Callable[[dict[str, Any]], str] = module.render
         results[name] = measure(**options if name == "fleet" else {})
-        if not args.json:
+        if not args.json and args.name not in WATCHES:
             print(render(results[name]))
+    if args.name in WATCHES:
+        return _watch(args, results)
     if args.json:
         print(json.dumps(results if args.name == "all" else results[args.name]))
     return DONE
+
+
+def _names(args: argparse.Namespace) -> list[str]:
+    """The benchmarks asked for."""
+    if args.name not in WATCHES:
+        if args.of is not None:
+            raise UsageError("--of: is for bench record and compare")
+        return list(BENCHMARKS) if args.name == "all" else [args.name]
+    watched = importlib.import_module("benchmarks.record").WATCHED
+    names = list(watched) if args.of is None else args.of.split(",")
+    for name in names:
+        if name not in watched:
+            raise UsageError(f"--of: got {name!r}, expected some of {', '.join(watched)}")
+    return names
+
+
+def _watch(args: argparse.Namespace, results: dict[str, Any]) -> int:
+    """Add to the record, or say what fell since."""
+    from wyner.studies.grid import code_version
+
+    record = importlib.import_module("benchmarks.record")
+    try:
+        entries = record.read()
+        if args.name == "record":
+            entry = record.add(results, code_version())
+            print(json.dumps(entry) if args.json else f"{record.RECORD.name}: {entry['ratios']}")
+            return DONE
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    found = record.falls(results, entries)
+    told = {name: {**fall._asdict(), "fell": fall.fell} for name, fall in found.items()}
+    print(json.dumps(told) if args.json else record.render(found, entries))
+    return FAILED if any(fall.fell for fall in found.values()) else DONE
 
 
 def _fleet_options(args: argparse.Namespace) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.process import DONE, UsageError, reading
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -29,9 +29,11 @@ def run(args: argparse.Namespace) -> int:
     from wyner.run_report import write_report
 
     try:
-        print(write_report(args.run_dir, args.output))
+        with reading(str(args.run_dir)):
+            page = write_report(args.run_dir, args.output)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     except (TraceError, OSError) as error:
         raise UsageError(str(error)) from None
+    print(page)
     return DONE

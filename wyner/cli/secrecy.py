@@ -35,6 +35,13 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
+    from protocol.runtime.process import reading
+
+    with reading(", ".join(args.run_dirs)):
+        return _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
     import json
     import sys
     from pathlib import Path

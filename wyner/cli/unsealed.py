@@ -5,7 +5,7 @@ import base64
 import json
 from pathlib import Path
 
-from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.process import DONE, UsageError, reading
 from protocol.runtime.run_folder import PLANT_KEYS
 from protocol.text import readable
 
@@ -29,7 +29,8 @@ def run(args: argparse.Namespace) -> int:
     from protocol.secret.store import KeyStore
 
     try:
-        with KeyStore(args.run_dir / PLANT_KEYS, "plant") as store:
+        path = args.run_dir / PLANT_KEYS
+        with reading(str(path)), KeyStore(path, "plant") as store:
             opened = SealedBook(store).opened()
     except StoreError as error:
         raise UsageError(str(error)) from None

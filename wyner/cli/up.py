@@ -6,8 +6,11 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
@@ -371,12 +374,12 @@ class _Progress:
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
-        if self._until_delivered:
+        with suppress(ValidationError):  # the dashboard counts garbage
             self._received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
-        if self._until_delivered:
+        with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
             self._delivered = status.delivered
             self._waiting = status.queue > 0 or status.frame_symbols < status.frame_length
@@ -393,6 +396,6 @@ class _Progress:
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self._delivered <= self._received and not self._waiting
-        if self._over_at is None and (ended or arrived):
+        if self._over_at is None and (ended or (arrived and self._until_delivered)):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at

@@ -47,6 +47,7 @@ def save(lines: Sequence[Text], width: int, folder: Path) -> tuple[Path, Path]:
     while (folder / f"screen-{number}.svg").exists() or (folder / f"screen-{number}.txt").exists():
         number += 1
     svg, text = folder / f"screen-{number}.svg", folder / f"screen-{number}.txt"
-    svg.write_text(to_svg(lines, width), encoding="utf-8")
-    text.write_text(to_text(lines), encoding="utf-8")
+    for path, content in ((svg, to_svg(lines, width)), (text, to_text(lines))):
+        with path.open("x", encoding="utf-8") as file:  # never through a link
+            file.write(content)
     return svg, text

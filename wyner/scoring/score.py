@@ -9,6 +9,7 @@ import base64
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import index
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ from protocol.runtime.jsonl import read_lines
 from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
+from protocol.text import printable
 from tap_service.eavesdroppers.base import KEPT_SYMBOLS, KeysHeld
 
 Z: Final = 1.959963984540054
@@ -307,18 +309,18 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
     """What one eavesdropper said, from her record and her guesses by kind."""
     symbols = record["symbols"]
     return Said(
-        name=record["name"],
+        name=printable(str(record["name"])),
         live=guesses.get("guess", {}),
         reviewed=guesses.get("review", {}),
-        session=record["session"],
+        session=str(record["session"]),
         symbols=None if symbols is None else {int(k): int(v) for k, v in symbols},
         message=base64.b64decode(record["message"]),
         whole=tuple(base64.b64decode(w) for w in record["whole"]),
-        whole_count=record["whole_count"],
-        candidates_left=record["candidates_left"],
-        solved_k=record["solved_k"],
-        confidence=record["confidence"],
-        failed=record["failed"],
+        whole_count=index(record["whole_count"]),
+        candidates_left=index(record["candidates_left"]),
+        solved_k=index(record["solved_k"]),
+        confidence=float(record["confidence"]),
+        failed=str(record["failed"]),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
 

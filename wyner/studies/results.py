@@ -11,6 +11,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final
 
+from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 from wyner.scoring.statistics import Interval, bootstrap_mean, wilson
 from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
 
@@ -161,7 +162,10 @@ def read_table(path: Path) -> list[Row]:
 
 def _table(path: Path, data: bytes) -> list[Row]:
     try:
-        rows: list[Row] = list(csv.DictReader(io.StringIO(data.decode(), newline="")))
+        text = data.decode()
+        if not "".join(text.splitlines()).isprintable():
+            raise csv.Error
+        rows: list[Row] = list(csv.DictReader(io.StringIO(text, newline="")))
     except (UnicodeDecodeError, csv.Error):
         raise SweepError(f"{path}: is not CSV text") from None
     for number, row in enumerate(rows, start=2):
@@ -311,10 +315,11 @@ def ready_rows(summaries: Sequence[Summary], fields: Sequence[str]) -> list[Row]
 
 def write_ready(path: Path, rows: Sequence[Row]) -> None:
     """Write the rows of `ready_rows` as CSV."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue().encode(), PUBLIC_FILE)
 
 
 def fields_in(rows: Sequence[Row]) -> list[str]:

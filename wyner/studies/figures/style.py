@@ -9,6 +9,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from protocol.runtime.run_folder import PUBLIC_FILE, replacing
 from wyner.studies.grid import Row, SweepError
 from wyner.studies.results import read_table
 
@@ -71,10 +72,20 @@ KINDS: Final = (".png", ".pdf", ".svg")
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG, PDF or PNG, by the path's suffix, the same bytes each time."""
-    if path.suffix == ".pdf":
-        figure.savefig(path, metadata={"CreationDate": None, "Creator": None, "Producer": None})
-    elif path.suffix == ".svg":
-        figure.savefig(path, metadata={"Date": None, "Creator": None})
-    else:
-        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    """Write a figure as SVG, PDF or PNG, by the path's suffix, the same bytes each time.
+
+    Raises
+    ------
+    OSError
+        Also when ``path`` is there and is no regular file.
+    """
+    nothing = {
+        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        ".svg": {"Date": None, "Creator": None},
+    }
+    kind = path.suffix if path.suffix in nothing else ".png"
+    with replacing(path, PUBLIC_FILE) as partial:
+        if kind == ".png":
+            figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
+        else:
+            figure.savefig(partial, format=kind[1:], metadata=nothing[kind])
