@@ -7,13 +7,8 @@ an end's clock stands at 0 before each event, all times being relative to it.
 
 import base64
 import hashlib
-import io
-import pickle
-import zlib
-from dataclasses import replace
-from functools import cache, lru_cache
 from math import inf
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from controller_service.endpoint import ControllerEndpoint
 from plant_service.endpoint import PlantEndpoint
@@ -25,21 +20,15 @@ from protocol.link.perform import Killed, Mortal
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from protocol.schemes.pipelined import Pipelined
-from protocol.schemes.switched import Switched
-from protocol.secret.blocks import Closed, Schedule
-from protocol.secret.bound import Assumption
-from protocol.secret.keeper import Keeper
+from protocol.secret.blocks import Closed
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.store import KeyStore
-from protocol.secret.tasks import Done, Task
-from protocol.secret.worker import work
+from protocol.secret.tasks import Task
+from tests.campaigns.loop import propose
+from tests.campaigns.stores import Stores
 from tests.support.line_ends import LinePlant, line_controller, line_plant
-from tests.support.line_plant import line_rules
 
 Side = Literal["plant", "controller"]
 
-SHIFT: Final = 1.5
 PAYLOADS: Final = (b"",)
 STEP_S: Final = 0.1
 REPEATS: Final = 2
@@ -49,24 +38,6 @@ LONG_S: Final = 10.0
 """Longer than any silence after which an end does something else."""
 
 JUST_NOW_S: Final = 0.001
-
-BLOCK: Final = Schedule(Assumption(1.0, 0.5), first=2, largest=2)
-"""Key blocks of two transitions, the smallest: four copies, two rows at least for a key."""
-
-SCHEMES: Final = ("switched", "pipelined")
-
-
-@cache
-def rules_of(scheme: str, *, keys: bool) -> Rules:
-    """The rules of a scheme: with coin 0 a disturbance of 0.3 agrees, with coin 1 it does not."""
-    made = Switched(2) if scheme == "switched" else Pipelined(2)
-    rules = line_rules(alpha=3.0, largest_input=1e9, scheme=made)
-    return replace(rules, schedule=BLOCK) if keys else rules
-
-
-def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-    """Two candidates about the origin."""
-    return (-x[0] - SHIFT,), (-x[0] + SHIFT,)
 
 
 class Broken(AssertionError):
@@ -109,50 +80,6 @@ class View(NamedTuple):
     received: int = 0
     forgot: bool = False
     lives: int = 0
-
-
-class Stores:
-    """Key stores by what is in them, each kept once."""
-
-    def __init__(self) -> None:
-        self._images: dict[Side, list[bytes]] = {"plant": [], "controller": []}
-        self.keys: dict[Side, list[dict[str, tuple[str, bytes | None]]]] = {
-            "plant": [],
-            "controller": [],
-        }
-        self._numbers: dict[bytes, int] = {}
-        self._worked: dict[tuple[Side, int, Task], tuple[int, Done]] = {}
-        for side in self._images:
-            self.put(KeyStore(None, side))
-
-    def put(self, store: KeyStore) -> int:
-        """The number of a store as it is now."""
-        rows = [store.blocks(), *store.ids(), *store.compare().values()]
-        told = repr([row._replace(t_ns=0) for row in store.blocks()]) + repr(rows[1:])
-        digest = hashlib.blake2b(f"{store.side} {told}".encode(), digest_size=16).digest()
-        if digest not in self._numbers:
-            images = self._images[store.side]
-            self._numbers[digest] = len(images)
-            images.append(zlib.compress(store._db.serialize(), 1))
-            self.keys[store.side].append(
-                {
-                    name: (state, key)
-                    for (name, state), key in zip(
-                        store.ids(), store.compare().values(), strict=True
-                    )
-                }
-            )
-        return self._numbers[digest]
-
-    def work(self, side: Side, number: int, task: Task) -> tuple[int, Done]:
-        """What a keeper makes of a task: the number of its store afterwards, and its answer."""
-        known = self._worked.get((side, number, task))
-        if known is None:
-            with KeyStore(None, side) as store:
-                store._db.deserialize(zlib.decompress(self._images[side][number]))
-                done = work(Keeper(store), task)
-                known = self._worked[side, number, task] = self.put(store), done
-        return known
 
 
 class End:
@@ -429,94 +356,6 @@ class End:
         pacing.late_s, pacing.overruns = 0.0, 0
         pacing._deadline = round(pacing._deadline - now, 6)
         pacing._repeat_at = max(0.0, round(pacing._repeat_at - now, 6))
-
-    # --- as a state -------------------------------------------------------------------------------
-
-    def packed(self) -> bytes:
-        """The end as bytes, the same for the same state."""
-        own = {name: value for name, value in vars(self).items() if name not in PASSING}
-        file = io.BytesIO()
-        for part in (vars(self.journal), own):
-            _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
-        return file.getvalue()
-
-    @classmethod
-    def unpacked(cls, packed: bytes, stores: Stores) -> "End":
-        """An end as it was packed."""
-        file = io.BytesIO(packed)
-        journal, end = pickle.load(file), cls.__new__(cls)
-        _whole.clear()
-        whose = MemoryPlantJournal if "_chunks" in journal else MemoryControllerJournal
-        end.journal = whose()
-        vars(end.journal).update(journal)
-        _whole.update(End=end, journal=end.journal)
-        vars(end).update(pickle.load(file))
-        end.stores = stores
-        end._ports = Mortal(end)
-        end._line = None
-        if isinstance(end.endpoint, PlantEndpoint):
-            assert isinstance(end.endpoint.plant, LinePlant)
-            end._line = end.endpoint.plant
-        return end
-
-
-PASSING: Final = frozenset(
-    (
-        *("stores", "journal", "_ports", "_line"),  # shared, kept apart, or a second name
-        *(
-            "out",
-            "news",
-            "again",
-            "confirmed",
-            "answered",
-            "things",
-            "_nonces",
-            "_heard_k",
-        ),  # of one event
-    )
-)
-
-_whole: Final[dict[str, Any]] = {}
-"""The end that is being unpacked and its journal, to which its parts refer."""
-
-
-class _Packer(pickle.Pickler):
-    """Writes each thing in one way only, and leaves out what is shared by all states."""
-
-    def __init__(self, file: io.BytesIO, protocol: int) -> None:
-        super().__init__(file, protocol)
-        self.fast = True  # no back references: they would tell one state apart from itself
-
-    def reducer_override(self, obj: Any) -> Any:
-        kind = type(obj)
-        if kind is End:
-            return _part, ("End",)
-        if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
-            return _part, ("journal",)
-        if kind is Rules:
-            return _rules, (obj.scheme.name, obj.schedule is not None)
-        if kind is Schedule:
-            return _schedule, ()
-        if isinstance(obj, Message):
-            return _message, (kind, obj.wire())
-        return NotImplemented
-
-
-def _part(name: str) -> Any:
-    return _whole[name]
-
-
-def _rules(scheme: str, keys: bool) -> Rules:
-    return rules_of(scheme, keys=keys)
-
-
-def _schedule() -> Schedule:
-    return BLOCK
-
-
-@lru_cache(maxsize=100_000)
-def _message(kind: type[Message], wire: bytes) -> Message:
-    return kind.model_validate_json(wire)
 
 
 def _nonce(name: str) -> str:

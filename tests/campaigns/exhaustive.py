@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Final
 
 from protocol.runtime.run_folder import write_atomically
-from tests.campaigns.end import SCHEMES
+from tests.campaigns.loop import SCHEMES
 from tests.campaigns.space import SIDES, Space
 from wyner.studies.grid import code_version
 
-EACH: Final = 100_000
-"""Events between two lines of progress."""
+TOLD_S: Final = 15.0
+SAVED_S: Final = 900.0
+"""Seconds between two lines of progress, and two savings."""
 
 
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
@@ -157,8 +158,6 @@ def main(argv: list[str] | None = None) -> int:
     name += f"keys {'off' if args.no_keys else 'on'}, {args.faults} faults"
     name += ", from the first hello" if args.from_hello else ""
     name += f", {args.remembered} remembered" if args.remembered != 2 else ""
-    gc.freeze()
-    gc.disable()  # hardly anything here goes round in circles
     kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")
     version = code_version("tests/campaigns/*.py")
     found: Exploration | None = None
@@ -226,8 +225,7 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-TOLD_S: Final = 15.0
-SAVED_S: Final = 900.0
-
 if __name__ == "__main__":
+    gc.freeze()
+    gc.disable()  # hardly anything here goes round in circles
     sys.exit(main())

@@ -14,8 +14,9 @@ from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import Raw, contribution
-from tests.campaigns.end import SCHEMES, End, rules_of
+from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
+from tests.campaigns.loop import SCHEMES, rules_of
 from tests.campaigns.space import SIDES, Space
 
 Patch = pytest.MonkeyPatch

@@ -1,0 +1,31 @@
+"""The loop that is explored: a plant on a line, with key blocks as short as they can be."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Final
+
+from protocol.link.session import Rules
+from protocol.schemes.pipelined import Pipelined
+from protocol.schemes.switched import Switched
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
+from tests.support.line_plant import line_rules
+
+SHIFT: Final = 1.5
+SCHEMES: Final = ("switched", "pipelined")
+
+BLOCK: Final = Schedule(Assumption(1.0, 0.5), first=2, largest=2)
+"""Key blocks of two transitions, the smallest: four copies, two rows at least for a key."""
+
+
+@cache
+def rules_of(scheme: str, *, keys: bool) -> Rules:
+    """The rules of a scheme: with coin 0 a disturbance of 0.3 agrees, with coin 1 it does not."""
+    made = Switched(2) if scheme == "switched" else Pipelined(2)
+    rules = line_rules(alpha=3.0, largest_input=1e9, scheme=made)
+    return replace(rules, schedule=BLOCK) if keys else rules
+
+
+def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+    """Two candidates about the origin."""
+    return (-x[0] - SHIFT,), (-x[0] + SHIFT,)

@@ -1,0 +1,102 @@
+"""An end as bytes, the same for the same state, to be gone on from more than once."""
+
+import io
+import pickle
+from functools import lru_cache
+from typing import Any, Final
+
+from plant_service.endpoint import PlantEndpoint
+from protocol.link.perform import Mortal
+from protocol.link.session import Rules
+from protocol.messages import Message
+from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.secret.blocks import Schedule
+from tests.campaigns.end import End
+from tests.campaigns.loop import BLOCK, rules_of
+from tests.campaigns.stores import Stores
+from tests.support.line_ends import LinePlant
+
+PASSING: Final = frozenset(
+    (
+        *("stores", "journal", "_ports", "_line"),  # shared, kept apart, or a second name
+        *(
+            "out",
+            "news",
+            "again",
+            "confirmed",
+            "answered",
+            "things",
+            "_nonces",
+            "_heard_k",
+        ),  # of one event
+    )
+)
+
+_whole: Final[dict[str, Any]] = {}
+"""The end that is being unpacked and its journal, to which its parts refer."""
+
+
+class _Packer(pickle.Pickler):
+    """Writes each thing in one way only, and leaves out what is shared by all states."""
+
+    def __init__(self, file: io.BytesIO, protocol: int) -> None:
+        super().__init__(file, protocol)
+        self.fast = True  # no back references: they would tell one state apart from itself
+
+    def reducer_override(self, obj: Any) -> Any:
+        kind = type(obj)
+        if kind is End:
+            return _part, ("End",)
+        if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
+            return _part, ("journal",)
+        if kind is Rules:
+            return _rules, (obj.scheme.name, obj.schedule is not None)
+        if kind is Schedule:
+            return _schedule, ()
+        if isinstance(obj, Message):
+            return _message, (kind, obj.wire())
+        return NotImplemented
+
+
+def _part(name: str) -> Any:
+    return _whole[name]
+
+
+def _rules(scheme: str, keys: bool) -> Rules:
+    return rules_of(scheme, keys=keys)
+
+
+def _schedule() -> Schedule:
+    return BLOCK
+
+
+@lru_cache(maxsize=100_000)
+def _message(kind: type[Message], wire: bytes) -> Message:
+    return kind.model_validate_json(wire)
+
+
+def pack(end: End) -> bytes:
+    """The end as bytes."""
+    own = {name: value for name, value in vars(end).items() if name not in PASSING}
+    file = io.BytesIO()
+    for part in (vars(end.journal), own):
+        _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
+    return file.getvalue()
+
+
+def unpack(packed: bytes, stores: Stores) -> End:
+    """An end as it was packed."""
+    file = io.BytesIO(packed)
+    journal, end = pickle.load(file), End.__new__(End)
+    _whole.clear()
+    end.journal = MemoryPlantJournal() if "_chunks" in journal else MemoryControllerJournal()
+    vars(end.journal).update(journal)
+    _whole.update(End=end, journal=end.journal)
+    vars(end).update(pickle.load(file))
+    end.stores = stores
+    end._ports = Mortal(end)
+    end._line = None
+    if isinstance(end.endpoint, PlantEndpoint):
+        assert isinstance(end.endpoint.plant, LinePlant)
+        end._line = end.endpoint.plant
+    return end
