@@ -9,13 +9,18 @@ from pathlib import Path
 
 import pytest
 
+from protocol.link.keying import Keying
 from protocol.runtime.services import Look
 from protocol.scenario import Scenario
+from protocol.secret.blocks import Stored, schedule_of
+from protocol.secret.bound import Assumption
 from wyner.cli.health import MAX_AGE_S, advances
 from wyner.cli.main import main
 
 
-def write_status(run_dir: Path, service: str, transitions: int, age_s: float = 0.0) -> None:
+def write_status(
+    run_dir: Path, service: str, transitions: int, age_s: float = 0.0, **more: str
+) -> None:
     path = run_dir / service / "status.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     status = {
@@ -23,6 +28,7 @@ def write_status(run_dir: Path, service: str, transitions: int, age_s: float = 0
         "transitions": transitions,
         "phase": "running",
         "detail": "",
+        **more,
     }
     path.with_suffix(".new").write_text(json.dumps(status))
     path.with_suffix(".new").replace(path)
@@ -42,6 +48,26 @@ def test_a_loop_that_counts_transitions_is_healthy(
     assert health(tmp_path, service) == 0
     later.join()
     assert capsys.readouterr().out == f"{service} advances: running, 11 transitions\n"
+
+
+def test_a_loop_that_makes_no_keys_any_more_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keying = Keying(schedule_of(Assumption(0.5)))
+    keying.begin("0" * 16)
+    told = []
+    for number, keys, exhausted in ((0, 5, False), (1, 0, False), (2, 0, True)):
+        keying.done(Stored("0" * 16, number, "", keys=keys, exhausted=exhausted))
+        told.append(keying.told("", "")["keys_stopped"])
+    assert told[:2] == ["", "block 1 lost too many copies to make one"]
+    why = {"keys_stopped": told[2]}
+    write_status(tmp_path, "plant", 10, **why)
+    later = threading.Timer(0.2, write_status, (tmp_path, "plant", 11), why)
+    later.start()
+    assert health(tmp_path, "plant") == 0
+    later.join()
+    told_last = capsys.readouterr().out
+    assert told_last.endswith("; keys stopped: no pad is left to sign key blocks with\n")
 
 
 def test_a_service_that_reports_but_whose_loop_stands_still_is_not(
