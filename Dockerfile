@@ -18,9 +18,10 @@ COPY wyner wyner
 # setuptools came in with its hash above, so nothing is fetched here. What only builds or tests
 # (pip, the libraries' own test folders) stays out of the image.
 RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
-        --no-deps --no-build-isolation --no-index . \
+        --no-compile --no-deps --no-build-isolation --no-index . \
     && /opt/wyner/bin/python -m pip uninstall --yes --quiet pip \
-    && find /opt/wyner/lib -type d -name tests -prune -exec rm -rf {} + \
+    && find /opt/wyner/lib -type d \( -name tests -o -name __pycache__ \) -prune -exec rm -rf {} + \
+    && /opt/wyner/bin/python -m compileall -qf --invalidation-mode unchecked-hash /opt/wyner/lib \
     && /opt/wyner/bin/wyner --version
 
 FROM ${BASE_IMAGE}

@@ -13,6 +13,7 @@ from protocol.runtime.endpoints import (
 )
 from protocol.runtime.options import (
     add_bounds_arguments,
+    add_check_argument,
     add_fleet_arguments,
     add_message_arguments,
     at_least,
@@ -21,7 +22,7 @@ from protocol.runtime.options import (
     run_dir_of,
 )
 from protocol.runtime.parts import Bounds
-from protocol.runtime.process import UsageError
+from protocol.runtime.process import DONE, UsageError
 
 if TYPE_CHECKING:
     from controller_service.laws.online import OnlineLaw
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="D",
         help="where the file of defender.model is (default: the scenario's own folder)",
     )
+    add_check_argument(parser)
     add_bounds_arguments(parser)
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
@@ -58,16 +60,18 @@ def run(args: argparse.Namespace) -> int:
 
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     fleet = fleet_of(args)
-    if fleet is not None:
+    if fleet is not None and not args.check:
         folder = run_dir_of(args.run_dir)
         with buses_of(args, "controller") as (stopping, field, ops):
             return run_controllers(fleet, folder, _law_of, bounds, field, ops, stopping)
-    scenario = scenario_of(args.scenario)
+    scenario, message = scenario_of(args.scenario), message_of(args.message, args.message_file)
+    if args.check:
+        return DONE
     config = ControllerConfig(
         scenario=scenario,
         law=_law_of(scenario),
         loop=loop_of(args),
-        message=message_of(args.message, args.message_file),
+        message=message,
         seed=args.seed,
         bounds=bounds,
         secret=None if args.secret is None else Path(args.secret),

@@ -12,6 +12,7 @@ from protocol.runtime.endpoints import (
 )
 from protocol.runtime.options import (
     add_bounds_arguments,
+    add_check_argument,
     add_fleet_arguments,
     at_least,
     checked,
@@ -19,7 +20,7 @@ from protocol.runtime.options import (
     run_dir_of,
 )
 from protocol.runtime.parts import Bounds
-from protocol.runtime.process import UsageError
+from protocol.runtime.process import DONE, UsageError
 from protocol.runtime.run_folder import PLANT_SAFE
 
 
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
+    add_check_argument(parser)
     add_bounds_arguments(parser)
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
@@ -61,16 +63,19 @@ def run(args: argparse.Namespace) -> int:
     at_least("--seed", args.seed, 0)
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     fleet = fleet_of(args)
-    if fleet is not None:
+    if fleet is not None and not args.check:
         folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
         if args.steps is not None:
             raise UsageError("--steps: a fleet runs until it is stopped")
         with buses_of(args, "plant") as (stopping, field, ops):
             return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
+    scenario, pace = scenario_of(args.scenario), pace_of(args.pace)
+    if args.check:
+        return DONE
     config = PlantConfig(
-        scenario=scenario_of(args.scenario),
+        scenario=scenario,
         loop=loop_of(args),
-        pace=pace_of(args.pace),
+        pace=pace,
         steps=args.steps,
         seed=args.seed,
         bounds=bounds,

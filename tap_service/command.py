@@ -62,7 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
     from protocol.runtime.endpoints import add_endpoint_arguments, add_metrics_argument
-    from protocol.runtime.options import add_bounds_arguments, add_fleet_arguments
+    from protocol.runtime.options import (
+        add_bounds_arguments,
+        add_check_argument,
+        add_fleet_arguments,
+    )
 
     parser.add_argument(
         "--eavesdropper",
@@ -88,6 +92,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds for the heavy eavesdroppers' last thoughts at the end (default 20)",
     )
+    add_check_argument(parser)
     add_fleet_arguments(parser)
     add_metrics_argument(parser)
     add_endpoint_arguments(parser, "tap")
@@ -195,7 +200,7 @@ def run_told(
     from protocol.runtime.bus import TransportError
     from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of, noted
     from protocol.runtime.options import alone_in, checked, run_dir_of
-    from protocol.runtime.process import UsageError
+    from protocol.runtime.process import DONE, UsageError
     from tap_service.capture.recording import Limits
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
@@ -247,9 +252,13 @@ def run_told(
             for loop in fleet.loops.values():
                 config_in_fleet(loop)
                 break
+            if args.check:
+                return DONE
             with alone_in(run_dir_of(args.run_dir) / "tap"):
                 return run_taps(fleet, config_in_fleet, field, intel, partial(noted, args))
         config = config_of(told, loop_of(args), Path(args.run_dir))
+        if args.check:
+            return DONE
         with alone_in(run_dir_of(args.run_dir) / "tap"):
             return run_tap(config, note=partial(noted, args))
     except (KnowledgeError, TransportError) as error:

@@ -13,16 +13,10 @@ from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
+from protocol.runtime.guest import GuestError
 from protocol.text import readable
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import (
-    Belief,
-    Eavesdropper,
-    Guess,
-    GuestError,
-    KeysHeld,
-    KnowledgeError,
-)
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
 TAIL: Final = 32
 """Transitions that a status shows."""

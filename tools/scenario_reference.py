@@ -68,8 +68,9 @@ def tables() -> Iterator[tuple[str, type[ScenarioTable]]]:
 
 def own_fields(cls: type[ScenarioTable]) -> list[str]:
     """The fields that a class has beside those of ``[plant]`` or ``[control]``, or tells anew."""
-    common = {PlantTable, Control} & set(cls.__mro__[1:])
-    return [f for f in cls.model_fields if not common or f in inspect.get_annotations(cls)]
+    common = [c for c in (PlantTable, Control) if c in cls.__mro__[1:]]
+    told = {f for c in common for f in c.model_fields} - inspect.get_annotations(cls).keys()
+    return [f for f in cls.model_fields if f not in told]
 
 
 def _headed(

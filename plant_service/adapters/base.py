@@ -1,7 +1,7 @@
 """What a plant is, seen from the plant service, in physical units.
 
 Two calls and not one, because a device is actuated when the offer comes and read when the step
-ends. What most people write is one call, ``step``; :class:`Simulated` makes the two of it.
+ends. What most people write is one call, ``step``; :class:`SimulatedPlant` makes the two of it.
 """
 
 from collections.abc import Sequence
@@ -112,7 +112,7 @@ class SimulatedPlant:
 
     def start(self, seed: int | None) -> Sample:
         """Reset the plant."""
-        return Sample(_floats(self.plant.reset(seed)))
+        return Sample(floats(self.plant.reset(seed)))
 
     def apply(self, u: Vector) -> None:
         """Keep ``u`` for the step to come."""
@@ -122,7 +122,7 @@ class SimulatedPlant:
         """Make the step."""
         if self._u is None:
             raise PlantError("the plant was read before an input was applied")
-        return Sample(_floats(self.plant.step(self._u, self._period_s)))
+        return Sample(floats(self.plant.step(self._u, self._period_s)))
 
     def safe(self) -> None:
         """Tell the plant where it has a word for it."""
@@ -137,8 +137,13 @@ class SimulatedPlant:
             close()
 
 
-def _floats(values: Sequence[float]) -> Vector:
-    """The reading as plain floats, whatever array or list the plant returned."""
+def floats(values: Sequence[float]) -> Vector:
+    """The reading as plain floats, whatever array or list the plant returned.
+
+    Raises
+    ------
+    PlantError
+    """
     try:
         return tuple([float(v) for v in values])
     except (TypeError, ValueError):

@@ -4,12 +4,14 @@ A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper
 user's is loaded before that.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
 from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
+from plant_service.adapters.isolated import isolated
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
@@ -37,7 +39,20 @@ class LinearPlant(PlantTable):
 
 
 class ModelledElsewhere(PlantTable):
-    """A plant that is no matrices: those of its model stand under ``[defender]``."""
+    """A plant that is no matrices: those of its model stand under ``[defender]``.
+
+    Its code runs in a process of its own, unless it is shipped.
+    """
+
+    answer_s: Positive = 2.0
+    """Seconds that the plant's code has for one call; it is ended where it takes longer."""
+    memory_mib: Annotated[int, Field(ge=256, le=100_000)] = 2048
+    """Address space of the plant's process, in MiB."""
+
+    @property
+    def shipped(self) -> bool:
+        """Whether the code that it names is this package's own."""
+        return getattr(self, "object", "").startswith("wyner.")
 
     @field_validator("A", "B")
     @classmethod
@@ -188,7 +203,9 @@ def open_plant(
     try:
         adapter: PlantAdapter
         if own is None:
-            adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
+            foreign = isinstance(plant, ModelledElsewhere) and not plant.shipped
+            make = partial(isolated, plant) if foreign else plant.adapter  # type: ignore[attr-defined]
+            adapter = make(start, folder)
         else:
             adapter = _adapted(own, type(own).__name__, plant.period_s)
     except (PlantError, UserCodeError) as error:

@@ -37,6 +37,13 @@ def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
 
 
+def add_check_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--check``: what is asked for is looked at, and nothing is started."""
+    parser.add_argument(
+        "--check", action="store_true", help="check options and scenario, and start nothing"
+    )
+
+
 def add_bounds_arguments(parser: argparse._ActionsContainer) -> None:
     """Add ``--part-bytes`` and ``--total-bytes``: what a recording may take on disk."""
     parser.add_argument(

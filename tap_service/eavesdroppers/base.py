@@ -37,10 +37,6 @@ class KnowledgeError(Exception):
     """An eavesdropper that is not told what it needs; the text names what is missing."""
 
 
-class GuestError(Exception):
-    """A user's eavesdropper did not answer as she should; the text says how."""
-
-
 @dataclass(frozen=True, slots=True)
 class Guess:
     """What an eavesdropper thinks of one transition, right after it.

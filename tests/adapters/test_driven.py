@@ -250,6 +250,7 @@ def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None
 
 SUICIDAL = """
 import os
+import time
 from pathlib import Path
 from tests.adapters.plants import PythonLine
 
@@ -260,14 +261,16 @@ class Line(PythonLine):
         flag = Path(__file__).with_name("killed")
         if Line.steps == 7 and not flag.exists():
             flag.write_text("once")
-            os.kill(os.getpid(), 9)
+            warden = Path(f"/proc/{os.getppid()}/stat").read_text()
+            os.kill(int(warden.rpartition(")")[2].split()[1]), 9)  # the service
+            time.sleep(60)
         return super().step(u, period_s)
 """
 
 
 @pytest.mark.integration
 def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
-    """Three real processes; the plant's own code kills it, and the check knows such a step."""
+    """Three real processes; the plant's code kills its service, and the check knows such a step."""
     (tmp_path / "line.py").write_text(SUICIDAL)
     from wyner.studies.fit.toml import as_toml
 

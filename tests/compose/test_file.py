@@ -13,7 +13,7 @@ def test_compose_v2_reads_the_file_and_starts_the_direct_system_by_default(engin
         ["docker", "compose", "-f", "compose.yaml", "config", "--services"],
         cwd=ROOT, capture_output=True, text=True, timeout=60, check=True,
     )  # fmt: skip
-    assert sorted(shown.stdout.split()) == ["controller", "knowledge", "plant", "tap"]
+    assert sorted(shown.stdout.split()) == ["controller", "knowledge", "plant", "settings", "tap"]
 
 
 @pytest.mark.skipif(shutil.which("docker-compose") is None, reason="no docker-compose here")
@@ -35,3 +35,30 @@ def test_the_older_docker_compose_brings_the_system_up(image: str) -> None:
     finally:
         ended = run("down", "--volumes")
     assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.parametrize("profile", ["direct", "secure", "fleet"])
+@pytest.mark.parametrize(
+    ("variable", "value", "expected"),
+    [
+        ("WYNER_PACE", "x0", "WYNER_PACE: --pace: got 'x0'"),
+        ("WYNER_SCENARIO", "nosuch", "WYNER_SCENARIO: /scenarios/nosuch.toml: no such file"),
+        ("WYNER_TAPS", "nobody", "WYNER_TAPS: eavesdropper: got 'nobody'"),
+        ("WYNER_MESSAGE", "x" * 70_000, "WYNER_MESSAGE: message: got 70000 bytes"),
+    ],
+)
+def test_with_a_wrong_variable_nothing_starts_and_it_is_named(
+    image: str, profile: str, variable: str, value: str, expected: str
+) -> None:
+    if profile != "direct" and variable != "WYNER_PACE":
+        pytest.skip("one of each is enough")
+    system = Composition("wyner-test-settings", profile, {variable: value})
+    try:
+        started = system.compose("up", "--detach", "--no-build", check=False)
+        assert started.returncode != 0
+        assert "settings" in started.stderr
+        assert expected in system.compose("logs", "settings").stdout
+        running = system.compose("ps", "--services", "--status", "running").stdout.split()
+        assert set(running) <= {"fleet-router"}
+    finally:
+        system.down()

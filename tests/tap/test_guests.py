@@ -7,12 +7,15 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import Sealed
+from protocol.runtime.guest import GuestError
 from tap_service import guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.guests import guarded
 from tap_service.status import Listener
 from tests.support.small_run import law_of
+from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.taps import listen
 
 KNOWLEDGE = law_of("sustained")[0].knowledge()
 
@@ -93,8 +96,8 @@ def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("act", "why"),
     [
-        ("sys.exit(0)", "her process ended"),
-        ("os._exit(3)", "her process ended"),
+        ("sys.exit(0)", "the process ended"),
+        ("os._exit(3)", "the process ended"),
         ("raise ValueError('no\\nidea')", "ValueError: no idea"),
         ("return 'nothing of the kind'", "TypeError: expected a Guess"),
         ("x = bytearray(8 << 30)", "MemoryError"),
@@ -115,11 +118,15 @@ def test_what_she_does_stops_her_alone(
     assert listener.belief().message == b""
 
 
-def test_what_she_started_ends_with_her(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("leave", ["", "child or os.setsid(); "])
+def test_what_she_started_ends_with_her(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leave: str
+) -> None:
     monkeypatch.setattr(guests, "LIGHT_S", 0.7)
     note = tmp_path / "pid"
     forking = (
-        f"child = os.fork(); child and open({str(note)!r}, 'w').write(str(child)); time.sleep(60)"
+        f"child = os.fork(); {leave}child and open({str(note)!r}, 'w').write(str(child)); "
+        "time.sleep(60)"
     )
     listener = Listener.of(guarded(guest(tmp_path, forking)), KNOWLEDGE)
     for k in range(3):
@@ -139,7 +146,7 @@ def test_what_she_started_ends_with_her(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("before", "why"),
     [
-        ("sys.exit(1)", "cannot be loaded: her process ended"),
+        ("sys.exit(1)", "cannot be loaded: the process ended"),
         ("raise RuntimeError('no')", "no"),
         ("time.sleep(60)", "cannot be loaded: too slow"),
     ],
@@ -152,3 +159,23 @@ def test_one_that_cannot_be_loaded_is_one_line(
         guarded(guest(tmp_path, before=before))
     assert why in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_one_after_the_other_shares_a_process(tmp_path: Path) -> None:
+    kind = guarded(guest(tmp_path))
+    pids = set()
+    for _ in range(3):
+        tap = kind(KNOWLEDGE)
+        assert tap.observe(step(1)).k == 1
+        pids.add(tap._process._child.pid)  # type: ignore[attr-defined]
+        del tap
+    assert len(pids) == 1
+
+
+def test_in_a_sweep_the_line_names_her(tmp_path: Path) -> None:
+    scenario, law = law_of("sustained")
+    runs = simulate_runs(scenario, law, seed=1, runs=range(1), steps=5, record=True)
+    with pytest.raises(GuestError, match=r"mine.py:Mine: step 2: the process ended"):
+        listen(runs, transfer(runs), [guest(tmp_path, "os._exit(0)")], 0)
+    (heard,) = listen(runs, transfer(runs), [guest(tmp_path)], 0)
+    assert heard.read == 0

@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +14,14 @@ EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 
 HORIZONS: Final = {1: 50, 2: 50, 3: 30}
 """Sets that a design of so many states computes in seconds; more states get `HORIZON`."""
-HORIZON: Final = 10
+HORIZON: Final = 8
 
-SHARE: Final = 0.05
-"""Half-width of D, as a share of what the largest inputs move each state by in a step."""
+SHARES: Final = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+"""Half-width of D, as a share of what the largest inputs move each state by in a step: the first
+for which there is a terminal set."""
+
+WEIGHTS: Final = (1.0, 0.1, 0.01, 10.0)
+"""Input weights of the regulator, in the order in which they are tried."""
 
 WIDER: Final = 1.2
 """D_c over D, the ratio of the paper's example."""
@@ -44,7 +50,8 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--disturbance",
         type=float,
         metavar="V",
-        help="half-width of D in each state (default: a twentieth of what an input does in a step)",
+        help="half-width of D in each state (default: a twentieth of what an input does in a "
+        "step, or less where that leaves no terminal set)",
     )
     parser.add_argument("--output", metavar="F", help="default: NAME.toml here")
     parser.set_defaults(run=run)
@@ -52,9 +59,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
-    import tomllib
-
-    from protocol.scenario import ScenarioError, parse_scenario
+    from protocol.scenario import ScenarioError
 
     given = (args.A, args.B, args.period)
     if any(v is not None for v in given) and None in given:
@@ -73,10 +78,14 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.continuous or example:
         A, B = sampled(A, B, period)
-    text = scenario_text(args.name, A, B, period, args.input, args.disturbance)
     path = Path(args.output or f"{args.name}.toml")
+    texts = [
+        scenario_text(args.name, A, B, period, args.input, widths, weight)
+        for widths in widths_of(B, args.input, args.disturbance)
+        for weight in WEIGHTS
+    ]
     try:
-        parse_scenario(tomllib.loads(text), str(path))
+        text = next((t for t in texts if _starts(t, path)), texts[0])
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     try:
@@ -88,6 +97,32 @@ def run(args: argparse.Namespace) -> int:
         raise Failure(f"{path}: cannot be written: {error.strerror}") from None
     print(f"{path}: {len(A)} states, {len(B[0])} inputs; `wyner design {path}` says what it gives")
     return DONE
+
+
+def widths_of(
+    B: list[list[float]], bound: float, disturbance: float | None
+) -> Iterator[list[float]]:
+    """Half-widths of D to be tried, the widest first."""
+    if disturbance is not None:
+        yield [disturbance] * len(B)
+        return
+    moved = [bound * sum(abs(b) for b in row) for row in B]
+    for share in SHARES:
+        yield [share * (step or max(moved) or bound) for step in moved]
+
+
+def _starts(text: str, path: Path) -> bool:
+    """Whether the scenario has a terminal set, so that a design can begin."""
+    from controller_service.sets.design import stated_start
+    from controller_service.sets.terminal import SynthesisError
+    from protocol.scenario import parse_scenario
+
+    scenario = parse_scenario(tomllib.loads(text), str(path))
+    try:
+        stated_start(scenario)
+    except (SynthesisError, NotImplementedError, ValueError):
+        return False
+    return True
 
 
 def _matrix(option: str, text: str) -> list[list[float]]:
@@ -123,12 +158,11 @@ def scenario_text(
     B: list[list[float]],
     period_s: float,
     bound: float,
-    disturbance: float | None,
+    widths: list[float],
+    weight: float,
 ) -> str:
     """The file, each field with a line that says why."""
     n, m = len(A), len(B[0])
-    moved = [bound * sum(abs(b) for b in row) for row in B]
-    widths = [disturbance or SHARE * (step or max(moved) or bound) for step in moved]
     values: dict[str, Any] = {
         "name": name,
         "A": _rows(A),
@@ -139,7 +173,7 @@ def scenario_text(
         "D_c": _list([WIDER * w for w in widths]),
         "horizon": HORIZONS.get(n, HORIZON),
         "next_state": _list([1.0] * n),
-        "input": _list([1.0] * m),
+        "input": _list([weight] * m),
         "U": _list([bound] * m),
     }
     return TEMPLATE.format(**values)

@@ -7,10 +7,12 @@ from random import Random
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.runtime.guest import GuestError
 from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import NONCE_BYTES
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Eavesdropper, named
+from tap_service.eavesdroppers import ORACLE, Eavesdropper
+from tap_service.guests import guarded
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.loop import Runs
 
@@ -95,9 +97,14 @@ def listen(
     names : sequence of str or class
         As ``wyner tap --eavesdropper`` takes them, or classes of one's own.
     place : int
+
+    Raises
+    ------
+    GuestError
+        When one from a file does not answer as she should; the text names her.
     """
     scenario = runs.scenario
-    classes = [named(name) if isinstance(name, str) else name for name in names]
+    classes = [guarded(name) if isinstance(name, str) else name for name in names]
     taps = [
         c(scenario.oracle_knowledge() if c.name == ORACLE else scenario.knowledge())
         for c in classes
@@ -111,7 +118,10 @@ def listen(
             for tap in attackers:
                 tap.hear(message)
         for i, tap in enumerate(taps):
-            guess = tap.observe(transition)
+            try:
+                guess = tap.observe(transition)
+            except GuestError as error:
+                raise GuestError(f"eavesdropper {names[i]}: step {transition.k}: {error}") from None
             right[i] += key != NO_SYMBOL and guess.best == key
     deframer = Deframer(scenario.secrecy.candidates)
     symbols = (v for v in link.message_symbol[:, place].tolist() if v != NO_SYMBOL)
