@@ -14,17 +14,12 @@ The services, the simulation, the tests and the benchmarks come through here. Wh
 puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone.
 """
 
-from collections.abc import Callable
 from typing import Literal, Protocol
 
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message
 from protocol.secret.tasks import Task
-
-
-def stay() -> None:
-    """Keep the processor."""
 
 
 class Ports(Protocol):
@@ -49,19 +44,8 @@ class Ports(Protocol):
         """Replace the status in the run's folder."""
 
 
-def perform(
-    actions: Actions, endpoint: Endpoint, ports: Ports, *, give_way: Callable[[], None] = stay
-) -> None:
-    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them.
-
-    Parameters
-    ----------
-    actions : Actions
-    endpoint : Endpoint
-    ports : Ports
-    give_way : callable, optional
-        Called between what is sent and what can wait.
-    """
+def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
     while True:
         for event in actions.events:
             ports.trace(event)
@@ -77,8 +61,6 @@ def perform(
             ports.health(actions.health)
         if not actions.settle:
             return
-        if actions.publish:
-            give_way()
         actions = endpoint.settle()
 
 

@@ -7,7 +7,6 @@ fleet's has many, on subscriptions that fit every loop.
 
 import heapq
 import logging
-import os
 import queue
 import threading
 import time
@@ -19,7 +18,7 @@ from math import inf
 from typing import Final, NamedTuple
 
 from protocol.link.endpoint import Actions, Endpoint, Notice
-from protocol.link.perform import perform, stay
+from protocol.link.perform import perform
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.runtime.bus import Bus, Channel, ChannelClosed
@@ -51,12 +50,6 @@ late, and so would every answer after it."""
 
 FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on ops."""
-
-give_way: Final[Callable[[], None]] = getattr(os, "sched_yield", stay)
-"""Let other threads have the processor. Called after a put, before work that can wait: otherwise
-the thread that sends may have to wait for it, and a step is a sixteenth longer on two cores. With
-two hundred loops in a process somebody else always wants it: there each yield lasted 0.1 ms, and a
-host that had fallen behind by 100 ms never caught up."""
 
 
 class _Kept(NamedTuple):
@@ -120,7 +113,6 @@ class Host:
         self._stopping = stopping
         self._clock = clock
         self._fleet = fleet
-        self._give_way = stay if fleet else give_way
         self._chore = chore
         self._chore_at = -inf
         self._loops: dict[str, _Loop] = {}
@@ -294,7 +286,7 @@ class Host:
         loop = self._loops[name]
         try:
             actions = act(self._clock())
-            perform(actions, loop.endpoint, loop.ports, give_way=self._give_way)
+            perform(actions, loop.endpoint, loop.ports)
         except Exception as error:
             if not self._fleet:
                 raise

@@ -173,6 +173,8 @@ class ZenohChannel:
 
         self._subscriber = subscriber
         self._handler = subscriber.handler
+        self._key = str(subscriber.key_expr)
+        self._encoding = f"{_JSON};{self._key}"
         self._ended = zenoh.ZError
 
     def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
@@ -187,8 +189,9 @@ class ZenohChannel:
         try:
             sample = self._handler.recv() if wait else self._handler.try_recv()
             while sample is not None:
-                key = str(sample.key_expr)
-                if _named_alike(sample, key):
+                if str(sample.encoding) == self._encoding:  # of a wildcard it never is
+                    taken.append((self._key, _bounded(sample)))
+                elif _named_alike(sample, key := str(sample.key_expr)):
                     taken.append((key, _bounded(sample)))
                 sample = self._handler.try_recv()
         except self._ended:

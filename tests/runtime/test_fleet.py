@@ -14,7 +14,6 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
-from protocol.runtime import host
 from protocol.runtime.fleet import Fleet, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.parts import Bounds
@@ -207,17 +206,6 @@ class Slow:
     def candidates(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
         time.sleep(self.seconds)
         return self._law.candidates(x)
-
-
-def test_a_fleet_keeps_the_processor_between_its_loops(
-    sustained_law: CandidateLaw, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    yields: list[int] = []
-    monkeypatch.setattr(host, "give_way", lambda: yields.append(1))
-    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
-    with hosts.running("x20"):
-        hosts.wait(lambda: hosts.delivered("loop-0001"))
-    assert not yields
 
 
 @pytest.mark.slow
