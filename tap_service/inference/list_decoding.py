@@ -188,10 +188,13 @@ class ListDecoding:
         self._cut("lo", "hi", second)
         rows = self._rows[: self._n]
         inside = (rows["lo"] >= nearest) & (rows["hi"] <= second)
-        self._cut("edge_lo", "edge_hi", largest, inside)
-        rows = self._rows[: self._n]
-        agreed = (rows["lo"] >= nearest) & (rows["hi"] <= second) & (rows["edge_lo"] >= largest)
-        rows["score"][rows["hi"] <= nearest] += OUTSIDE
+        if self._cut("edge_lo", "edge_hi", largest, inside):
+            rows = self._rows[: self._n]
+            inside = (rows["lo"] >= nearest) & (rows["hi"] <= second)
+        agreed = inside & (rows["edge_lo"] >= largest)
+        outside = rows["hi"] <= nearest
+        if outside.any():
+            rows["score"][outside] += OUTSIDE
         values = self._values(cipher)
         self._advance(k, np.where(agreed, gauges.index(nearest), NO_SYMBOL), values)
 
@@ -266,8 +269,9 @@ class ListDecoding:
 
     def _values(self, cipher: int) -> Indices:
         """The message symbol that this step carries in each hypothesis, or -1 for none."""
-        pads = self._table.pad[self._rows["state"][: self._n]]
-        values: Indices = np.where(pads == NO_SYMBOL, NO_SYMBOL, (cipher - pads) % self.size)
+        pads = self._table.pad  # of the states, which are fewer than the hypotheses
+        carried = np.where(pads == NO_SYMBOL, NO_SYMBOL, (cipher - pads) % self.size)
+        values: Indices = carried[self._rows["state"][: self._n]]
         return values
 
     def _advance(self, k: int, verdicts: Indices, values: Indices) -> None:
@@ -310,8 +314,11 @@ class ListDecoding:
         self._n += c
         return np.arange(n, n + c)
 
-    def _cut(self, low: str, high: str, at: float, where: NDArray[np.bool_] | None = None) -> None:
-        """Split the hypotheses whose verdict counts and whose interval holds ``at`` inside."""
+    def _cut(self, low: str, high: str, at: float, where: NDArray[np.bool_] | None = None) -> bool:
+        """Split the hypotheses whose verdict counts and whose interval holds ``at`` inside.
+
+        Says whether there was one.
+        """
         rows = self._rows[: self._n]
         crossed = (rows[low] < at) & (rows[high] > at)
         if where is not None:
@@ -319,10 +326,11 @@ class ListDecoding:
         which = np.flatnonzero(crossed)
         which = which[self._table.tests[rows["state"][which]]]
         if not len(which):
-            return
+            return False
         copies = self._copy(which)
         self._rows[low][copies] = at
         self._rows[high][which] = at
+        return True
 
     # --- message symbols --------------------------------------------------------------------------
 
