@@ -2,6 +2,9 @@
 
 from importlib.metadata import version as installed
 
+# autodoc writes annotations into pydantic's base class, after which some models cannot be made
+import protocol.scenario  # noqa: F401
+
 project = "wyner"
 copyright = "the wyner maintainers"
 version = release = installed("wyner")
