@@ -1,5 +1,6 @@
 """What is around every command: its signals, its output, and its errors in a line each."""
 
+import _thread
 import argparse
 import errno
 import importlib
@@ -65,6 +66,7 @@ def entered(command: Callable[[], int]) -> int:
     for number in ENDING:
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _once_more
     if isinstance(sys.stdout, io.TextIOWrapper):
         # a message may hold any character, and the terminal's encoding not all of them
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -72,6 +74,18 @@ def entered(command: Callable[[], int]) -> int:
         return command()
     except KeyboardInterrupt:
         return INTERRUPTED
+    finally:  # all is given back: one more signal ends the interpreter without a word
+        for number in (signal.SIGINT, *ENDING):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
+    """An interrupt that came where none can be raised, as in a finaliser, is tried again."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        _thread.interrupt_main()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def serve(name: str) -> int:

@@ -26,7 +26,7 @@ from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 
 SEED: Final = 1
-WYNER: Final = [sys.executable, "-m", "wyner.cli.main"]
+WYNER: Final = [sys.executable, "-m", "wyner"]
 BY_HAND: Final = ("tap", "plant", "controller")
 START_S, END_S = 40.0, 40.0
 
@@ -75,8 +75,12 @@ def by_hand(folder: Path, wait_s: float, again_s: float | None) -> tuple[float, 
     began = interrupt(processes[0].pid, again_s)
     codes = [process.wait(END_S) for process in processes]
     quiet = not any(b"Traceback" in (folder / f"{n}.log").read_bytes() for n in BY_HAND)
-    allowed = {0} if again_s is None else {0, 130}
+    # one that has nothing left to give back is ended by the signal itself, 130 to a shell
+    allowed = {0} if again_s is None else {0, 130, -signal.SIGINT}
     told = " ".join(map(str, codes)) + ("" if quiet else ", a traceback")
+    if not quiet:
+        for name in BY_HAND:
+            print((folder / f"{name}.log").read_text(), file=sys.stderr)
     return began, told, quiet and set(codes) <= allowed
 
 
