@@ -38,7 +38,7 @@ RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
     && for name in router controller plant tap kme-controller kme-plant alice bob; do \
         install -d -o 10001 -g 10001 -m 700 /var/lib/wyner/certs/$name; done
 COPY --from=build /opt/wyner /opt/wyner
-COPY deploy/claim-loop deploy/healthy /usr/local/bin/
+COPY deploy/healthy /usr/local/bin/
 ENV PATH=/opt/wyner/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     XDG_CACHE_HOME=/var/lib/wyner/run/cache

@@ -84,11 +84,16 @@ def test_a_disk_that_fills_is_told_once(tmp_path: Path, monkeypatch: pytest.Monk
     ]
 
 
+def healthy(folder: Path) -> tuple[int, str]:
+    """What the check of the containers says of the plant whose folder this is."""
+    command = [str(ROOT / "deploy" / "healthy"), "plant", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout.strip()
+
+
 def test_the_check_of_the_containers_reads_it_without_python(tmp_path: Path) -> None:
     def check() -> tuple[int, str]:
-        command = [str(ROOT / "deploy" / "healthy"), "plant", str(tmp_path)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        return done.returncode, done.stdout.strip()
+        return healthy(tmp_path)
 
     assert check() == (1, "plant has not reported yet")
     health = tmp_path / "health"
@@ -101,3 +106,17 @@ def test_the_check_of_the_containers_reads_it_without_python(tmp_path: Path) -> 
     code, told = check()
     assert code == 1
     assert told.endswith("s ago: frozen or gone")
+
+
+def test_a_host_is_healthy_where_all_its_loops_are(tmp_path: Path) -> None:
+    lines = [tmp_path / f"loop-{n}" / "plant" / "health" for n in range(3)]
+    for line in lines:
+        line.parent.mkdir(parents=True)
+        line.write_text("ok: 12 transitions\n")
+    assert healthy(tmp_path / "plant") == (0, "ok: 3 loops")
+    lines[1].write_text("bad: no transition for 7 s\n")
+    assert healthy(tmp_path / "plant") == (1, "bad: 1 of 3 loops; the first: no transition for 7 s")
+    os.utime(lines[2], (time.time() - 60,) * 2)
+    code, told = healthy(tmp_path / "plant")
+    assert code == 1
+    assert told == "bad: 2 of 3 loops; the first: no transition for 7 s"
