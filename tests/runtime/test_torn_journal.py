@@ -13,7 +13,12 @@ from protocol.link.endpoint import Append, Keep
 from protocol.link.receiver import ReceiverRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime import journal as journal_module
-from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
+from protocol.runtime.journal import (
+    JOURNAL_VERSION,
+    ControllerJournal,
+    JournalError,
+    PlantJournal,
+)
 from protocol.runtime.step_log import Step, StepLog
 from protocol.secret.nonces import Raw
 from tests.support.twin_journals import SCENARIO, copied
@@ -235,4 +240,4 @@ def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
     for _ in range(2):
         with pytest.raises(JournalError) as error:
             ControllerJournal(path, SCENARIO)
-        assert str(error.value) == f"{path}: version: got '6', expected '7'"
+        assert str(error.value) == f"{path}: version: got '6', expected '{JOURNAL_VERSION}'"
