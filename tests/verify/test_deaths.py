@@ -8,7 +8,9 @@ from protocol.link.events import Delivered, Event, Queued, Recovered
 from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from protocol.runtime.trace import read_trace
 from tests.support.recorded_loop import RecordedLoop, Side
-from tests.support.small_run import read_lines, write_lines
+from tests.support.small_run import SmallRun, read_lines, write_lines
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
 
 MESSAGES = [b"a", b"b", b"b"]
 
@@ -68,3 +70,18 @@ def test_a_report_that_is_taken_from_a_killed_run_is_missed(
     gone = [line for i, line in enumerate(whole) if i != places[reports - 3]]
     write_lines(tmp_path / PLANT_TRACE, [line for line in gone if line["event"] != "end"])
     assert any("a whole frame, and nothing recovered" in line for line in loop.wrong())
+
+
+def test_a_missed_step_that_was_not_saved_is_made_again(tmp_path: Path) -> None:
+    """Killed after it was traced, the plant counts the transition before, and misses it again."""
+    run = SmallRun(tmp_path)
+    run.steps(40, {20: "offer lost"})
+    run.close()
+    lines = read_lines(tmp_path / PLANT_TRACE)
+    at = next(i for i, line in enumerate(lines) if line["event"] == "missed")
+    unsaved = {**lines[at], "x_next": [0.0, 0.0]}
+    back = [{"event": "continued"}, next(line for line in lines if line["event"] == "session")]
+    lines[at:at] = [unsaved, *back, lines[at - 1]]
+    write_lines(tmp_path / PLANT_TRACE, [line for line in lines if line["event"] != "end"])
+    findings = check(read_evidence(tmp_path))
+    assert [str(f.tally.first) for f in findings if f.result == "FAIL"] == []

@@ -328,6 +328,7 @@ class SideReader:
                 self.problem(number, f"transition {t.j} was written before, without a restart")
             elif number:
                 self.overwritten += 1
+                self._held = None  # a step missed after it, and never saved: it is made again
             self._broken = False
             yield Again(last, t, not number)
             return
