@@ -70,10 +70,14 @@ def by_hand(folder: Path, wait_s: float, again_s: float | None) -> tuple[float, 
                 [*WYNER, *options], stdout=log, stderr=log, process_group=group
             )
         processes.append(started)
-    running(folder)
-    time.sleep(wait_s)
-    began = interrupt(processes[0].pid, again_s)
-    codes = [process.wait(END_S) for process in processes]
+    try:
+        running(folder)
+        time.sleep(wait_s)
+        began = interrupt(processes[0].pid, again_s)
+        codes = [process.wait(END_S) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
     quiet = not any(b"Traceback" in (folder / f"{n}.log").read_bytes() for n in BY_HAND)
     # one that has nothing left to give back is ended by the signal itself, 130 to a shell
     allowed = {0} if again_s is None else {0, 130, -signal.SIGINT}
@@ -93,10 +97,13 @@ def up(folder: Path, wait_s: float, again_s: float | None) -> tuple[float, str, 
             stderr=log,
             process_group=0,
         )
-    running(folder / "run")
-    time.sleep(wait_s)
-    began = interrupt(process.pid, again_s)
-    code = process.wait(END_S)
+    try:
+        running(folder / "run")
+        time.sleep(wait_s)
+        began = interrupt(process.pid, again_s)
+        code = process.wait(END_S)
+    finally:
+        process.kill()
     quiet = not any(b"Traceback" in p.read_bytes() for p in folder.rglob("log"))
     ended = [ends(folder / "run" / path) for path in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE)]
     whole = all(ended) or again_s is not None
