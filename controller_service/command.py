@@ -59,12 +59,13 @@ def run(args: argparse.Namespace) -> int:
     at_least("--seed", args.seed, 0)
 
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
-    fleet = fleet_of(args)
+    message = message_of(args.message, args.message_file)
+    fleet = fleet_of(args, message)
     if fleet is not None and not args.check:
         folder = run_dir_of(args.run_dir)
         with buses_of(args, "controller") as (stopping, field, ops):
             return run_controllers(fleet, folder, _law_of, bounds, field, ops, stopping)
-    scenario, message = scenario_of(args.scenario), message_of(args.message, args.message_file)
+    scenario = scenario_of(args.scenario)
     if args.check:
         return DONE
     config = ControllerConfig(

@@ -154,8 +154,8 @@ def buses_of(
         raise UsageError(str(error)) from None
 
 
-def fleet_of(args: argparse.Namespace) -> "Fleet | None":
-    """The fleet of ``--fleet`` or ``--loops``, if any.
+def fleet_of(args: argparse.Namespace, message: bytes | None = None) -> "Fleet | None":
+    """The fleet of ``--fleet`` or ``--loops``, if any; ``message`` is for each loop of ``--loops``.
 
     Raises
     ------
@@ -171,4 +171,5 @@ def fleet_of(args: argparse.Namespace) -> "Fleet | None":
     if args.fleet is not None:
         return Fleet.of_file(Path(args.fleet))
     scenario = getattr(args, "scenario", None) or ""
-    return numbered(args.loops, scenario, getattr(args, "message", None) or "", args.seed)
+    text = (message or b"").decode("utf-8", errors="surrogateescape")
+    return numbered(args.loops, scenario, text, args.seed)

@@ -1,5 +1,6 @@
 """Fleets: their files, loops that come and go, loops that fail alone, and too many of them."""
 
+import argparse
 import json
 import threading
 import time
@@ -14,12 +15,15 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
+from protocol.runtime.endpoints import fleet_of
 from protocol.runtime.fleet import Fleet, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
+from protocol.runtime.options import add_fleet_arguments, add_message_arguments, message_of
 from protocol.runtime.parts import Bounds
 from protocol.runtime.process import DONE, Pace, UsageError
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import read_trace
+from protocol.topics import DEFAULT_LOOP
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'
@@ -74,6 +78,23 @@ def test_options_that_do_not_go_together(
 ) -> None:
     assert main([*options, "--run-dir", str(tmp_path / "run")]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--message", "--message-file"])
+def test_each_loop_of_a_number_has_the_message_that_was_given(tmp_path: Path, option: str) -> None:
+    """``wyner`` itself takes the text off its command line, and hands it on as a file."""
+    given = tmp_path / "text"
+    given.write_bytes("zwölf".encode() + b"\xff")
+    value = str(given) if option == "--message-file" else "zwölf"
+    parser = argparse.ArgumentParser()
+    add_message_arguments(parser)
+    add_fleet_arguments(parser)
+    parser.set_defaults(loop=DEFAULT_LOOP, scenario="sustained", seed=None)
+    args = parser.parse_args(["--loops", "2", option, value])
+    fleet = fleet_of(args, message_of(args.message, args.message_file))
+    assert fleet is not None
+    expected = given.read_bytes() if option == "--message-file" else value.encode()
+    assert [loop.payload for loop in fleet.loops.values()] == [expected] * 2
 
 
 # --- hosts ----------------------------------------------------------------------------------------
