@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -236,13 +237,15 @@ class ZenohBus(Bus):
         Mutual TLS: both sides show a certificate of the same authority.
     scouting : bool
         Find peers of the local network by multicast as well.
+    patience_s : float
+        How long a client waits for its router.
     extra : mapping, optional
         More Zenoh configuration, key to JSON value; wins over what is set here.
 
     Raises
     ------
     TransportError
-        When an endpoint is malformed, in use or cannot be opened.
+        When an endpoint is malformed, in use or cannot be opened, or no router answered in time.
     """
 
     def __init__(
@@ -253,6 +256,7 @@ class ZenohBus(Bus):
         client: bool = False,
         tls: TlsFiles | None = None,
         scouting: bool = False,
+        patience_s: float = inf,
         extra: Mapping[str, Any] | None = None,
     ) -> None:
         if client and (listen or not connect):
@@ -260,7 +264,8 @@ class ZenohBus(Bus):
         for endpoint in (*listen, *connect):
             check_endpoint(endpoint, tls=tls is not None)
         settings = _settings(listen, connect, client, tls, scouting) | dict(extra or {})
-        self._session = _open(settings, (*listen, *connect), retry=client)
+        until = time.monotonic() + patience_s if client else -inf
+        self._session = _open(settings, (*listen, *connect), retry_until=until)
 
     def publisher(self, key: str, *, express: bool = True) -> ZenohPublisher:
         """A publisher on one key: congestion control DROP, remote subscribers only.
@@ -356,8 +361,8 @@ class ZenohBus(Bus):
         session.close()
 
 
-def open_bus(endpoints: Endpoints) -> ZenohBus:
-    """Open the bus that ``endpoints`` describe.
+def open_bus(endpoints: Endpoints, patience_s: float = inf) -> ZenohBus:
+    """Open the bus that ``endpoints`` describe; a client waits so long for its router.
 
     Raises
     ------
@@ -370,6 +375,7 @@ def open_bus(endpoints: Endpoints) -> ZenohBus:
         client=endpoints.client,
         tls=endpoints.tls,
         scouting=endpoints.scouting,
+        patience_s=patience_s,
     )
 
 
@@ -458,7 +464,9 @@ def _settings(
     return settings
 
 
-def _open(settings: Mapping[str, Any], endpoints: Sequence[str], *, retry: bool) -> "zenoh.Session":
+def _open(
+    settings: Mapping[str, Any], endpoints: Sequence[str], *, retry_until: float
+) -> "zenoh.Session":
     import zenoh
 
     config = zenoh.Config()
@@ -471,7 +479,7 @@ def _open(settings: Mapping[str, Any], endpoints: Sequence[str], *, retry: bool)
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            if retry and "Unable to connect" in str(error):
+            if time.monotonic() < retry_until and "Unable to connect" in str(error):
                 continue
             named = [one for one in endpoints if one.partition("#")[0] in str(error)]
             where = ", ".join(named or endpoints) or "zenoh"

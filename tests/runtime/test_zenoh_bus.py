@@ -417,6 +417,15 @@ def test_a_client_waits_for_its_router_and_goes_through_it() -> None:
 
 
 @pytest.mark.integration
+def test_a_client_that_waits_no_longer_says_which_router_it_waited_for() -> None:
+    (endpoint,) = free_endpoints(1)
+    began = time.monotonic()
+    with pytest.raises(TransportError, match=f"{endpoint}: cannot be opened"):
+        ZenohBus(connect=[endpoint], client=True, patience_s=0.2)
+    assert time.monotonic() - began < PATIENCE_S
+
+
+@pytest.mark.integration
 def test_a_router_with_access_control_drops_what_is_not_allowed() -> None:
     endpoints = free_endpoints(1)
     everything = ["put", "declare_subscriber"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.parts import Bounds, parts_of
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from protocol.runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
 from protocol.runtime.trace import TraceReader, read_trace
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.cli.main import main
@@ -161,4 +161,16 @@ def _cut_off(path: Path, count: int) -> None:
         json.dumps(header, separators=(",", ":")).encode()
         + b"\n"
         + b"".join(lines[1 : -1 if ended else None])
+    )
+
+
+def test_a_score_says_what_it_leaves_out(
+    bounded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(bounded, tmp_path / "run"))
+    (run / BELIEFS).parent.mkdir(exist_ok=True)
+    (run / BELIEFS).write_text("{}")
+    assert main(["secrecy", str(run)]) == 0
+    assert (
+        "of the plant's trace are gone: only what came after is scored" in capsys.readouterr().err
     )

@@ -47,6 +47,8 @@ def _run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.process import DONE, Failure, UsageError, needs
+    from protocol.runtime.run_folder import PLANT_TRACE
+    from protocol.runtime.trace import TraceReader
     from tap_service.command import names_of
     from wyner.scoring import report as reporting
     from wyner.scoring.score import ScoreError, score_run
@@ -66,6 +68,9 @@ def _run(args: argparse.Namespace) -> int:
                 scores.append(score_run(run_dir))
         except ScoreError as error:
             raise UsageError(str(error)) from None
+        if gone := TraceReader(run_dir / PLANT_TRACE).parts_missing:
+            what = f"parts 0 to {gone - 1} of the plant's trace are gone"
+            print(f"wyner: {run_dir}: {what}: only what came after is scored", file=sys.stderr)
     report = reporting.report(scores)
     if args.figure is not None:
         if Path(args.figure).suffix not in (".svg", ".png"):

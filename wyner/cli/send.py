@@ -61,10 +61,10 @@ def run(args: argparse.Namespace) -> int:
     joined(args, "operator")
     loop = loop_of(args)
     ends = endpoints_of(args, "operator", "ops")
-    said = "no answer"
+    said, until = "no answer", time.monotonic() + args.timeout
     try:
-        with open_bus(ends) as ops:
-            for reply in _answers(ops, loop, command, time.monotonic() + args.timeout):
+        with open_bus(ends, args.timeout) as ops:
+            for reply in _answers(ops, loop, command, until):
                 if not reply.accepted:
                     raise Failure(reply.detail)
                 if isinstance(reply, SendReply):
