@@ -47,7 +47,7 @@ def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Pat
 
 def test_a_life_that_went_otherwise_is_refused(tmp_path: Path) -> None:
     life = recorded(50, "sustained", tmp_path)["controller"]
-    life.drawn[-2] = bytes((1 - life.drawn[-2][0] % 2,))
+    life.drawn[:] = [bytes(255 - value for value in draw) for draw in life.drawn]
     with pytest.raises(RuntimeError, match="did not say the same"):
         response_times("controller", "sustained", life)
 
