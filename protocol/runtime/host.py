@@ -11,7 +11,8 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -33,6 +34,9 @@ LOOK_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
 
 CHORE_S: Final = 1.0
+
+LAST_S: Final = 2.0
+"""How long a host that ends waits for a turn that nobody may give back any more."""
 
 CAPACITY: Final = 8192
 """Messages that may wait on the field bus; the newest push out the oldest."""
@@ -79,6 +83,16 @@ class Turns:
 
     def __exit__(self, *_: object) -> None:
         self._lock.release()
+
+    @contextmanager
+    def last(self) -> Iterator[None]:
+        """The last turn: an interrupt within ``__enter__`` may have left one taken for ever."""
+        taken = self._lock.acquire(timeout=LAST_S)
+        try:
+            yield
+        finally:
+            if taken:
+                self._lock.release()
 
 
 class Host:
@@ -333,7 +347,7 @@ class Host:
             channel.close()
         if self._started:
             for thread in self._threads:
-                thread.join()
-        with self._turns:
+                thread.join(LAST_S)
+        with self._turns.last():
             for name in self.loops:
                 self._end(name)

@@ -15,6 +15,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
+from protocol.runtime import host
 from protocol.runtime.endpoints import fleet_of
 from protocol.runtime.fleet import Fleet, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
@@ -227,6 +228,17 @@ class Slow:
     def candidates(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
         time.sleep(self.seconds)
         return self._law.candidates(x)
+
+
+def test_a_host_ends_where_an_interrupt_has_left_a_turn_taken() -> None:
+    """A second signal is raised where the program stands, be it between lock and body."""
+    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    ended = host.Host(*buses, threading.Event(), fleet=True)
+    ended._turns.__enter__()
+    closing = threading.Thread(target=ended.close, daemon=True)
+    closing.start()
+    closing.join(10)
+    assert not closing.is_alive()
 
 
 @pytest.mark.slow
