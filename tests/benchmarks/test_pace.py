@@ -1,13 +1,18 @@
 """The benchmarks in real time: the shape and the arithmetic of their results, never their speed."""
 
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from benchmarks import fleet, overload, pace
+from benchmarks.__main__ import main
 from protocol.messages import LATENCY_BOUNDS_S
-from wyner.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_quantile_is_the_upper_bound_of_its_bucket() -> None:
@@ -29,8 +34,27 @@ def test_a_quantile_is_the_upper_bound_of_its_bucket() -> None:
 def test_options_of_the_fleets_benchmark(
     options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bench", *options]) == 2
+    assert main(options) == 2
     assert said in capsys.readouterr().err
+
+
+def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
+    """``wyner bench`` becomes the benchmarks' own program, wherever it is called."""
+    for arguments, code, said in (
+        (("--help",), 0, "usage: wyner bench"),
+        (("--json", "fleet", "--loops", "0"), 2, "wyner: --loops: got 0, expected at least 1"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "wyner", "bench", *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        assert done.returncode == code
+        assert (done.stdout or done.stderr).startswith(said)
 
 
 @pytest.mark.integration

@@ -8,7 +8,7 @@ import pytest
 
 import benchmarks.loop
 from benchmarks import record
-from wyner.cli.main import main
+from benchmarks.__main__ import main
 
 
 def rounds(seed: int, ratio: float, noise: float, count: int = 5) -> list[float]:
@@ -67,14 +67,14 @@ def test_the_command_ends_with_1_where_a_ratio_fell(
     monkeypatch.setattr(record.add, "__defaults__", (path,))
     measured = loop([0.6, 0.61, 0.62])["loop"]
     monkeypatch.setattr(benchmarks.loop, "measure", lambda: measured)
-    assert main(["bench", "record", "--of", "loop"]) == 0
+    assert main(["record", "--of", "loop"]) == 0
     assert json.loads(path.read_text())[0]["ratios"] == {"loop": [0.6, 0.61, 0.62]}
-    assert main(["bench", "compare", "--of", "loop", "--json"]) == 0
+    assert main(["compare", "--of", "loop", "--json"]) == 0
     measured["rounds"] = [{"ratio": 0.2}, {"ratio": 0.21}]
-    assert main(["bench", "compare", "--of", "loop"]) == 1
+    assert main(["compare", "--of", "loop"]) == 1
     assert "FELL" in capsys.readouterr().out
-    assert main(["bench", "record", "--of", "nothing"]) == 2
-    assert main(["bench", "loop", "--of", "loop"]) == 2
+    assert main(["record", "--of", "nothing"]) == 2
+    assert main(["loop", "--of", "loop"]) == 2
 
 
 def test_the_record_of_this_tree_can_be_read() -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD, INTEL, OPS
-from protocol.schemes.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from protocol.schemes.registry import SCHEMES, make_scheme
+from tools.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from wyner.verify import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +45,7 @@ def found(dotted: str) -> object:
 
 def test_the_generated_parts_are_fresh() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run: python -m protocol.schemes.diagrams --write"
+    assert refreshed(text) == text, "run: python -m tools.diagrams --write"
 
 
 def test_the_diagrams_show_every_arrow() -> None:

@@ -27,11 +27,16 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+NAMES = {name for name in map(name_of, MODULES) if "." in name}
+
+
 def imports_of(path: Path) -> set[str]:
-    """Every module that a file names in an import, wherever it stands."""
+    """Every module that a file names, in an import wherever it stands or in a string."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
+        if isinstance(node, ast.Constant) and node.value in NAMES:
+            found.add(str(node.value))  # to be imported when it is needed
+        elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
@@ -72,6 +77,7 @@ def test_there_is_something_to_look_at() -> None:
     assert len(MODULES) > 60
     assert "protocol" in rooms_of(ROOT / "plant_service" / "plant.py")
     assert "zenoh" in imports_of(ROOT / "protocol" / "runtime" / "zenoh_bus.py")
+    assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
 
 
 # --- rooms ----------------------------------------------------------------------------------------
@@ -86,6 +92,11 @@ def test_a_service_imports_the_protocol_and_itself_only(service: str) -> None:
 def test_the_protocol_imports_no_other_room() -> None:
     for path in inside("protocol"):
         assert rooms_of(path) <= {"protocol"}, name_of(path)
+
+
+def test_what_is_installed_needs_nothing_of_the_checkout() -> None:
+    for path in inside("wyner"):
+        assert rooms_of(path) <= {"protocol", *SERVICES, "wyner"}, name_of(path)
 
 
 def test_the_dashboard_looks_on_through_messages_only() -> None:

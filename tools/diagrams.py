@@ -1,6 +1,6 @@
 """Diagrams and tables of the documents, made from the schemes and messages that the programs use.
 
-``python -m protocol.schemes.diagrams --write`` puts them between their markers in
+``python -m tools.diagrams --write`` puts them between their markers in
 docs/architecture.md; a test says when they are stale.
 """
 
@@ -18,7 +18,7 @@ from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
 
-DOCUMENT: Final = Path(__file__).resolve().parents[2] / "docs" / "architecture.md"
+DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 
 _MARKED: Final = re.compile(
     r"(?P<begin><!-- generated: (?P<name>[a-z-]+) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
@@ -113,7 +113,7 @@ def main(argv: Sequence[str]) -> int:
         write_atomically(DOCUMENT, refreshed(text).encode(), PUBLIC_FILE)
         return DONE
     if argv:
-        print("usage: python -m protocol.schemes.diagrams [--write]", file=sys.stderr)
+        print("usage: python -m tools.diagrams [--write]", file=sys.stderr)
         return USAGE
     for name, part in PARTS.items():
         print(f"{name}\n\n{part()}")
