@@ -97,10 +97,14 @@ class ControllerEndpoint:
         if self._message is not None and self.messages.queued_as(INITIAL_ID) is None:
             message = self._message
             self._later.append(lambda: self._queue(INITIAL_ID, message))
-        self._later.append(
-            lambda: Actions(publish=(self._greeting(),), keys=self.sender.keying.tasks())
-        )
+        self._later.append(self._begin)
         return self.settle()
+
+    def _begin(self) -> Actions:
+        """Greet, as a life that the journal knows."""
+        sender = self.sender
+        write = Keep(sender.record)
+        return Actions(write=write, publish=(self._greeting(),), keys=sender.keying.tasks())
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """A measurement, a word of the plant's, or the operator's command."""
@@ -237,7 +241,8 @@ class ControllerEndpoint:
         before = (sender.plant, sender.record.session)
         effects = sender.heard_plant(hello, running=now - self._plant_at < self._running_s)
         reason = effects.refusal or "the plant began it"
-        events = (SessionBegan(sender.record.session, reason),) if effects.save else ()
+        session = sender.record.session
+        events = (SessionBegan(session, reason),) if session != before[1] else ()
         actions = self._actions(effects, *events)
         notice: Notice | None = None
         phase: Phase | None = None

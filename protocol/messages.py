@@ -20,7 +20,8 @@ SCHEMA: Final = 2
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
-Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
+LARGEST_COUNT: Final = 2**63 - 1
+Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
 Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
 BlockNumber = Annotated[int, Field(ge=-1)]
@@ -111,13 +112,14 @@ class PlantHello(Message):
     """The plant asks ``controller`` to take up ``session``; repeated until it is answered.
 
     With None it looks for a controller: whoever greets is asked next. All others learn from it that
-    the session is not theirs.
+    the session is not theirs. ``life`` is that of the controller asked last, as it greeted.
     """
 
     topic: ClassVar[str] = "ops/plant/hello"
     instance: SessionId
     session: SessionId
     controller: SessionId | None = None
+    life: Count
     fingerprint: Fingerprint
     transitions: Count
     applied_k: Annotated[int, Field(ge=-1)]
@@ -127,10 +129,12 @@ class ControllerHello(Message):
     """The controller's answer to a plant's hello, or (``greeting``) its word after a start.
 
     A greeting names the session that the controller's journal holds, an answer the one asked for.
+    ``life`` counts the processes that had this journal.
     """
 
     topic: ClassVar[str] = "ops/controller/hello"
     instance: SessionId
+    life: Count
     fingerprint: Fingerprint
     verdict: Literal["greeting", "accepted", "unknown-session", "other-model"]
     session: SessionId | None = None

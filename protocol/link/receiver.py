@@ -31,8 +31,8 @@ class ReceiverRecord(NamedTuple):
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
     the frame under way, :func:`hex_digits` of each. Counters run over all sessions but
     ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
-    asked last to take the session up. ``nonce`` belongs to copy 0 of Measurement(k); the three
-    fields behind it are those of that message.
+    asked last to take the session up, ``life`` the one of its journal's that it was. ``nonce``
+    belongs to copy 0 of Measurement(k); the three fields behind it are those of that message.
     """
 
     session: str
@@ -56,6 +56,7 @@ class ReceiverRecord(NamedTuple):
     applied_copy: Copy = 0
     block: int = -1
     tag: str = ""
+    life: int = 0
 
     @property
     def s(self) -> int:
@@ -155,6 +156,7 @@ class Receiver:
             instance=self.instance,
             session=self.record.session,
             controller=None if self._anyone else self._met.controller,
+            life=self.record.life,
             fingerprint=self.rules.fingerprint,
             transitions=self.record.transitions,
             applied_k=self.record.applied_k,
@@ -197,18 +199,22 @@ class Receiver:
     def _greeted(
         self, hello: ControllerHello, new_session: str
     ) -> Literal["nothing", "greet", "ended", "rival"]:
-        """A controller is there: ask it, unless the session is with another that may still live."""
+        """A controller is there: ask it, unless the session is with another that may still live.
+
+        From the journal that the session was kept in, the newest life counts and no other.
+        """
         record = self.record
         asked = self._met.controller
-        returned = hello.session == record.session  # from the journal that the session was kept in
-        if not (hello.instance == asked or returned or self._anyone):
+        returned = hello.session == record.session
+        over = returned and hello.life < record.life
+        if over or not (hello.instance == asked or returned or self._anyone):
             return "nothing" if asked is None else "rival"
         self._anyone = False
+        taken = record.controller not in ("", hello.instance)
+        self.record = record._replace(controller=hello.instance, life=hello.life)
         if hello.instance == asked:
             return "greet"
         self._met = _Acquaintance(hello.instance)
-        taken = record.controller not in ("", hello.instance)
-        self.record = record._replace(controller=hello.instance)
         if taken and not returned and not record.transitions:
             self._begin_session(new_session)
             return "ended"

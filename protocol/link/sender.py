@@ -6,7 +6,7 @@ from typing import Final, Literal, NamedTuple, Protocol
 from protocol.agreement import NO_SYMBOL, Verdict
 from protocol.link.keying import Keying
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.secret.blocks import Judgement
@@ -47,6 +47,7 @@ class SenderRecord(NamedTuple):
     came from there or is idle.
     ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
     answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
+    ``life`` counts the processes that had this journal.
     """
 
     session: str | None = None
@@ -67,6 +68,7 @@ class SenderRecord(NamedTuple):
     nonce: str = ""
     block: int = -1
     tag: str = ""
+    life: int = 0
 
     @property
     def s(self) -> int:
@@ -127,6 +129,10 @@ class SenderEffects(NamedTuple):
 NOTHING: Final = SenderEffects()
 
 
+def _after(life: int) -> int:
+    return min(life + 1, LARGEST_COUNT)
+
+
 class Sender:
     """The controller's end of the link.
 
@@ -166,7 +172,8 @@ class Sender:
     ) -> None:
         self.rules = rules
         record = record or SenderRecord()
-        self.record = record._replace(state=rules.scheme.restore(record.state))
+        state = rules.scheme.restore(record.state)
+        self.record = record._replace(state=state, life=_after(record.life))
         self.instance = instance
         self._propose = propose
         self._predict = predict
@@ -202,7 +209,10 @@ class Sender:
         return self._refused
 
     def greeting(self) -> ControllerHello:
-        """The first word after a start: asks the plant to say which session it is in."""
+        """The first word after a start: asks the plant to say which session it is in.
+
+        The record must have been saved before: no other process may greet as this life.
+        """
         return self._hello("greeting")
 
     def heard_plant(self, hello: PlantHello, *, running: bool = False) -> SenderEffects:
@@ -226,11 +236,17 @@ class Sender:
             )
         if hello.controller is None:
             self._elsewhere = None
-            return SenderEffects(reply=self.greeting())
+            behind = ours and hello.life > record.life
+            if behind:  # the plant knows lives of this journal which it does not know itself
+                self.record = record._replace(life=_after(hello.life))
+            return SenderEffects(save=behind, reply=self.greeting())
         asked = hello.controller == self.instance
         late = ours and hello.applied_k < record.applied_k
         if late and (hello.instance == self._plant or not asked):
             return NOTHING  # it was overtaken
+        if not asked and ours and hello.life < record.life:
+            self._elsewhere = None
+            return SenderEffects(greet=True)  # it asks a former life of this controller
         if not asked:
             return self._step_back(hello)
         self._elsewhere = None
@@ -453,6 +469,7 @@ class Sender:
             ended=self._ended_now(),
             message=self.record.message,
             k=-1,
+            life=self.record.life,
         )
         first = self._decide(fresh.state, 0, fresh.message, 0)
         self.record = fresh._replace(cipher=first.cipher)
@@ -475,6 +492,7 @@ class Sender:
             ended=self._ended_now(),
             state=self.rules.scheme.initial,
             message=self.record.message,
+            life=self.record.life,
         )
         self.keying.end()
         return True
@@ -518,6 +536,7 @@ class Sender:
     ) -> ControllerHello:
         return ControllerHello(
             instance=self.instance,
+            life=self.record.life,
             fingerprint=self.rules.fingerprint,
             verdict=verdict,
             session=hello.session if hello else self.record.session,

@@ -90,6 +90,7 @@ class Bench:
         self.do(self.endpoint.start(0.0))
         hello = ControllerHello(
             instance="2" * 16,
+            life=1,
             fingerprint=scenario.fingerprint(),
             verdict="greeting",
         )

@@ -71,15 +71,14 @@ class View(NamedTuple):
     """What of an end its partner's deeds are compared with.
 
     The last two transitions that it has counted (an older one cannot be in doubt: the controller
-    is behind by one at most), its key store, the messages that arrived there, whether it has lost
-    its journal, and how often it was started.
+    is behind by one at most), its key store, the messages that arrived there, and whether it has
+    lost its journal.
     """
 
     counted: tuple[CountedTransition, ...] = ()
     store: int = 0
     received: int = 0
     forgot: bool = False
-    lives: int = 0
 
 
 class End:
@@ -133,7 +132,6 @@ class End:
 
     def _start(self) -> None:
         self.lives += 1
-        self.view = self.view._replace(lives=self.lives)
         self.tasks.clear()
         self._drawn = (-1, 0)
         self._line = None

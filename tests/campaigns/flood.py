@@ -157,7 +157,12 @@ def heard_on(services: Services) -> dict[str, list[bytes]]:
     ops = [s.wire() for s in statuses if not isinstance(s, TapStatus)]
     fingerprint, session = "0" * 64, "1" * 16
     hello = PlantHello(
-        instance=session, session=session, fingerprint=fingerprint, transitions=0, applied_k=-1
+        instance=session,
+        session=session,
+        life=0,
+        fingerprint=fingerprint,
+        transitions=0,
+        applied_k=-1,
     )
     return {
         "field": field,

@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import STALE, Sender, SenderEffects, SenderRecord
-from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.line_plant import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -151,6 +151,65 @@ def test_a_controller_without_the_journal_waits_until_the_other_one_is_silent() 
                                 candidates=((0.0,), (1.0,)), cipher=0)) == "foreign"  # fmt: skip
     assert sender.heard_plant(receiver.hello()).reply is None
     assert sender.measured(receiver.measurement()).offer is None
+
+
+def test_a_hello_to_a_former_life_of_the_controller_is_answered_and_ends_nothing() -> None:
+    sender, receiver = met(5)
+    late = receiver.hello()
+    assert (late.controller, late.life) == (A, 1)
+    again = controller(B, sender.record)
+    meet(again, receiver)
+    session = again.record.session
+    assert again.heard_plant(late) == SenderEffects(greet=True)
+    assert again.record.session == session
+    step(again, receiver)
+    assert receiver.record.sessions == 1
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_greeting_of_a_former_life_counts_for_nothing(silent: bool) -> None:
+    sender, receiver = met(5)
+    late = sender.greeting()
+    again = controller(B, sender.record)
+    meet(again, receiver)
+    if silent:
+        receiver.look_around()
+    assert receiver.heard_controller(late, NEW) == "rival"
+    assert receiver.controller == B
+    # nor in the plant's next life
+    restarted = plant(Q, receiver.record)
+    assert restarted.heard_controller(late, NEW) == "nothing"
+    assert restarted.hello().controller is None
+    meet(again, restarted)
+    assert restarted.record.sessions == 1
+
+
+def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> None:
+    sender, receiver = met(5)
+    kept = sender.record
+    for instance in (B, Q):
+        sender = controller(instance, sender.record)
+        meet(sender, receiver)
+    back = controller("9" * 16, kept)
+    assert (back.record.life, receiver.record.life) == (2, 3)
+    assert receiver.heard_controller(back.greeting(), NEW) == "rival"
+    receiver.look_around()
+    effects = back.heard_plant(receiver.hello())
+    assert effects.save
+    assert back.record.life == 4
+    meet(back, receiver)
+    # the one that went on from the newer journal learns that the session is not its own any more
+    assert sender.heard_plant(receiver.hello()).save
+    assert sender.record.session is None
+
+
+def test_lives_are_not_counted_beyond_what_a_hello_can_say() -> None:
+    sender, receiver = met(2)
+    asked = receiver.hello().model_copy(update={"controller": None, "life": LARGEST_COUNT})
+    reply = sender.heard_plant(asked).reply
+    assert reply is not None
+    assert reply.life == LARGEST_COUNT
+    assert controller(B, sender.record).greeting().life == LARGEST_COUNT
 
 
 def test_who_is_overtaken_offers_nothing_more_in_that_session() -> None:
@@ -310,9 +369,11 @@ def test_a_plant_that_comes_back_does_not_wait() -> None:
 @pytest.mark.parametrize("fingerprint", ["", "xyz", "f" * 63, "F" * 64, "f" * 64 + "\n"])
 def test_a_fingerprint_is_64_hexadecimal_digits(fingerprint: str) -> None:
     with pytest.raises(ValidationError, match="fingerprint"):
-        PlantHello(instance=A, session=A, fingerprint=fingerprint, transitions=0, applied_k=-1)
+        PlantHello(
+            instance=A, session=A, life=1, fingerprint=fingerprint, transitions=0, applied_k=-1
+        )
     with pytest.raises(ValidationError, match="fingerprint"):
-        ControllerHello(instance=A, fingerprint=fingerprint, verdict="greeting")
+        ControllerHello(instance=A, life=1, fingerprint=fingerprint, verdict="greeting")
 
 
 # --- numbers --------------------------------------------------------------------------------------
