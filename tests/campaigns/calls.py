@@ -2,8 +2,8 @@
 
 Every service of a live loop dies before, in the middle of, or after its Nth write, sync, rename,
 removal or send, of each kind and on each of its files. It is started again, and dies at the next.
-Each run has some of these deaths, in an order drawn from its seed; then it is judged as those of
-:mod:`tests.campaigns.kills` are. Goes on where it stopped.
+Each run has some of these deaths, in an order drawn from its seed;
+:mod:`tests.campaigns.traffic` says what must have come of it. Goes on where it stopped.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.runtime.run_folder import write_atomically
-from tests.campaigns.kills import AT_LAST_S, Customer, judged
-from tests.campaigns.live import LiveLoop, all_done, keep_failed, plain_text, preloaded, wait_for
+from tests.campaigns.live import LiveLoop, keep_failed, plain_text, preloaded
+from tests.campaigns.traffic import Traffic
 from wyner.studies.grid import code_version
 
 BYTES: Final = ("before", "tear", "after")
@@ -98,14 +98,8 @@ def one_run(
     draw = random.Random(seed)
     text = plain_text(draw, 200)
     loop = LiveLoop(folder, text.encode(), pace="x20")
-    customer = Customer(loop)
     counts: Counter[str] = Counter()
-    wrong: list[str] = []
-    expected = [text]
-    operators = []
-    loop.start()
-    customer.start()
-    try:
+    with Traffic(loop, text, draw) as traffic:
         time.sleep(0.5)
         for number, death in enumerate(chosen):
             target = f"{death.service} {death.call} {death.file}"
@@ -121,27 +115,13 @@ def one_run(
                 beyond[target] = death.number
             if reached and victim.ended[-1] >= 0:
                 said = loop.last_line(death.service)
-                wrong.append(f"{death.service}: code {victim.ended[-1]}: {said}")
+                traffic.wrong.append(f"{death.service}: code {victim.ended[-1]}: {said}")
             victim.kill()
             victim.start()
             if number % 10 == 9:
-                expected.append(plain_text(draw, 12))
-                operators.append(loop.send(f"message-{number}", expected[-1]))
-        if not wait_for(lambda: all_done(operators), AT_LAST_S):
-            wrong.append("an operator has no answer")
-        well = loop.mark()
-        if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
-            wrong.append(f"{loop.delivered(well)} messages arrive although all is well")
-        time.sleep(0.5)
-    finally:
-        customer.over.set()
-        customer.join(30)
-        wrong += loop.stop()
-        for operator in operators:
-            operator.kill()
-    wrong += customer.judged()
-    counts["messages"], counts["keys"] = len(expected), len(customer.got["alice"])
-    return counts, wrong + judged(loop.run_dir, expected, counts)
+                traffic.send()
+        traffic.arrive()
+    return counts, traffic.judged(counts)
 
 
 def main(argv: list[str] | None = None) -> int:

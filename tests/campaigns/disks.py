@@ -3,7 +3,7 @@
 The folder of one service is a disk of its own (tmpfs), too small for the run or made read-only in
 the middle of it. The service must end with one line that names a file and with exit code 1 or 2,
 at once when it is started again, and without a word of its own as soon as there is room: the run
-goes on, every message arrives once, no key is given out twice, and `wyner check` passes.
+goes on, and :mod:`tests.campaigns.traffic` says what must have come of it.
 """
 
 import argparse
@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Final
 
 from protocol.runtime.run_folder import write_atomically
-from tests.campaigns.kills import AT_LAST_S, Customer, judged
-from tests.campaigns.live import LiveLoop, all_done, keep_failed, plain_text, wait_for
+from tests.campaigns.live import LiveLoop, keep_failed, plain_text, wait_for
+from tests.campaigns.traffic import Traffic
 from wyner.studies.grid import code_version
 
 SMALL_KB: Final = (0, 40, 100, 200, 400, 1000)
@@ -74,61 +74,46 @@ class Disk:
 def one_run(service: str, kind: str, left_kb: int, folder: Path) -> tuple[Counter[str], list[str]]:
     """Fill, or make read-only; what came of it, and what was wrong."""
     draw = random.Random(left_kb)
-    expected = [plain_text(draw, 100)]
-    loop = LiveLoop(folder, expected[0].encode(), pace="x20")
-    disk = Disk(loop.run_dir / service.removeprefix("kme-"))
-    customer = Customer(loop)
+    text = plain_text(draw, 100)
+    loop = LiveLoop(folder, text.encode(), pace="x20")
+    there = service.removeprefix("kme-")
+    disk = Disk(loop.run_dir / there)
     victim = loop.processes[service]
     counts: Counter[str] = Counter()
-    wrong: list[str] = []
-    operators = []
-    loop.start()
-    customer.start()
+    traffic = Traffic(loop, text, draw)
     try:
-        time.sleep(1.0)
-        there = service.removeprefix("kme-")
-        sharing = [p for n, p in loop.processes.items() if n.removeprefix("kme-") == there]
-        before = len(victim.log.read_text(errors="replace").splitlines())
-        if kind == "full":
-            disk.fill(left_kb)
-        else:
-            for process in sharing:  # a disk with files open for writing cannot become read-only
-                process.kill()
-            disk.read_only()
-            for process in sharing:
-                process.start()
-        ended = wait_for(lambda: not victim.alive(), NOTICED_S)
-        counts["ended" if ended else "went on"] += 1
-        if ended:
-            said = victim.log.read_text(errors="replace").splitlines()[before:]
-            errors = [line for line in said if line.startswith("wyner: ")]
-            counts[f"{service}, {kind}: {errors[-1:] or said[-1:]}".replace(str(folder), "")] += 1
-            if len(errors) != 1 or victim.ended[-1] not in (1, 2) or "Traceback" in str(said):
-                wrong.append(f"{service}: code {victim.ended[-1]}, said {said[-5:]}")
-            victim.start()
-            wait_for(lambda: not victim.alive(), NOTICED_S)
-        expected.append(plain_text(draw, 12))
-        operators.append(loop.send("second", expected[-1]))
-        time.sleep(0.5)
-        disk.mend()
-        loop.start()
-        if not wait_for(lambda: all_done(operators), AT_LAST_S):
-            wrong.append("an operator has no answer")
-        well = loop.mark()
-        if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
-            wrong.append(f"{loop.delivered(well)} messages arrive although there is room")
-        loop.start()
-        time.sleep(0.5)
-    finally:
-        customer.over.set()
-        customer.join(30)
-        wrong += loop.stop()
-        for operator in operators:
-            operator.kill()
+        with traffic:
+            time.sleep(1.0)
+            before = len(victim.log.read_text(errors="replace").splitlines())
+            if kind == "full":
+                disk.fill(left_kb)
+            else:
+                sharing = [p for n, p in loop.processes.items() if n.removeprefix("kme-") == there]
+                for process in sharing:  # with files open for writing none becomes read-only
+                    process.kill()
+                disk.read_only()
+                for process in sharing:
+                    process.start()
+            ended = wait_for(lambda: not victim.alive(), NOTICED_S)
+            counts["ended" if ended else "went on"] += 1
+            if ended:
+                said = victim.log.read_text(errors="replace").splitlines()[before:]
+                errors = [line for line in said if line.startswith("wyner: ")]
+                told = f"{service}, {kind}: {errors[-1:] or said[-1:]}"
+                counts[told.replace(str(folder), "")] += 1
+                if len(errors) != 1 or victim.ended[-1] not in (1, 2) or "Traceback" in str(said):
+                    traffic.wrong.append(f"{service}: code {victim.ended[-1]}, said {said[-5:]}")
+                victim.start()
+                wait_for(lambda: not victim.alive(), NOTICED_S)
+            traffic.send()
+            time.sleep(0.5)
+            disk.mend()
+            loop.start()
+            traffic.arrive()
+        wrong = traffic.judged(counts)
         if wrong:
             keep_failed(folder, Path("campaign-disks.json"), f"{service}-{kind}-{left_kb}")
-        wrong += customer.judged()
-        wrong += judged(loop.run_dir, expected, counts)
+    finally:
         disk.remove()
     return counts, wrong
 

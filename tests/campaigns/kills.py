@@ -2,88 +2,37 @@
 
 Each run is a whole loop of processes: controller, plant, tap, two key servers, and in every other
 run a router. Any of them is killed at random instants and started again, or frozen for up to six
-seconds, while others are killed. Messages are handed over and keys fetched meanwhile. At the end
-every message must be there once, no key may have been given out twice, and `wyner check` must pass.
+seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must have come of it.
 With ``--jumps`` the wall clock of all of them is set by hours again and again, both ways (needs
-a C compiler): nothing may depend on it.
+a C compiler): nothing may depend on it. With ``--keys`` the field bus goes through a relay that
+loses, repeats and delays, blocks of keys are signed, and every other message is sealed.
 """
 
 import argparse
-import base64
 import json
 import os
 import random
 import signal
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.run_folder import PLANT_TRACE, write_atomically
-from protocol.runtime.trace import TraceReader
-from protocol.secret.records import StoreError
-from tests.campaigns.live import (
-    LiveLoop,
-    Process,
-    all_done,
-    keep_failed,
-    plain_text,
-    preloaded,
-    wait_for,
-)
+from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.live import LiveLoop, keep_failed, plain_text, preloaded
+from tests.campaigns.traffic import Traffic
 from wyner.studies.grid import code_version
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
 
 KILLS_A_RUN: Final = 60
 FROZEN_S: Final = 6.0
-AT_LAST_S: Final = 120.0
-"""Seconds that a loop has to deliver what is queued, once all is well."""
+RELAY: Final = (0.02, 0.05, 0.001)
+"""Its odds: loss, repeat, and the longest delay in seconds."""
 
-SERVICES: Final = ("controller", "plant", "tap", "router", "kme-controller", "kme-plant")
+SERVICES: Final = ("controller", "plant", "tap", "router", "relay", "kme-controller", "kme-plant")
 LARGEST_JUMP_S: Final = 48 * 3600
 PACES: Final = ("fast", "x100", "x20")
-
-
-class Customer(threading.Thread):
-    """Two applications that fetch keys whenever the servers are there, and note what they got."""
-
-    def __init__(self, loop: LiveLoop) -> None:
-        super().__init__(daemon=True)
-        self.sites = loop.sites
-        self.over = threading.Event()
-        self.got: dict[str, list[tuple[str, str]]] = {"alice": [], "bob": []}
-        self.wrong: list[str] = []
-
-    def run(self) -> None:
-        """Fetch until told that it is over."""
-        while not self.over.wait(0.05):
-            for key_id, key in self._ask("controller", "alice", "bob/enc_keys"):
-                self.got["alice"].append((key_id, key))
-                for same in self._ask("plant", "bob", f"alice/dec_keys?key_ID={key_id}"):
-                    self.got["bob"].append(same)
-                    if same != (key_id, key):
-                        self.wrong.append(f"key {key_id} differs")
-
-    def _ask(self, side: str, name: str, path: str) -> list[tuple[str, str]]:
-        assert self.sites is not None
-        with suppress(OSError, ValueError, AssertionError, KeyError):
-            code, told = self.sites.ask(side, name, f"/api/v1/keys/{path}")
-            if code == 200:
-                return [(k["key_ID"], k["key"]) for k in told["keys"]]
-        return []
-
-    def judged(self) -> list[str]:
-        """What was wrong with the keys."""
-        for name, got in self.got.items():
-            for what, place in (("id", 0), ("key", 1)):
-                seen = Counter(one[place] for one in got)
-                self.wrong += [f"{name} got {what} {x} twice" for x, n in seen.items() if n > 1]
-        return self.wrong
 
 
 class Reaper:
@@ -137,65 +86,29 @@ class Reaper:
         return wrong
 
 
-def one_run(seed: int, folder: Path, kills: int) -> tuple[Counter[str], list[str]]:
+def one_run(
+    seed: int, folder: Path, kills: int, *, keys: bool = False
+) -> tuple[Counter[str], list[str]]:
     """Kill and freeze; how often, and what was wrong."""
     draw = random.Random(seed)
     text = plain_text(draw, 200)
-    loop = LiveLoop(folder, text.encode(), pace=draw.choice(PACES), router=seed % 2 == 1)
-    reaper, customer = Reaper(loop, draw), Customer(loop)
-    expected, operators = [text], list[Process]()
-    wrong: list[str] = []
-    counts = reaper.counts
-    loop.start()
-    customer.start()
-    try:
+    pace = "x20" if keys else draw.choice(PACES)
+    relay = RELAY if keys else None
+    router = not keys and seed % 2 == 1
+    loop = LiveLoop(folder, text.encode(), pace=pace, router=router, relay=relay, secret=keys)
+    reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
+    counts, wrong = reaper.counts, traffic.wrong
+    with traffic:
         time.sleep(draw.uniform(0.5, 1.5))
         while sum(counts[name] for name in loop.processes) < kills and not wrong:
             reaper.strike()
             wrong += reaper.mend()
-            if draw.random() < 0.05 and len(operators) < 20:
-                expected.append(plain_text(draw, 12))
-                operators.append(loop.send(f"message-{len(operators)}", expected[-1]))
+            if draw.random() < 0.05 and len(traffic.operators) < 20:
+                traffic.send(sealed=keys and draw.random() < 0.5)
             time.sleep(draw.choice((0.0, draw.uniform(0.0, 0.5))))
         reaper.mend(all_of_it=True)
-        if not wait_for(lambda: all_done(operators), AT_LAST_S):
-            wrong.append("an operator has no answer")
-        well = loop.mark()
-        if not wait_for(lambda: loop.delivered(well) == len(expected), AT_LAST_S):
-            wrong.append(f"{loop.delivered(well)} messages arrive although all is well")
-        time.sleep(0.5)
-    finally:
-        customer.over.set()
-        customer.join(30)
-        wrong += loop.stop()
-        for operator in operators:
-            operator.kill()
-    wrong += customer.judged()
-    counts["messages"], counts["keys"] = len(expected), len(customer.got["alice"])
-    wrong += judged(loop.run_dir, expected, counts)
-    return counts, wrong
-
-
-def judged(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:
-    """What was wrong with a run that is over: its messages, and what its check says."""
-    try:
-        trace = TraceReader(run_dir / PLANT_TRACE)
-        events = [e for e in trace if e["event"] in ("recovered", "session")]
-        evidence = read_evidence(run_dir)
-        findings = check(evidence)
-    except (OSError, StoreError, ValueError) as error:
-        return [f"the run cannot be read: {error}"]
-    got = [base64.b64decode(e["payload"]).decode() for e in events if e["event"] == "recovered"]
-    counts["sessions"] = len({e["session"] for e in events if e["event"] == "session"})
-    counts["transitions"] = (
-        0 if evidence.plant is None else sum(evidence.plant.transitions.values())
-    )
-    seen = Counter(got)
-    wrong = [
-        f"{text[:20]!r} was recovered {seen[text]} times" for text in expected if seen[text] != 1
-    ]
-    wrong += [f"{text[:20]!r} was never sent" for text in seen if text not in expected]
-    return wrong + [f"{f.clause.name}: {f.tally.first}" for f in findings if f.result == "FAIL"]
+        traffic.arrive()
+    return counts, traffic.judged(counts)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -205,19 +118,21 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--seed", type=int, help="this run alone, kept in --folder")
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--jumps", action="store_true", help="set the wall clock again and again")
-    parser.add_argument("--results", type=Path, help="default: campaign-kills.json")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--jumps", action="store_true", help="set the wall clock again and again")
+    kind.add_argument("--keys", action="store_true", help="a relay, signed blocks, sealed messages")
+    parser.add_argument("--results", type=Path, help="default: campaign-kills.json, or as its kind")
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    name = "campaign-jumps.json" if args.jumps else "campaign-kills.json"
-    args.results = args.results or Path(name)
+    name = "jumps" if args.jumps else "kills-keys" if args.keys else "kills"
+    args.results = args.results or Path(f"campaign-{name}.json")
     if args.jumps:
         clock = Path(tempfile.mkdtemp()) / "clock"
         clock.write_bytes(bytes(8))
         preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_CLOCK=str(clock))
     if args.seed is not None:
         args.folder.mkdir()
-        counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN)
+        counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN, keys=args.keys)
         print(dict(counts), *wrong, sep="\n")
         return 1 if wrong else 0
     done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
@@ -227,7 +142,7 @@ def main(argv: list[str] | None = None) -> int:
     while done["killed"] < args.kills and time.monotonic() < until:
         seed = done["runs"]
         with tempfile.TemporaryDirectory() as folder:
-            counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN)
+            counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN, keys=args.keys)
             if wrong:
                 keep_failed(Path(folder), args.results, str(seed))
         done["runs"] += 1

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -24,9 +25,12 @@ from typing import Final
 from protocol.runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from protocol.runtime.zenoh_bus import free_endpoints
 from protocol.scenario.files import scenario_of
+from protocol.secret.authentication import make_secret
 from protocol.shipped import scenario_file_of
+from tests.campaigns.relay import main as pass_on
 from tests.support.key_sites import Sites
 from wyner.cli.main import main
+from wyner.studies.fit.toml import as_toml
 
 PRELOADED: Final = (
     *("controller_service.command", "controller_service.service", "plant_service.command"),
@@ -43,8 +47,11 @@ TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 """The capture is what counts here."""
 
 
-def fork(argv: Sequence[str], log: Path, death: str = "") -> int:
-    """Run ``wyner ARGV`` in a process of its own, in a session of its own; its id.
+Command = Callable[[Sequence[str]], int]
+
+
+def fork(argv: Sequence[str], log: Path, death: str = "", command: Command = main) -> int:
+    """Run ``command``, which is ``wyner``, in a process and a session of its own; its id.
 
     ``death`` is for hostile.c, where it is preloaded.
     """
@@ -61,7 +68,7 @@ def fork(argv: Sequence[str], log: Path, death: str = "") -> int:
         os.dup2(out, 2)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         os.environ["WYNER_DEATH"] = death
-        code = main(argv)
+        code = command(argv)
     except BaseException:
         traceback.print_exc()
     finally:
@@ -78,12 +85,13 @@ class Process:
     name: str
     argv: list[str]
     log: Path
+    command: Command = main
     pid: int = 0
     ended: list[int] = field(default_factory=list)
 
     def start(self, death: str = "") -> None:
         """Begin a life; ``death`` may say where it ends."""
-        self.pid = fork(self.argv, self.log, death)
+        self.pid = fork(self.argv, self.log, death, self.command)
 
     def signal(self, number: int) -> None:
         """Send it a signal, if it lives."""
@@ -148,56 +156,70 @@ class LiveLoop:
         The run is kept in ``run`` below it.
     message : bytes
         The controller's first.
-    scenario : str
-        A shipped one; with a table ``keys`` there are key servers.
     pace : str
     router : bool
         All buses go through one router instead of from peer to peer.
+    relay : tuple of float, optional
+        The field bus between the two ends goes through a relay with these odds: loss, repeat, and
+        the longest delay in seconds.
+    secret : bool
+        Blocks of keys are signed.
     """
 
     def __init__(
         self,
         folder: Path,
         message: bytes,
-        scenario: str = "keys",
         pace: str = "fast",
         *,
         router: bool = False,
+        relay: tuple[float, float, float] | None = None,
+        secret: bool = False,
     ) -> None:
         for module in PRELOADED:
             __import__(module)
         self.folder, self.run_dir = folder, folder / "run"
         (folder / "message").write_bytes(message)
         self.processes: dict[str, Process] = {}
-        made = scenario_of(scenario)
         self.run_dir.mkdir(mode=0o700)
         file = self.run_dir / SCENARIO
-        file.write_bytes(scenario_file_of(scenario).read_bytes())
+        tables = tomllib.loads(scenario_file_of("keys").read_text())
+        tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
+        file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"
-        knowledge.write_text(made.knowledge().model_dump_json())
-        common = ["--run-dir", str(self.run_dir)]
-        ends = self._routed() if router else self._peers()
-        message_file = str(folder / "message")
-        self._add("tap", [*common, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
-        self._add("plant", [*common, "--scenario", str(file), "--pace", pace, *ends["plant"]])
-        controller = [*common, "--scenario", str(file), "--message-file", message_file]
-        self._add("controller", [*controller, *ends["controller"]])
-        self.sites: RunSites | None = None
-        if made.keys is not None:
-            self.sites = RunSites(folder, keys=0)
-            for side in ("controller", "plant"):
-                command = self.sites.command(side)
-                name = f"kme-{side}"
-                self.processes[name] = Process(name, command, folder / f"{name}.log")
+        knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())
+        ends = self._routed() if router else self._peers(relay)
+        run = ["--run-dir", str(self.run_dir)]
+        self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
+        common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
+        if secret:
+            make_secret(folder / "secret-plant")
+            shutil.copy(folder / "secret-plant", folder / "secret-controller")
+            for side, arguments in common.items():
+                arguments += ["--secret", str(folder / f"secret-{side}")]
+        self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
+        told = ["--message-file", str(folder / "message")]
+        self._add("controller", [*common["controller"], *told, *ends["controller"]])
+        self.sites = RunSites(folder, keys=0)
+        for side in ("controller", "plant"):
+            name = f"kme-{side}"
+            log = folder / f"{name}.log"
+            self.processes[name] = Process(name, self.sites.command(side), log)
 
     def _add(self, name: str, arguments: list[str]) -> None:
         self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
 
-    def _peers(self) -> dict[str, list[str]]:
+    def _peers(self, relay: tuple[float, float, float] | None) -> dict[str, list[str]]:
         plant, controller, tap, plant_ops, controller_ops, intel = free_endpoints(6)
         self.ops = ["--connect", f"ops={controller_ops}"]
         field_of = ["--connect", f"field={tap}"]
-        joins = ["--connect", f"field={plant}", "--connect", f"ops={plant_ops}"]
+        joins = ["--connect", f"ops={plant_ops}"]
+        if relay is None:
+            joins += ["--connect", f"field={plant}"]
+        else:
+            between = [plant, controller, *map(str, relay), "1"]
+            log = self.folder / "relay.log"
+            self.processes["relay"] = Process("relay", between, log, pass_on)
         hears = ["--listen", f"field={controller}", "--listen", f"ops={controller_ops}"]
         return {
             "tap": ["--listen", f"field={tap}", "--listen", f"intel={intel}"],
@@ -224,9 +246,10 @@ class LiveLoop:
             if not process.alive():
                 process.start()
 
-    def send(self, name: str, text: str) -> Process:
-        """An operator who asks until a message has been queued."""
-        argv = ["send", text, "--id", name, "--timeout=600", *self.ops]
+    def send(self, name: str, text: str, *, sealed: bool = False) -> Process:
+        """An operator who asks until a message has been queued, or a sealed one has arrived."""
+        how = ["--sealed"] if sealed else []
+        argv = ["send", text, "--id", name, "--timeout=600", *how, *self.ops]
         operator = Process(name, argv, self.folder / "send.log")
         operator.start()
         return operator

@@ -39,7 +39,10 @@ def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_a_run_whose_services_are_killed_delivers_once_and_passes(tmp_path: Path) -> None:
-    counts, wrong = kills.one_run(3, tmp_path, kills=8)
+@pytest.mark.parametrize("keys", [False, True])
+def test_a_run_whose_services_are_killed_delivers_once_and_passes(
+    tmp_path: Path, *, keys: bool
+) -> None:
+    counts, wrong = kills.one_run(3, tmp_path, kills=8, keys=keys)
     assert wrong == []
     assert counts["transitions"] > 0

@@ -1,4 +1,4 @@
-"""The relay of `tools.kill_keys`, and the endurance run's judgement."""
+"""The relay of the campaigns, and the endurance run's judgement."""
 
 import time
 from typing import Any
@@ -9,7 +9,7 @@ from protocol.messages import Measurement, Offer
 from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
 from protocol.topics import DEFAULT_LOOP, key_of
 from tests.campaigns.endurance import judged
-from tools.kill_keys import Relay
+from tests.campaigns.relay import Relay
 
 
 @pytest.mark.integration

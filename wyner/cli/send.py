@@ -1,6 +1,7 @@
 """``wyner send``: hand a running controller a message."""
 
 import argparse
+import math
 import queue
 import time
 from collections.abc import Iterator
@@ -91,7 +92,10 @@ def run(args: argparse.Namespace) -> int:
 def _answers(
     ops: "Bus", loop: str, command: SendCommand | SealCommand, until: float
 ) -> "Iterator[SendReply | SealReply]":
-    """Say the command again and again; each answer to it."""
+    """Say the command again and again; each answer to it.
+
+    Others who wait hear the same answers: saying it on each of them would be a flood.
+    """
     from pydantic import ValidationError
 
     kind: type[SendReply | SealReply]
@@ -99,12 +103,14 @@ def _answers(
     answers: Inbox[bytes] = Inbox()
     ops.subscribe(key_of(kind, loop), lambda _key, reply, _t_ns: answers.put(reply, len(reply)))
     publisher = ops.publisher(key_of(type(command), loop))
-    while time.monotonic() < until:
-        publisher.put(command.wire())
+    again = -math.inf
+    while (now := time.monotonic()) < until:
+        if now >= again:
+            publisher.put(command.wire())
+            again = now + REPEAT_S
         try:
-            reply = kind.model_validate_json(answers.get(timeout=REPEAT_S))
+            reply = kind.model_validate_json(answers.get(timeout=again - now))
         except (queue.Empty, ValidationError):
             continue
         if reply.id == command.id:
             yield reply
-            time.sleep(REPEAT_S)

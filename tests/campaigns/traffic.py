@@ -1,0 +1,160 @@
+"""What goes over a live loop while it is ill-treated, and what must have come of it at the end.
+
+Every message must be there once, no key may have been given out twice, every service must end with
+code 0 when it is asked to, and `wyner check` must pass.
+"""
+
+import base64
+import random
+import threading
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+from protocol.runtime.run_folder import PLANT_KEYS, PLANT_TRACE
+from protocol.runtime.trace import TraceReader
+from protocol.secret.records import StoreError
+from protocol.secret.sealed_book import SealedBook
+from protocol.secret.store import KeyStore
+from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
+from wyner.verify import check
+from wyner.verify.evidence import read_evidence
+
+AT_LAST_S: Final = 120.0
+"""Seconds that a loop has to deliver what is queued, once all is well."""
+
+
+class Customer(threading.Thread):
+    """Two applications that fetch keys whenever the servers are there, and note what they got."""
+
+    def __init__(self, loop: LiveLoop) -> None:
+        super().__init__(daemon=True)
+        self.sites = loop.sites
+        self.over = threading.Event()
+        self.got: dict[str, list[tuple[str, str]]] = {"alice": [], "bob": []}
+        self.wrong: list[str] = []
+
+    def run(self) -> None:
+        """Fetch until told that it is over."""
+        while not self.over.wait(0.05):
+            for key_id, key in self._ask("controller", "alice", "bob/enc_keys"):
+                self.got["alice"].append((key_id, key))
+                for same in self._ask("plant", "bob", f"alice/dec_keys?key_ID={key_id}"):
+                    self.got["bob"].append(same)
+                    if same != (key_id, key):
+                        self.wrong.append(f"key {key_id} differs")
+
+    def _ask(self, side: str, name: str, path: str) -> list[tuple[str, str]]:
+        with suppress(OSError, ValueError, AssertionError, KeyError):
+            code, told = self.sites.ask(side, name, f"/api/v1/keys/{path}")
+            if code == 200:
+                return [(k["key_ID"], k["key"]) for k in told["keys"]]
+        return []
+
+    def judged(self) -> list[str]:
+        """What was wrong with the keys."""
+        for name, got in self.got.items():
+            for what, place in (("id", 0), ("key", 1)):
+                seen = Counter(one[place] for one in got)
+                self.wrong += [f"{name} got {what} {x} twice" for x, n in seen.items() if n > 1]
+        return self.wrong
+
+
+class Traffic:
+    """A loop that runs inside ``with``, its messages and its customer.
+
+    Attributes
+    ----------
+    expected : list of str
+        Every message that must arrive once, the controller's first among them.
+    sealed : dict of str to str
+        Every sealed one, by its identifier.
+    wrong : list of str
+        What was wrong, in a line each.
+    """
+
+    def __init__(self, loop: LiveLoop, first: str, draw: random.Random) -> None:
+        self.loop, self.expected, self.draw = loop, [first], draw
+        self.sealed: dict[str, str] = {}
+        self.wrong: list[str] = []
+        self.operators: list[Process] = []
+        self.customer = Customer(loop)
+
+    def __enter__(self) -> "Traffic":
+        self.loop.start()
+        self.customer.start()
+        return self
+
+    def send(self, *, sealed: bool = False) -> None:
+        """Hand over one message more."""
+        name, text = f"message-{len(self.operators)}", plain_text(self.draw, 12)
+        if sealed:
+            self.sealed[name] = text
+        else:
+            self.expected.append(text)
+        self.operators.append(self.loop.send(name, text, sealed=sealed))
+
+    def arrive(self) -> None:
+        """All is well now: wait until every message has arrived; no key goes elsewhere."""
+        self.customer.over.set()
+        if not wait_for(lambda: all_done(self.operators), AT_LAST_S):
+            self.wrong.append("an operator has no answer")
+        well = self.loop.mark()
+        if not wait_for(lambda: self.loop.delivered(well) == len(self.expected), AT_LAST_S):
+            self.wrong.append(f"{self.loop.delivered(well)} messages arrive although all is well")
+        self.loop.start()
+        time.sleep(0.5)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.customer.over.set()
+        self.customer.join(30)
+        self.wrong += self.loop.stop()
+        for operator in self.operators:
+            operator.kill()
+
+    def judged(self, counts: Counter[str]) -> list[str]:
+        """What was wrong with a run that is over; adds its figures to ``counts``."""
+        counts["messages"], counts["sealed"] = len(self.expected), len(self.sealed)
+        counts["keys"] = len(self.customer.got["alice"])
+        run_dir = self.loop.run_dir
+        self.wrong += self.customer.judged()
+        try:
+            self.wrong += _recovered(run_dir, self.expected, counts)
+            if self.sealed:
+                self.wrong += _opened(run_dir, self.sealed)
+            evidence = read_evidence(run_dir)
+            findings = check(evidence)
+        except (OSError, StoreError, ValueError) as error:
+            return [*self.wrong, f"the run cannot be read: {error}"]
+        plant = evidence.plant
+        counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
+        failed = [f"{f.clause.name}: {f.tally.first}" for f in findings if f.result == "FAIL"]
+        return self.wrong + failed
+
+
+def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:
+    trace = TraceReader(run_dir / PLANT_TRACE)
+    events = [e for e in trace if e["event"] in ("recovered", "session")]
+    got = [base64.b64decode(e["payload"]).decode() for e in events if e["event"] == "recovered"]
+    counts["sessions"] = len({e["session"] for e in events if e["event"] == "session"})
+    seen = Counter(got)
+    wrong = [
+        f"{text[:20]!r} was recovered {seen[text]} times" for text in expected if seen[text] != 1
+    ]
+    return wrong + [f"{text[:20]!r} was never sent" for text in seen if text not in expected]
+
+
+def _opened(run_dir: Path, sealed: dict[str, str]) -> list[str]:
+    with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
+        opened = [(name, payload.decode()) for name, payload in SealedBook(store).opened()]
+    if sorted(opened) == sorted(sealed.items()):
+        return []
+    return [f"sealed messages: {sorted(sealed)} were acknowledged, {sorted(opened)} opened"]
