@@ -159,7 +159,10 @@ def shown_progress(
         elapsed = now - begin
         if done == 0 and left > QUIET_S:
             text = f"{total} sets of {states} states: about {in_words(left)}"
-            print(f"wyner: {text}, by plants of that size", file=sys.stderr, flush=True)
+            grow = "by plants of that size"
+            if left > patience_s:
+                grow = f"if they grow as without control.states; {FEW} sets will tell"
+            print(f"wyner: {text}, {grow}", file=sys.stderr, flush=True)
         if elapsed > JUDGED_AFTER_S and elapsed + left > patience_s:
             needed = f"{1.5 * min(elapsed + left, 1e7):.0f}"
             raise SynthesisError(

@@ -24,6 +24,9 @@ LARGEST = 1e150
 TERMINAL_MARGIN = 1e-4
 """T_0 is made invariant for a D_c this fraction larger: u = K x then has room for rounding."""
 
+SLOW_MARGINS = (1e-3, 1e-2)
+"""The same where K brings the state back so slowly that less leaves no room."""
+
 TERMINAL_ERROR = 1e-3
 """Without a stated order, T_0 takes the first whose error bound is this part of its radius."""
 

@@ -15,12 +15,14 @@ from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.terminal import (
     SynthesisError,
     Terminal,
+    TooSlowError,
+    faster,
     feedback_gain,
     input_interval,
     set_corners,
     terminal_set,
 )
-from controller_service.tolerances import TERMINAL_MARGIN
+from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN
 from protocol.arrays import Array
 from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import ConvexSet, Scenario
@@ -140,10 +142,9 @@ def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) ->
     worst = float((needed / T0.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
     if not worst <= 1 - r.settle(T0)[2]:
-        raise SynthesisError(
+        raise TooSlowError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
-            "of itself): K is too slow; a smaller regulator.input or a larger "
-            "regulator.next_state makes it faster"
+            f"of itself): K is too slow; {faster(r.A + r.B @ K)}"
         )
     control = scenario.control
     bounds = [("control.gain: K T_0 is not within control.inputs", V @ K.T, control.inputs)]
@@ -169,14 +170,21 @@ def stated_start(scenario: Scenario) -> Start:
         When they give no terminal set within the bounds.
     """
     K = feedback_gain(scenario)
-    larger = scenario.control_set.scaled(1 + TERMINAL_MARGIN)
-    try:
-        r = recursion(scenario)
-        T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
-        _check_terminal(T0, K, r, scenario)
-    except SetError as error:
-        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
-    return K, T0, terminal
+    refused: TooSlowError | None = None
+    for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
+        larger = scenario.control_set.scaled(1 + margin)
+        try:
+            r = recursion(scenario)
+            T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+            _check_terminal(T0, K, r, scenario)
+        except SetError as error:
+            raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+        except TooSlowError as error:
+            refused = error
+        else:
+            return K, T0, terminal
+    assert refused is not None
+    raise refused
 
 
 def synthesise(

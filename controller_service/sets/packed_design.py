@@ -95,6 +95,15 @@ def search_terminal(problem: Scenario) -> Start:
         return stated_start(problem)
     except SynthesisError:
         pass
+    found = nearest_regulator(problem)
+    if found is not None:
+        return found
+    T0, terminal = invariant_set(problem)
+    return np.zeros((problem.m, problem.n)), T0, terminal
+
+
+def nearest_regulator(problem: Scenario) -> Start | None:
+    """K and T_0 by the regulator nearest to the stated weights that gives them, or None."""
     stated = problem.control.regulator
     weights = stated or Regulator(next_state=(1.0,) * problem.n, input=(1.0,) * problem.m)
     for factor in WEIGHTS:
@@ -107,8 +116,7 @@ def search_terminal(problem: Scenario) -> Start:
         except SynthesisError:
             continue
         return K, T0, Terminal(**{**vars(terminal), "weight": factor})
-    T0, terminal = invariant_set(problem)
-    return np.zeros((problem.m, problem.n)), T0, terminal
+    return None
 
 
 def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:

@@ -17,6 +17,10 @@ class SynthesisError(Exception):
     """A scenario for which no sets exist; the message is one line."""
 
 
+class TooSlowError(SynthesisError):
+    """K brings the state back so slowly that no terminal set has room for rounding."""
+
+
 @dataclass(frozen=True)
 class Terminal:
     """How T_0 was made.
@@ -33,7 +37,8 @@ class Terminal:
         Rakovic's alpha with (A + B K)^s D_c within alpha D_c; 0 for the others.
     bound : float
         No point of T_0 is farther than this from the minimal invariant set (infinity norm) of the
-        D_c that is larger by ``TERMINAL_MARGIN``; of ``modal`` and ``invariant`` sets their radius.
+        D_c that is larger by the margin that was taken; of ``modal`` and ``invariant`` sets their
+        radius.
     weight : float
         Factor on the regulator's stated weights of the input, where a scan was needed.
     """
@@ -97,6 +102,23 @@ def feedback_gain(scenario: Scenario) -> Array:
     return K
 
 
+def slowest_state(Ac: Array) -> int:
+    """The state that takes most part in the slowest mode of A + B K, whatever its unit."""
+    values, right = np.linalg.eig(Ac)
+    slow = int(np.abs(values).argmax())
+    left = np.linalg.pinv(right)
+    return int(np.abs(right[:, slow] * left[slow]).argmax())
+
+
+def faster(Ac: Array) -> str:
+    """What makes K faster, in words."""
+    j = slowest_state(Ac) + 1
+    return (
+        f"x_{j} comes back slowest: a larger regulator.next_state of x_{j}, beside the others, "
+        "makes it faster (or a gain that does)"
+    )
+
+
 def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, Terminal]:
     """An invariant set of x+ = A_c x + d, d in D, by the number of states.
 
@@ -154,7 +176,7 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
             raise SynthesisError(
                 "control.regulator: K is too slow, the spectral radius of A + B K is "
                 f"{radius:.4g}: after {s} steps a disturbance is still {alpha:.3g} times itself; "
-                "a smaller regulator.input or a larger regulator.next_state makes it faster"
+                f"{faster(Ac)}"
             )
         powers.append(power)
     # The sum's normals are those across the terms' edges; its support is the sum of theirs.

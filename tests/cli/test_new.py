@@ -50,6 +50,51 @@ def test_discrete_matrices_stand_as_they_are_given(tmp_path: Path) -> None:
     assert scenario.control.inputs.half_widths == (2.0, 2.0)
 
 
+MOTOR = ["--A", "[[0, 1, 0], [0, -10, 1], [0, -0.02, -2]]", "--B", "[[0], [0], [2]]"]
+"""A textbook's motor: position, speed and current."""
+
+
+def test_a_motor_of_three_states_has_a_design_as_it_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its regulator is slow: T_0 has room for rounding around a D_c that is a little larger."""
+    path = tmp_path / "motor.toml"
+    written = ["new", "motor", *MOTOR, "--continuous", "--period", "0.05", "--output", str(path)]
+    assert main(written) == 0
+    assert "3 states, 1 input; `wyner design" in capsys.readouterr().out
+    path.write_text(path.read_text().replace("horizon = 30", "horizon = 5"))
+    assert main(["design", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rate"]["bits_per_second"] > 4
+
+
+def test_a_regulator_that_is_too_slow_names_the_state_and_the_remedy_helps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "motor.toml"
+    fast = ["new", "motor", *MOTOR, "--continuous", "--period", "0.001", "--disturbance", "1e-7"]
+    assert main([*fast, "--output", str(path)]) == 0
+    text = path.read_text().replace("horizon = 30", "horizon = 5")
+    stated = "next_state = [1.0, 1.0, 1.0]"
+    assert text.count(stated) == 1
+    path.write_text(text)
+    capsys.readouterr()
+    assert main(["design", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "K is too slow; x_1 comes back slowest: a larger regulator.next_state of x_1" in told
+    path.write_text(text.replace(stated, "next_state = [100.0, 1.0, 1.0]"))
+    assert main(["design", str(path)]) == 0
+
+
+def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wild.toml"
+    matrices = ["--A", "[[3, 0], [0, 3]]", "--B", "[[1], [1]]", "--period", "1"]
+    assert main(["new", "wild", *matrices, "--output", str(path)]) == 0
+    assert "says why it has no terminal set yet" in capsys.readouterr().out
+    assert main(["design", str(path)]) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

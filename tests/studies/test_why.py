@@ -8,7 +8,8 @@ import pytest
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario, load_scenario
 from protocol.shipped import scenario_file_of
-from wyner.studies.why import FULL, Why, why
+from wyner.cli.main import main
+from wyner.studies.why import FULL, Why, packed, packs, why
 
 
 def reasons(scenario: Scenario) -> Why:
@@ -46,6 +47,65 @@ def test_a_softer_regulator_raises_the_rate_where_it_is_advised() -> None:
     assert soft.agreed > stiff.agreed + 0.05
 
 
+MOTORS = {
+    "two states": ("[[0, 1], [0, -2]]", "[[0], [1]]", "0.1"),
+    # Position, speed and current of a textbook's motor.
+    "three states": ("[[0, 1, 0], [0, -10, 1], [0, -0.02, -2]]", "[[0], [0], [2]]", "0.05"),
+}
+
+
+def followed(scenario: Scenario, remedy: str) -> Scenario:
+    """The scenario after the line was followed, word by word."""
+    if remedy.startswith('control.law = "packed", with one table [[control.costs]]'):
+        return packed(scenario)
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    if "control.regulator.input" in remedy:
+        regulator = data["control"]["regulator"]
+        regulator["input"] = [100 * weight for weight in regulator["input"]]
+    elif remedy.startswith("a smaller defender.disturbance: D takes "):
+        assert "with today's kept as control.disturbance" in remedy
+        D_c = data["defender"]["disturbance"]
+        data["control"].setdefault("disturbance", dict(D_c))
+        data["defender"]["disturbance"] = {
+            "half_widths": data["plant"]["disturbance"]["half_widths"]
+        }
+    else:
+        raise AssertionError(f"a remedy that nobody has followed: {remedy}")
+    return Scenario.model_validate(data)
+
+
+@pytest.mark.parametrize("name", [*MOTORS, "double-integrator", "sustained"])
+def test_each_line_of_advice_raises_the_rate_when_it_is_followed(name: str, tmp_path: Path) -> None:
+    if name in MOTORS:
+        A, B, period = MOTORS[name]
+        path = tmp_path / "own.toml"
+        own = ["new", "own", "--A", A, "--B", B, "--period", period, "--continuous"]
+        assert main([*own, "--output", str(path)]) == 0
+        # few sets are enough: the rate is that of the loop near the origin
+        path.write_text(path.read_text().replace("horizon = 30", "horizon = 5"))
+        scenario = load_scenario(path)
+    else:
+        scenario = shipped(name)
+    before = reasons(scenario)
+    assert before.remedies
+    for remedy in before.remedies:
+        after = reasons(followed(scenario, remedy)).agreed
+        assert after > before.agreed + 0.02, (remedy, before.agreed, after)
+        if "of 100 steps could agree" in remedy:
+            promised = float(remedy.split(", ")[-1].split()[0]) / 100
+            assert after == pytest.approx(promised, abs=0.02)
+
+
+def test_what_does_not_help_is_not_advised() -> None:
+    assert packs(shipped("sustained"))
+    assert not packs(shipped("sustained", inputs={"half_widths": [0.1]})), "no two fit into U"
+    full = load_scenario(scenario_file_of("sustained"))
+    data = full.model_dump(mode="json", exclude_none=True)
+    data["plant"]["disturbance"]["half_widths"] = data["defender"]["disturbance"]["half_widths"]
+    told = reasons(Scenario.model_validate(data)).remedies
+    assert not any("defender.disturbance" in remedy for remedy in told)
+
+
 def test_a_full_rate_needs_no_advice() -> None:
     found = reasons(load_scenario(scenario_file_of("packed")))
     assert found.agreed > FULL
@@ -65,8 +125,6 @@ def test_a_small_alpha_is_named() -> None:
 
 
 def test_the_design_is_drawn(tmp_path: Path) -> None:
-    from wyner.cli.main import main
-
     for name in ("sustained", "quadruple-tank"):
         for kind in ("png", "pdf"):
             path = tmp_path / f"{name}.{kind}"

@@ -85,17 +85,19 @@ def run(args: argparse.Namespace) -> int:
         for weight in WEIGHTS
     ]
     try:
-        text = next((t for t in texts if _starts(t, path)), texts[0])
+        found = next((t for t in texts if _starts(t, path)), None)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+            file.write(found or texts[0])
     except FileExistsError:
         raise UsageError(f"{path}: is there already, expected a new file (--output)") from None
     except OSError as error:
         raise Failure(f"{path}: cannot be written: {error.strerror}") from None
-    print(f"{path}: {len(A)} states, {len(B[0])} inputs; `wyner design {path}` says what it gives")
+    says = "says what it gives" if found else "says why it has no terminal set yet"
+    sizes = f"{_counted(len(A), 'state')}, {_counted(len(B[0]), 'input')}"
+    print(f"{path}: {sizes}; `wyner design {path}` {says}")
     return DONE
 
 
@@ -177,6 +179,10 @@ def scenario_text(
         "U": _list([bound] * m),
     }
     return TEMPLATE.format(**values)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _list(values: list[float]) -> str:

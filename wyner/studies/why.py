@@ -26,6 +26,9 @@ APART: Final = 2.0
 OFTEN: Final = 0.5
 """Share of the steps from which a reason is worth a remedy."""
 
+WORTH: Final = 0.03
+"""Share of the steps that a smaller D_c has to gain before it is advised."""
+
 FULL: Final = 0.9
 """Agreement above which nothing is to be explained."""
 
@@ -110,7 +113,12 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
         "distance": float(np.median(apart)),
         "saturated": float(at_bound.mean()),
     }
-    return Why(**found, remedies=tuple(_remedies(scenario, found)))
+    # The same states judged by the smallest D_c that still holds D, and by its D_e.
+    room = room_in(scenario)
+    alone = ((gauges <= room).sum(axis=1) == 1) & (
+        gauges.max(axis=1) <= scenario.secrecy.alpha * room
+    )
+    return Why(**found, remedies=tuple(_remedies(scenario, found, float(alone.mean()))))
 
 
 def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
@@ -135,7 +143,50 @@ def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
     return best
 
 
-def _remedies(scenario: "Scenario", found: dict[str, float]) -> list[str]:
+def packed(scenario: "Scenario") -> "Scenario":
+    """The same plant under the law ``packed``, with its first cost.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        When that is no scenario.
+    """
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    control = {**data["control"], "law": "packed", "costs": data["control"]["costs"][:1]}
+    return type(scenario).model_validate({**data, "control": control})
+
+
+def packs(scenario: "Scenario") -> bool:
+    """Whether the law ``packed`` has an alphabet and a terminal set here, by a regulator."""
+    from pydantic import ValidationError
+
+    from controller_service.laws.tables import PackedControl
+    from controller_service.sets.design import SynthesisError, stated_start
+    from controller_service.sets.packed_design import alphabet_of, nearest_regulator, reduced
+
+    try:
+        its = packed(scenario)
+        assert isinstance(its.control, PackedControl)
+        problem = reduced(its, alphabet_of(its, its.control.alphabet.spacing))
+    except (ValidationError, SynthesisError):
+        return False
+    try:
+        stated_start(problem)
+    except SynthesisError:
+        return nearest_regulator(problem) is not None
+    return True
+
+
+def room_in(scenario: "Scenario") -> float:
+    """The share of D_c that D takes, in D_c's gauge; 1 where D is not known to stay inside."""
+    d = scenario.plant.disturbance
+    if d.kind == "gaussian" or d.may_leave_defender_set or d.enters not in (None, "state"):
+        return 1.0
+    H, h = (np.array(v) for v in scenario.defender.disturbance.rows())
+    return float((np.abs(H) @ np.array(d.half_widths) / h).max())
+
+
+def _remedies(scenario: "Scenario", found: dict[str, float], tight: float) -> list[str]:
     control, remedies = scenario.control, []
     if found["agreed"] >= FULL:
         return []
@@ -151,19 +202,20 @@ def _remedies(scenario: "Scenario", found: dict[str, float]) -> list[str]:
             "lie apart"
         )
     if found["several"] >= OFTEN:
-        if control.law != "packed":
+        if control.law != "packed" and packs(scenario):
             remedies.append(
-                'control.law = "packed": it keeps the predictions apart by as much as you say'
+                'control.law = "packed", with one table [[control.costs]]: it keeps the '
+                "predictions apart by as much as you say"
             )
         if found["saturated"] >= OFTEN:
             remedies.append(
                 "wider control.inputs: the candidates are at their bounds in "
                 f"{100 * found['saturated']:.0f} of 100 steps"
             )
-    if found["several"] >= OFTEN > found["equal"]:
+    if found["several"] >= OFTEN and tight > found["agreed"] + WORTH:
         remedies.append(
-            "a smaller defender.disturbance, if the plant's own allows it: predictions that lie "
-            f"{found['distance']:.2g} half-widths of D_c apart now would lie further"
+            f"a smaller defender.disturbance: D takes {room_in(scenario):.2f} of it; so small, and "
+            f"with today's kept as control.disturbance, {100 * tight:.0f} of 100 steps could agree"
         )
     if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
         remedies.append("a larger secrecy.alpha, if she really knows so little")
