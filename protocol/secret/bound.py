@@ -224,17 +224,19 @@ class Assumption:
     def sentence(self) -> str:
         """The claim in words, as it is printed with every key."""
         where = {
-            "both": "copies 0",
-            "offers": "offers' copies 0",
-            "measurements": "measurements' copies 0",
+            "both": "first copies",
+            "offers": "offers' first copies",
+            "measurements": "measurements' first copies",
         }[self.directions]
-        share = f"{self.eps_E:g} of {where}"
+        if not self.eps_E and self.bursts is None:
+            return "nothing is claimed that a tap misses (eps_E = 0): no secret"
+        share = f"{100 * self.eps_E:.4g} % of {where}"
         if self.bursts is not None:
             share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
         beside = ", whatever the link itself loses" if self.independent else ""
         if self.by_words:
             beside += f", and then {self.unheard_bits} bits of the nonce at least"
-        return f"secret only from a tap that misses at least {share}{beside}"
+        return f"secret only from a tap that misses {share} or more{beside}"
 
 
 def least(holds: Callable[[int], bool], most: int) -> int | None:

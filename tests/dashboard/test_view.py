@@ -703,7 +703,7 @@ def test_a_symbol_has_one_character_up_to_thirty_six() -> None:
 def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     board = board_after(700)
     assert "distilled" not in shown(board, 120, 40)
-    claim = "secret only from a tap that misses at least 0.3 of copies 0"
+    claim = "secret only from a tap that misses 30 % of first copies or more"
     made = with_plant(board, keys_made=63, keys_of_block=48, key_block_steps=176, keys_claim=claim)
     for height in (24, 40):
         assert "63 keys, 698 bit/s; no tap goes for them" in shown(made, 120, height)
@@ -726,7 +726,7 @@ def with_attacker(board: Board, **fields: object) -> Board:
 
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
-    claim = "secret only from a tap that misses at least 0.3 of copies 0"
+    claim = "secret only from a tap that misses 30 % of first copies or more"
     board = with_plant(board_after(700), keys_made=63, keys_claim=claim)
     holds = with_attacker(board, copies_missed=600)
     for width, height in ((80, 24), (120, 40)):

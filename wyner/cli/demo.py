@@ -32,6 +32,14 @@ PACE: Final = "x4"
 KEYS_PACE: Final = "x10"
 REPEAT_S: Final = 0.2
 
+TITLES: Final = {"spoken": "1/3 spoken", "sealed": "2/3 sealed", "control": "3/3 control"}
+ABOUT: Final = {
+    "spoken": "a message over the paper's channel, beside a tap that hears all",
+    "sealed": "one under keys distilled from what a tap that loses 30 % misses",
+    "control": "the same beside a tap that hears all: no key may come of it",
+}
+"""What each run is, as the screen's first line begins and as a line says before it."""
+
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
 
@@ -76,7 +84,7 @@ def _options(
 ) -> argparse.Namespace:
     """The options of ``wyner up`` for one of the runs."""
     if not args.json:
-        print(f"{folder.name}: scenario {Path(scenario).stem}", file=sys.stderr)
+        print(f"{TITLES[folder.name]}: {ABOUT[folder.name]}", file=sys.stderr, flush=True)
     return argparse.Namespace(
         scenario=scenario,
         message=SPOKEN,
@@ -101,7 +109,7 @@ def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder, PACE)
     options.secret = False
-    outcome = conduct(options, stays=False)
+    outcome = conduct(options, stays=False, title=TITLES["spoken"])
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
@@ -123,7 +131,8 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
         errands.append(SealedMessage(ops, payload))
         return errands[0]
 
-    outcome = conduct(_options(args, "keys", folder, KEYS_PACE), begin, stays=False)
+    options = _options(args, "keys", folder, KEYS_PACE)
+    outcome = conduct(options, begin, stays=False, title=TITLES["sealed"])
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
     sent = bool(errands and errands[0].delivered)
@@ -149,13 +158,17 @@ def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> A
         made = keys.get("made", 0)
         if made:
             return f"3. Control: {made} keys beside a tap that hears all: that must not be."
-        return "3. Control: a tap that hears all (eps_E = 0): no key."
+        return "3. Control: beside a tap that hears all nothing is claimed, and no key is made."
 
     with tempfile.TemporaryDirectory() as where:
         scenario = Path(where) / "wired-tap.toml"
         scenario.write_text(text, encoding="utf-8")
         options = _options(args, str(scenario), folder, PACE)
-        outcome = conduct(options, closing=lambda summary: [*before, line_of(summary)])
+        outcome = conduct(
+            options,
+            closing=lambda summary: [*before, line_of(summary)],
+            title=TITLES["control"],
+        )
     made = (outcome.summary["keys"] or {}).get("made", 0)
     return outcome, line_of(outcome.summary), made == 0
 

@@ -113,6 +113,7 @@ def conduct(
     closing: Callable[[dict[str, Any]], Sequence[str]] | None = None,
     *,
     stays: bool = True,
+    title: str = "",
 ) -> Outcome:
     """Run the three services, watch them, stop them and sum up.
 
@@ -126,6 +127,8 @@ def conduct(
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
         Whether a last screen stays until a key is pressed.
+    title : str, optional
+        What the screen's first line begins with.
     """
     from protocol.runtime.zenoh_bus import ZenohBus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
@@ -190,6 +193,7 @@ def conduct(
                     run_dir=run_dir,
                     story=args.story,
                     conclude=conclude if stays else None,
+                    title=title,
                 )
             else:
                 out = sys.stderr if args.json else sys.stdout

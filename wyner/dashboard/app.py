@@ -227,6 +227,7 @@ def run_dashboard(
     keyboard: int | None = None,
     story: bool = False,
     conclude: Callable[[], Sequence[str]] | None = None,
+    title: str = "",
 ) -> Ending:
     """Show the live screen until ``q``, Ctrl-C, or ``until()``, which is asked ten times a second.
 
@@ -247,6 +248,8 @@ def run_dashboard(
     conclude : callable, optional
         Called once ``until()`` holds; what it returns is shown on the last screen, which then stays
         until a key is pressed. Without it, or without a keyboard, the screen closes at once.
+    title : str, optional
+        What the first line begins with; the program's name if not given.
 
     Returns
     -------
@@ -257,6 +260,7 @@ def run_dashboard(
     stream = out or sys.stdout
     console = Console(file=stream, force_terminal=True, highlight=False)
     watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path(), story=story)
+    watch.wishes = replace(watch.wishes, title=title)
     over = False
     ending = Ending.FINISHED
     try:

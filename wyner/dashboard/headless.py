@@ -184,13 +184,15 @@ def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterat
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
         yield f"tap {name} heard"
-    if tap.exact and (was is None or not was.exact):
+    solved = tap.status.solved_k
+    newly_sure = solved >= 0 and (was is None or was.status.solved_k != solved)
+    if tap.exact and (was is None or not (was.exact or newly_sure)):
         # Where the truth is what came last, she may have held the message for long.
         new = board.plant is not None and was is not None and text in before.texts
-        at = f" at step {board.plant.k}" if board.plant is not None and new else ""
-        yield f"tap {name} holds the true message{at}: {_quoted(text)}"
-    solved = tap.status.solved_k
-    if solved >= 0 and (was is None or was.status.solved_k != solved):
+        at = f" by step {board.plant.k}" if board.plant is not None and new else ""
+        unsure = ", and is not sure yet" if at and solved < 0 else ""
+        yield f"tap {name} holds the true message{at}{unsure}: {_quoted(text)}"
+    if newly_sure:
         judged = ", and it is the true one" if tap.exact else ", but it is not a true one"
         if not board.texts:  # a replay: nobody here knows the truth
             judged = f": {_quoted(text)}"

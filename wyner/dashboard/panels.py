@@ -70,6 +70,7 @@ class Wishes:
     step: int | None = None
     tap: str = ""
     detail: bool = False
+    title: str = ""
     caption: tuple[str, ...] = ()
     press: str = ""
     note: str = ""

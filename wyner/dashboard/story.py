@@ -44,12 +44,14 @@ def _first_agreement(board: Board) -> Moment | None:
 
 
 def _first_message_symbol(board: Board) -> Moment | None:
-    steps = [k for k, truth in board.truths.items() if truth.role == "message"]
-    agreed = any(shown.pictured_symbol >= 0 for shown in board.pictures.values())
-    if not steps or not agreed:
+    agreed = [k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0]
+    # The one after an agreement that was seen, so that the two captions follow each other.
+    its = (k for k, truth in board.truths.items() if truth.role == "message" and agreed)
+    steps = [k for k in its if k > min(agreed)]
+    if not steps:
         return None
     return Moment(
-        f"The first ciphertext under a key, at step {min(steps)}",
+        f"The first ciphertext under a key after it, at step {min(steps)}",
         (
             "In the step after an agreement the offer carries message bit plus key bit.",
             "Everyone reads that sum; whoever has the key subtracts it. In other steps a",

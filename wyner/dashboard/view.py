@@ -159,7 +159,7 @@ class _Page(Panels):
     def _parts(self) -> list[tuple[int, str]]:
         """What the first line says, each with its rank: the highest goes first."""
         plant = self.board.plant
-        parts: list[tuple[int, str]] = [(0, "wyner")]
+        parts: list[tuple[int, str]] = [(0, self.wishes.title or "wyner")]
         if plant is None:
             parts.append((0, "waiting for the plant"))
         else:
