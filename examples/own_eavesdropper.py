@@ -23,6 +23,8 @@ class SpeedWatcher(Eavesdropper):
         return Belief()
 
 
-runs = run("sustained", steps=500, runs=4, seed=6)
-for tap in eavesdrop(runs, [SpeedWatcher, "nearest-centre"]):
-    print(f"{tap.name:16} {tap.right} of {tap.agreements} key symbols")
+# Only where this file is the program: a live tap and a sweep load it for the class.
+if __name__ == "__main__":
+    runs = run("sustained", steps=500, runs=4, seed=6)
+    for tap in eavesdrop(runs, [SpeedWatcher, "nearest-centre"]):
+        print(f"{tap.name:16} {tap.right} of {tap.agreements} key symbols")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
+from protocol.runtime.process import needs
 from protocol.vectors import Vector
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Fmu:
         try:
             import fmpy
         except ModuleNotFoundError:
-            raise PlantError("needs FMPy: pip install 'wyner[fmu]'") from None
+            raise PlantError(needs("fmu", "fmpy")) from None
         try:
             self._description: ModelDescription = fmpy.read_model_description(str(path))
         except Exception as error:

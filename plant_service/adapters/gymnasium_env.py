@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
+from protocol.runtime.process import needs
 from protocol.vectors import Vector
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def make(
     try:
         import gymnasium
     except ModuleNotFoundError:
-        raise PlantError("needs Gymnasium: pip install 'wyner[gym]'") from None
+        raise PlantError(needs("gymnasium", "gymnasium")) from None
     try:
         env = gymnasium.make(id_, disable_env_checker=True, **(arguments or {}))
     except Exception as error:

@@ -12,7 +12,7 @@ from pydantic_core import from_json
 
 from protocol.messages import LATENCY_BOUNDS_S, ControllerStatus, PlantStatus, TapStatus
 from protocol.runtime.bus import Bus, Channel, Deliver, Publisher
-from protocol.runtime.process import UsageError
+from protocol.runtime.process import UsageError, needs
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
@@ -179,9 +179,7 @@ def served(address: str, board: Board) -> Iterator[int]:
     try:
         from prometheus_client import CollectorRegistry, start_http_server
     except ImportError:
-        raise UsageError(
-            "--metrics: expected prometheus-client: pip install wyner[metrics]"
-        ) from None
+        raise UsageError(needs("--metrics", "prometheus-client")) from None
     registry = CollectorRegistry()
     registry.register(StatusCollector(board))
     try:

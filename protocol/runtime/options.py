@@ -3,6 +3,7 @@
 import argparse
 import fcntl
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -82,6 +83,8 @@ def checked(kind: type[M], **values: object) -> M:
 def message_of(text: str | None, file: str | None) -> bytes | None:
     """The message given as text or as a file, if any; `STDIN` for either is standard input.
 
+    What is typed at a terminal ends without its last Enter; a pipe's bytes stay as they are.
+
     Raises
     ------
     UsageError
@@ -93,6 +96,9 @@ def message_of(text: str | None, file: str | None) -> bytes | None:
         payload = text.encode("utf-8", errors="surrogateescape")
     else:
         path = "/dev/stdin" if file in (None, STDIN) else file
+        typed = path == "/dev/stdin" and os.isatty(0)
+        if typed:
+            print("type the message; Enter, then Ctrl-D end it", file=sys.stderr, flush=True)
         try:
             with Path(str(path)).open("rb") as source:
                 payload = source.read(MAX_PAYLOAD + 1)
@@ -100,6 +106,8 @@ def message_of(text: str | None, file: str | None) -> bytes | None:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
         if len(payload) > MAX_PAYLOAD:
             raise UsageError(f"message: got more than {MAX_PAYLOAD} bytes, expected 1 to so many")
+        if typed:
+            payload = payload.removesuffix(b"\n")
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
     return payload

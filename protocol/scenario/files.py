@@ -20,12 +20,22 @@ def scenario_of(text: str) -> Scenario:
     """
     path = scenario_file_of(text)
     if not path.exists():
-        names = ", ".join(sorted(p.stem for p in SCENARIOS.glob("*.toml")))
-        raise UsageError(f"{text}: no such file, and no shipped scenario; shipped are {names}")
+        raise UsageError(f"{text}: no such file{_others(path)}")
     try:
         return load_scenario(path)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
+
+
+def _others(path: Path) -> str:
+    """What there is instead: beside a path with a folder the files there, else what is shipped."""
+    beside = path.parent != Path()
+    names = ", ".join(sorted(p.stem for p in (path.parent if beside else SCENARIOS).glob("*.toml")))
+    if not names:
+        return ""
+    if beside:
+        return f"; {path.parent} has {names}"
+    return f", and no shipped scenario; shipped are {names}"
 
 
 def keep_scenario(run_dir: Path, text: str) -> None:

@@ -1,5 +1,6 @@
 """Three services, connected directly: what arrives, what may be reached, and from where."""
 
+import base64
 import json
 import subprocess
 
@@ -143,6 +144,29 @@ def test_a_listener_to_everything_hears_only_field_messages(direct: Composition)
     ops = json.dumps(["tcp/plant.ops:7463", "tcp/controller.ops:7464"])
     heard = json.loads(direct.python("controller", LISTEN % ops).stdout)
     assert "wyner/v1/loop/ops/plant/status" in heard
+
+
+def test_the_tap_hears_the_first_message_from_its_first_step_on(direct: Composition) -> None:
+    """She listens before anybody speaks: nothing of the first frame is lost on her."""
+    arrives(direct, "plant", "the first message")
+    whole = direct.status("plant", "plant")
+    lines = direct.execute("tap", "cat", f"{RUN}/tap/capture.jsonl").stdout.splitlines()
+    events = [json.loads(line) for line in lines[1:-1]]
+    heard: dict[str, set[int]] = {"measurement": set(), "offer": set()}
+    for event in events:
+        if event.get("topic") in heard:
+            heard[event["topic"]].add(event["message"]["k"])
+    # Steps without an offer are missed steps; every measurement was there to be heard.
+    first = range(min(whole["message_k"], *(max(ks) for ks in heard.values())))
+    assert heard["measurement"] >= set(first)
+    assert 0 in heard["offer"]
+
+    def she_has_it() -> bool:
+        beliefs = json.loads(direct.execute("tap", "cat", f"{RUN}/tap/beliefs.json").stdout)
+        said = base64.b64encode(b"the first message").decode()
+        return said in beliefs["list-decoder"]["whole"]
+
+    wait_for(she_has_it, 60, "the whole first message in the list decoder's beliefs")
 
 
 def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from wyner.cli.main import main
+
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = sorted((ROOT / "examples").glob("*.py"))
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
@@ -76,6 +78,14 @@ def test_a_notebook(path: Path) -> None:
         exec(compile(source, f"{path.name}, code cell {number}", "exec"), names)
     close_figures()
     assert all(not cell.get("outputs") for cell in cells)
+
+
+def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
+    path = ROOT / "examples" / "alpha.toml"
+    assert main(["sweep", str(path), "--output", str(tmp_path / "alpha.csv")]) == 0
+    rates = (tmp_path / "alpha-rates.csv").read_text(encoding="utf-8")
+    assert "SpeedWatcher keys right" in rates
+    assert len(rates.splitlines()) == 4
 
 
 def test_there_are_a_dozen_programs_and_three_notebooks() -> None:

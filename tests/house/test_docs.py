@@ -136,6 +136,15 @@ def test_documents_point_at_what_exists(path: Path) -> None:
         assert (ROOT / target).exists(), target
 
 
+def test_nobody_is_told_to_fetch_this_project_from_an_index() -> None:
+    """It would replace the checkout by something else; what is lacking is named by itself."""
+    files = [ROOT / "README.md", *DOCUMENTS, *(ROOT / "examples").iterdir()]
+    for room in ("protocol", "wyner", "plant_service", "tap_service", "controller_service"):
+        files += (ROOT / room).rglob("*.py")
+    told = re.compile(r"pip install [^\n]*(?:wyner\[|\.\[)")
+    assert [path.name for path in files if path.is_file() and told.search(path.read_text())] == []
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", *DOCUMENTS], ids=lambda path: path.stem)
 def test_every_link_within_the_project_leads_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import pty
 import re
 import sqlite3
 import subprocess
@@ -72,6 +73,25 @@ def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None
     assert read_from_stdin(arguments, b"") is None
     assert read_from_stdin(arguments, bytes(65_536)) is None
     assert without_message(["up", "--message", "-"], "F")[1] == "-"
+
+
+def test_what_is_typed_ends_without_its_last_enter() -> None:
+    leader, follower = pty.openpty()
+    try:
+        program = (
+            "from protocol.runtime.options import message_of; print(repr(message_of('-', None)))"
+        )
+        with subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=follower, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        ) as child:  # fmt: skip
+            os.write(leader, b"at nine\n\x04")
+            out, said = child.communicate(timeout=30)
+    finally:
+        os.close(leader)
+        os.close(follower)
+    assert out == b"b'at nine'\n"
+    assert said == b"type the message; Enter, then Ctrl-D end it\n"
 
 
 def test_a_message_file_without_an_end_is_refused_at_once() -> None:

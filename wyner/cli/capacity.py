@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.process import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from controller_service.sets.capacity import Capacity
@@ -150,9 +150,7 @@ def _draw(name: str, result: dict[str, Any]) -> None:
         from wyner.studies.figures.signalling import draw_table
         from wyner.studies.figures.style import drawing, save
     except ImportError:
-        raise UsageError(
-            "--figure: needs matplotlib, which `pip install 'wyner[figures]'` brings"
-        ) from None
+        raise UsageError(needs("--figure", "matplotlib")) from None
     with drawing((7.0, 4.2)) as figure:
         draw_table(figure, result)
         try:

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+from protocol.runtime.process import DONE, UsageError, logger, needs, stop_on_signals
 from wyner.cli.options import host_port
 
 RATE: Final = 200.0
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import aiohttp  # noqa: F401
     except ImportError:
-        raise UsageError("kme: needs aiohttp: pip install 'wyner[kme]'") from None
+        raise UsageError(needs("kme", "aiohttp")) from None
     import asyncio
 
     from protocol.runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS, write_atomically

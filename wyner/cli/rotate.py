@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from protocol.runtime.options import add_check_argument
 from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
 from wyner.cli.options import host_port
 
@@ -48,6 +49,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         metavar="COMMAND",
         help="gets each key in base64 on its standard input, and its id as WYNER_KEY_ID",
     )
+    add_check_argument(parser)
     parser.set_defaults(run=run)
 
 
@@ -70,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
         use = hand_to(args.program) if args.program else lambda _key: None
     except ValueError as error:
         raise UsageError(f"--run: got {args.program!r}: {error}") from None
+    if args.check:
+        return DONE
     try:
         mine = tls_context(args.tls, server=False)
         theirs = tls_context(args.tls, server=True)
