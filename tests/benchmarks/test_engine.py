@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from benchmarks import engine as bench_engine
+from benchmarks.__main__ import main
 from benchmarks.engine import PARTS, measure, render
-from wyner.cli.main import main
 
 QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40, "plain_steps": 3}
 
@@ -38,7 +38,7 @@ def test_the_result_for_machines_and_for_people(
     result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(bench_engine, "measure", lambda: result)
-    assert main(["bench", "engine", "--json"]) == 0
+    assert main(["engine", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
     text = render(result)
     assert f"ratio {result['ratio']:.0f} " in text

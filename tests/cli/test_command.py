@@ -37,7 +37,15 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
     return lines
 
 
-@pytest.mark.parametrize("name", PRESENT)
+def test_the_benchmarks_are_a_program_of_their_own_and_have_help() -> None:
+    """In a process of its own: the command becomes that program."""
+    command = [sys.executable, "-m", "wyner", "bench", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "wyner bench" in done.stdout
+    assert len(done.stdout.splitlines()) > 3
+
+
+@pytest.mark.parametrize("name", sorted({*PRESENT} - {"bench"}))
 def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([name, "--help"])

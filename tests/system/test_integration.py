@@ -65,12 +65,12 @@ def test_up_delivers_and_sums_up(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     done = wyner(
         *("up", "--pace", "fast", "--until-delivered", "--json", "--seed", "3"),
-        *("--message", "Grüße aus dem Keller", "--run-dir", str(run_dir)),
+        *("--message", "Grüße\taus\ndem Keller", "--run-dir", str(run_dir)),
     )
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout.splitlines()[-1])
     assert summary["delivered"]
-    assert summary["sent"] == summary["recovered"] == "Grüße aus dem Keller"
+    assert summary["sent"] == summary["recovered"] == "Grüße\taus\ndem Keller"
     assert summary["symbol_errors"] == 0
     assert summary["agreements"] > 100
     assert 1.5 < summary["bits_per_second"] < 3.0
