@@ -31,7 +31,6 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
         "tests/link",
         "tests/secret/test_keyed_link.py",
         "tests/secret/test_sealed_book.py",
-        "tests/simulate/test_packed_link.py",
         "tests/simulate/test_network.py",
     ),
     "wyner/verify": ("tests/verify",),

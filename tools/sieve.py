@@ -15,9 +15,9 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
-from itertools import groupby
+from itertools import accumulate, groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +37,9 @@ ARGUMENTS: Final = (
 MEMORY: Final = 4 << 30
 WAIT_S: Final = 120.0
 """Of sleeping, for a mutant that waits for what never comes."""
+
+AFFORDED_S: Final = 4.0
+"""Of processor time, which the tests of one file that judge one mutant take, the quickest first."""
 
 
 class Sieve:
@@ -96,13 +99,13 @@ class Sieve:
         reach, cost = self._as_it_is(items)
         self._reached |= set().union(*reach.values())
         due = [m for m in self._alive if (m[2], path.name, digest) not in self._outlived]
-        if self._fate("", items, cost) != "survived":
+        if self._fate("", afforded(items, cost), cost) != "survived":
             raise SystemExit(f"{path.name} fails in a fork without a mutant")
         gc.collect()
         gc.freeze()
         began, dead = time.process_time(), set()
         for name, function, key in due:
-            tests = sorted((i for i in items if function in reach[i]), key=cost.__getitem__)
+            tests = afforded([i for i in items if function in reach[i]], cost)
             fate = self._fate(name, tests, cost) if tests else "survived"
             with self._tried.open("a") as log:
                 row = (
@@ -172,6 +175,13 @@ class Sieve:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         return "timeout"
+
+
+def afforded(items: list[pytest.Item], cost: Mapping[pytest.Item, float]) -> list[pytest.Item]:
+    """The quickest of them, as many as :data:`AFFORDED_S` is enough for."""
+    items = sorted(items, key=cost.__getitem__)
+    until = accumulate(cost[i] for i in items)
+    return [i for i, spent in zip(items, until, strict=True) if spent <= AFFORDED_S]
 
 
 def _note(reached: set[str], name: str, *, caller: str | None = None) -> None:  # noqa: ARG001

@@ -3,6 +3,8 @@
 from math import inf
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 
@@ -132,3 +134,66 @@ def test_who_was_due_together_after_a_stall_is_spread_again_at_the_next_turn() -
 def test_a_turn_that_is_now_is_not_its_own_next() -> None:
     assert next_turn(2.25, 1.0, 0.25) == 3.25
     assert next_turn(2.0, 0.05, 0.0) > 2.0
+
+
+def test_what_a_stall_did_is_measured() -> None:
+    """Seconds by which the last tick was late, and how many whole steps went by in all."""
+    pacing = running()
+    assert (pacing.late_s, pacing.overruns) == (0.0, 0)
+    told = []
+    for now in (1.0, 2.5, 4.0, 7.25, 8.25):
+        pacing.tick(now, running=True)
+        told.append((pacing.late_s, pacing.overruns))
+    assert told == [(0.0, 0), (0.5, 0), (1.0, 1), (2.25, 3), (0.0, 3)]
+
+
+def test_a_tick_noticed_a_whole_step_late_has_swallowed_one() -> None:
+    pacing = running()
+    pacing.tick(2.0, running=True)
+    assert pacing.due_at(running=True, measuring=False) == 3.0
+
+
+def test_the_time_within_a_step_counts_from_its_tick() -> None:
+    pacing = running(5.0, 2.0)
+    assert pacing.timed
+    assert pacing.step_s == 2.0
+    assert pacing.since_tick_s(5.5) == 0.5
+    pacing.tick(7.5, running=True)
+    assert pacing.since_tick_s(8.0) == 1.0
+    lockstep = running(5.0, None)
+    assert not lockstep.timed
+    assert lockstep.step_s is None
+    assert lockstep.since_tick_s(8.0) == 0.0
+
+
+def test_the_first_measurement_is_due_at_once_and_not_before() -> None:
+    pacing = running(5.0)
+    assert pacing.due_at(running=True, measuring=True) == 5.0
+    assert not pacing.measurement_due(4.9)
+    assert pacing.measurement_due(5.0)
+    assert pacing.due_at(running=True, measuring=True) == 5.25
+    assert not pacing.measurement_due(5.2)
+    assert pacing.measurement_due(5.25)
+    pacing.applied()
+    assert pacing.due_at(running=True, measuring=True) == 6.0
+    assert pacing.due_at(running=False, measuring=True) == inf
+
+
+def test_in_lock_step_a_late_answer_does_not_stop_the_repeats() -> None:
+    pacing = running(0.0, None)
+    pacing.answered_late()
+    assert pacing.measurement_due(0.0)
+    assert pacing.measurement_due(LOCKSTEP_REPEAT_S)
+
+
+@given(st.floats(0, 1e6), st.floats(0.01, 10), st.floats(0, 1, exclude_max=True))
+def test_a_turn_comes_within_a_step(now: float, step_s: float, phase: float) -> None:
+    turn = next_turn(now, step_s, phase)
+    assert now < turn <= now + step_s * (1 + 1e-9) + 1e-9
+    off = (turn - phase * step_s) / step_s
+    assert abs(off - round(off)) * step_s < 1e-8
+
+
+def test_phases_stay_what_they_were() -> None:
+    """A fleet's plants tick together with those that another process runs."""
+    assert phase_of("loop-0001") == 0x40C02589 / 2**32

@@ -113,6 +113,45 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
     assert happened == done
 
 
+EVERYTHING = Actions(
+    events=(EVENT, EVENT),
+    write=STEP,
+    publish=(Outgoing(Measurement, b"said"),),
+    notices=(Notice("told"),),
+    health=b"well",
+    keys=(VERDICT,),
+)
+DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", b"well"]
+
+
+@pytest.mark.parametrize("after", range(5))
+def test_who_dies_after_so_many_things_has_done_as_many(after: int) -> None:
+    """Notices and the status count for nothing."""
+    happened: list[object] = []
+    ports = Mortal(Listing(happened))
+    ports.doom(after=after)
+    with pytest.raises(Killed):
+        perform(EVERYTHING, Script(happened), ports)
+    assert happened == DONE[:after]
+
+
+def test_who_is_not_doomed_or_no_longer_lives_on() -> None:
+    for doom in (lambda _: None, lambda ports: ports.doom(after=5)):
+        happened: list[object] = []
+        ports = Mortal(Listing(happened))
+        doom(ports)
+        perform(EVERYTHING, Script(happened), ports)
+        assert happened == DONE
+    ports.doom()
+    perform(EVERYTHING, Script(happened), ports)
+    ports.doom("tracing")
+    with pytest.raises(Killed):
+        perform(EVERYTHING, Script(happened), ports)
+    ports.doom()
+    perform(EVERYTHING, Script(happened), ports)
+    assert happened == DONE * 3
+
+
 # --- every death ----------------------------------------------------------------------------------
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)

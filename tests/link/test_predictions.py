@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.link.model import ModelError, load_model
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from wyner.api import System, design, eavesdrop, run, vary
 from wyner.simulate.engine import SimulationError, simulate_runs
@@ -110,41 +108,6 @@ def test_the_engine_refuses_a_nonlinear_model(nonlinear: System) -> None:
     with pytest.raises(SimulationError, match=r"defender.model|plant.kind"):
         simulate_runs(s, nonlinear.law, seed=1, runs=range(1), steps=2)
     assert data["defender"]["model"] == MODEL
-
-
-@pytest.mark.parametrize(
-    ("code", "says"),
-    [
-        ("predict = 3", "expected a function of x and u"),
-        ("", "has no 'predict'"),
-    ],
-)
-def test_a_model_that_is_none_is_named(
-    code: str, says: str, nonlinear: System, tmp_path: Path
-) -> None:
-    (tmp_path / "model.py").write_text(code)
-    scenario = vary(nonlinear.scenario, {"defender.model": "model.py:predict"})
-    with pytest.raises(UserCodeError, match=f"^defender.model: .*{says}"):
-        load_model(scenario, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("code", "says"),
-    [
-        ("return (1.0,)", r"got \[1.0\], expected 2 finite numbers"),
-        ("return (float('nan'), 0.0)", "expected 2 finite numbers"),
-        ("raise RuntimeError('too far')", "RuntimeError: too far"),
-    ],
-)
-def test_a_model_without_an_answer_offers_nothing(
-    code: str, says: str, nonlinear: System, tmp_path: Path
-) -> None:
-    (tmp_path / "model.py").write_text(f"def predict(x, u):\n    {code}\n")
-    scenario = vary(nonlinear.scenario, {"defender.model": "model.py:predict"})
-    predict = load_model(scenario, tmp_path)
-    assert predict is not None
-    with pytest.raises(ModelError, match=says):
-        predict((0.1, 0.0), (0.0,))
 
 
 def test_the_trace_is_judged_by_the_predictions_in_it(nonlinear: System, tmp_path: Path) -> None:

@@ -1,13 +1,16 @@
 """Both ends of sealed messages over a bad network, dying at will: exactly once, in order."""
 
 import random
+from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 
 import pytest
 
-from protocol.link.endpoint import Actions
+from protocol.link.endpoint import Actions, Notice, Outgoing
 from protocol.link.sealing import REPEAT_S, OpeningEnd, SealingEnd
 from protocol.messages import Message, SealCommand, Sealed, SealedReceipt, SealReply
+from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.records import BlockRow
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
@@ -126,3 +129,136 @@ def test_it_is_repeated_until_it_is_acknowledged_and_no_longer(tmp_path: Path) -
     assert world.sealing.wake_at() == float("inf")
     for store in world.stores.values():
         store.close()
+
+
+# --- what each end says, word for word ------------------------------------------------------------
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Iterator[World]:
+    made = World(tmp_path, 1)
+    yield made
+    for store in made.stores.values():
+        store.close()
+
+
+def commanded(world: World, name: str, text: bytes, now: float = 0.0) -> SealReply:
+    """What the operator hears; nothing else is said or logged."""
+    actions = world.sealing.receive(SealCommand, SealCommand(id=name, payload=text).wire(), now)
+    (out,) = actions.publish
+    assert actions == Actions(publish=(out,))
+    assert out.kind is SealReply
+    return SealReply.model_validate_json(out.payload)
+
+
+def reply(name: str, detail: str, *, accepted: bool = True, delivered: bool = False) -> SealReply:
+    return SealReply(id=name, accepted=accepted, delivered=delivered, detail=detail)
+
+
+def test_a_message_is_answered_by_where_it_stands(world: World) -> None:
+    assert commanded(world, "m", b"text") == reply("m", "queued: takes 2 keys, 0 there")
+    world.block()
+    assert commanded(world, "m", b"text") == reply("m", "queued: takes 2 keys, 6 there")
+    (sealed,) = world.sealing.wake(0.0).publish
+    assert sealed.kind is Sealed
+    assert commanded(world, "m", b"text") == reply("m", "sealed: takes 2 keys")
+    receipt = SealedReceipt(id="m").wire()
+    actions = world.sealing.receive(SealedReceipt, receipt, 1.0)
+    assert actions == Actions(notices=(Notice("sealed message m delivered"),))
+    assert world.sealing.receive(SealedReceipt, receipt, 1.0) == Actions()
+    assert commanded(world, "m", b"text") == reply("m", "done: takes 2 keys", delivered=True)
+
+
+@pytest.mark.parametrize("size", [0, MAX_PAYLOAD + 1])
+def test_a_message_of_another_size_is_not_taken(world: World, size: int) -> None:
+    why = f"message: got {size} bytes, expected 1 to {MAX_PAYLOAD}"
+    assert commanded(world, "m", bytes(size)) == reply("m", why, accepted=False)
+    assert world.sealing.wake_at() == inf
+
+
+@pytest.mark.parametrize("size", [1, MAX_PAYLOAD])
+def test_the_smallest_and_the_largest_message_are_taken(world: World, size: int) -> None:
+    assert commanded(world, "m", bytes(size)).accepted
+
+
+def test_one_identifier_is_one_message(world: World) -> None:
+    commanded(world, "m", b"text")
+    why = "id: 'm' is another message's"
+    assert commanded(world, "m", b"other") == reply("m", why, accepted=False)
+
+
+def test_keys_that_are_for_nobody_seal_nothing(world: World) -> None:
+    commanded(world, "m", b"text")
+    world.stores["controller"].refuse("seeded")
+    assert commanded(world, "n", b"text") == reply("n", "seeded", accepted=False)
+    told = Notice("nothing can be sealed: seeded", "error", "keys")
+    assert world.sealing.wake(0.0) == Actions(notices=(told,))
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "text"),
+    [
+        (SealCommand, b"[]", "sealing: 1 fields not as expected; ignored"),
+        (SealCommand, b"{}", "sealing: 2 fields not as expected; ignored"),
+        (SealedReceipt, b"[]", "sealing: 1 fields not as expected; ignored"),
+        (Sealed, b"[]", "sealed: 1 fields not as expected; ignored"),
+        (Sealed, b"{}", "sealed: 4 fields not as expected; ignored"),
+    ],
+)
+def test_what_is_garbage_is_counted_by_fields(
+    world: World, kind: type[Message], wrong: bytes, text: str
+) -> None:
+    end = world.opening if kind is Sealed else world.sealing
+    told = Notice(text, "warning", "garbage")
+    assert end.receive(kind, wrong, 0.0) == Actions(notices=(told,))
+
+
+def test_the_plant_opens_once_and_acknowledges_each_time(world: World) -> None:
+    world.block()
+    commanded(world, "m", b"text")
+    (sealed,) = world.sealing.wake(0.0).publish
+    receipt = Outgoing(SealedReceipt, SealedReceipt(id="m").wire())
+    first = world.opening.receive(Sealed, sealed.payload, 0.0)
+    told = Notice("sealed message m opened: 4 bytes")
+    assert first == Actions(publish=(receipt,), notices=(told,))
+    assert world.opening.receive(Sealed, sealed.payload, 0.0) == Actions(publish=(receipt,))
+    assert world.opening.wake_at() == inf
+    assert world.opening.wake(0.0) == Actions()
+
+
+def test_what_cannot_be_opened_is_not_acknowledged(world: World) -> None:
+    unknown = Sealed(id="m", key_ids=("a", "b"), cipher=b"text", tag="0" * 32)
+    told = Notice("not opened: 2 of the keys asked for are not in this store", "warning", "sealed")
+    assert world.opening.receive(Sealed, unknown.wire(), 0.0) == Actions(notices=(told,))
+
+
+# --- when -----------------------------------------------------------------------------------------
+
+
+def test_nothing_is_due_before_there_is_a_message(world: World) -> None:
+    assert world.sealing.wake_at() == inf
+    commanded(world, "m", b"text", 3.0)
+    assert world.sealing.wake_at() == 3.0
+    assert world.sealing.wake(2.9) == Actions()
+    assert world.sealing.wake(3.0) == Actions()  # there are no keys yet
+    assert world.sealing.wake_at() == 3.0 + REPEAT_S
+    commanded(world, "n", b"text", 3.1)
+    assert world.sealing.wake_at() == 3.1
+    commanded(world, "n", b"text", 3.2)
+    assert world.sealing.wake_at() == 3.1
+
+
+def test_the_next_message_goes_out_when_the_one_before_has_arrived(world: World) -> None:
+    world.block()
+    for name in ("m", "n"):
+        commanded(world, name, b"text")
+    world.sealing.wake(0.0)
+    world.sealing.receive(SealedReceipt, SealedReceipt(id="m").wire(), 0.1)
+    assert world.sealing.wake_at() == 0.1
+    (sealed,) = world.sealing.wake(0.1).publish
+    assert Sealed.model_validate_json(sealed.payload).id == "n"
+
+
+def test_who_comes_back_goes_on_at_once(world: World) -> None:
+    commanded(world, "m", b"text")
+    assert SealingEnd(SealedBook(world.stores["controller"]), 7.0).wake_at() == 7.0

@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 
 import wyner  # noqa: F401 - who imports it knows every law and every kind of plant
-from protocol.link.fallback import Fallback
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 
 ODE: dict[str, Any] = {
@@ -177,14 +176,3 @@ def test_a_certificate_is_for_one_law_one_set_and_one_start() -> None:
         with pytest.raises(ScenarioError, match=r"law_fingerprint: .*the certificate is stale"):
             scenario({**table, path: value})
     assert scenario({**table, "secrecy.alpha": 4.0, "description": "other words"})
-
-
-# --- fallbacks ------------------------------------------------------------------------------------
-
-
-def test_the_regulators_input_is_clipped_to_u() -> None:
-    fallback = Fallback.of(scenario({"link": {"fallback": "regulator"}}))
-    assert fallback.input((0.5, 1.0), (9.0,)) == (-3.0,)
-    assert fallback.input((9.0, 0.0), (0.0,)) == (-6.0,)
-    assert Fallback.of(scenario({"link": {"fallback": "zero"}})).input((1.0, 1.0), (2.0,)) == (0.0,)
-    assert Fallback.of(scenario()).input((1.0, 1.0), (2.0,)) == (2.0,)

@@ -1,0 +1,144 @@
+"""Each event as the line that stands in a trace: readers of old traces count on every name."""
+
+from typing import Any
+
+import pytest
+
+from protocol.agreement import Verdict
+from protocol.link.endpoint import Notice
+from protocol.link.events import (
+    Applied,
+    Delivered,
+    Event,
+    FrameRefused,
+    Interrupted,
+    Missed,
+    Queued,
+    Recovered,
+    SessionBegan,
+    Timing,
+)
+from protocol.link.key_events import BlockJudged, BlockStored, key_events, key_notices
+from protocol.link.keying import Keying
+from protocol.link.session import CountedTransition
+from protocol.secret.blocks import Schedule, Stored
+from protocol.secret.bound import Assumption
+from protocol.secret.tasks import Broken, Done, Judged
+
+S = "1" * 16
+STEP: dict[str, Any] = {"session": S, "k": 3, "x": (1.0,), "u": (2.0,), "x_next": (3.5,)}
+TRANSITION = CountedTransition(
+    session=S,
+    j=2,
+    k=3,
+    x=(1.0,),
+    candidates=((2.0,), (4.0,)),
+    cipher=1,
+    x_next=(3.5,),
+    role="test",
+    verdict=Verdict((0.5, 1.5), 0),
+    symbol=0,
+    key=-1,
+    message_symbol=-1,
+    p=4,
+    s=2,
+    tested=True,
+    counts=3,
+)
+TOLD = {
+    "event": "transition",
+    "session": S,
+    "j": 2,
+    "k": 3,
+    "x": (1.0,),
+    "candidates": ((2.0,), (4.0,)),
+    "cipher": 1,
+    "x_next": (3.5,),
+    "role": "test",
+    "gauges": (0.5, 1.5),
+    "symbol": 0,
+    "key": -1,
+    "message_symbol": -1,
+    "p": 4,
+    "s": 2,
+    "counts": 3,
+}
+CENTRES = ((3.0,), (5.0,))
+
+
+@pytest.mark.parametrize(
+    ("event", "line"),
+    [
+        (SessionBegan(None, "lost"), {"event": "session", "session": None, "reason": "lost"}),
+        (TRANSITION, TOLD),
+        (TRANSITION._replace(centres=CENTRES), {**TOLD, "centres": CENTRES}),
+        (Applied(TRANSITION, 0, (2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
+        (Missed(**STEP), {"event": "missed", **STEP}),
+        (
+            Interrupted(**STEP),
+            {"event": "interrupted", **STEP, "candidates": (), "coin": -1},
+        ),
+        (
+            Timing(9, 5, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 1),
+            {
+                "event": "timing",
+                "k": 9,
+                "steps": 5,
+                "sampled_late_s": (0.1, 0.2, 0.3),
+                "actuated_after_s": (0.4, 0.5, 0.6),
+                "overruns": 1,
+            },
+        ),
+        (Queued("m1", b"a"), {"event": "sent", "id": "m1", "payload": "YQ=="}),
+        (Delivered(0, "m1", b"a"), {"event": "delivered", "id": "m1", "payload": "YQ=="}),
+        (Recovered(b"a"), {"event": "recovered", "payload": "YQ=="}),
+        (FrameRefused(S, 7), {"event": "refused", "session": S, "p": 7}),
+        (BlockStored(S, 1, 5), {"event": "block", "session": S, "number": 1, "keys": 5}),
+        (
+            BlockJudged(S, 1, "confirmed"),
+            {"event": "judged", "session": S, "number": 1, "what": "confirmed"},
+        ),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, tuple) else "",
+)
+def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
+    assert event.as_event() == line
+
+
+# --- key blocks -----------------------------------------------------------------------------------
+
+SCHEDULE = Schedule(Assumption(0.1), 32, 64)
+STORED = Stored(S, 0, "t", keys=5)
+CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
+
+
+@pytest.mark.parametrize(
+    ("done", "events", "notices"),
+    [
+        (STORED, (BlockStored(S, 0, 5),), (Notice(CLAIM),)),
+        (STORED._replace(number=1), (BlockStored(S, 1, 5),), ()),
+        (STORED._replace(confirmed=True), (BlockStored(S, 0, 5),), ()),
+        (STORED._replace(keys=0), (BlockStored(S, 0, 0),), ()),
+        (
+            STORED._replace(keys=0, exhausted=True),
+            (BlockStored(S, 0, 0),),
+            (Notice("no pad is left to sign key blocks with: make a new secret", "error"),),
+        ),
+        (Judged(S, 2, "confirmed", 5), (BlockJudged(S, 2, "confirmed"),), ()),
+        (
+            Judged(S, 2, "unequal", 0),
+            (BlockJudged(S, 2, "unequal"),),
+            (Notice(f"key block 2 of session {S} differs from the partner's: erased", "error"),),
+        ),
+        (Broken("disk"), (), (Notice("no key is made from here on: disk", "error"),)),
+    ],
+)
+def test_what_is_told_of_a_block(
+    done: Done, events: tuple[Event, ...], notices: tuple[Notice, ...]
+) -> None:
+    assert key_events(done) == events
+    assert key_notices(done, Keying(SCHEDULE)) == notices
+
+
+def test_without_a_schedule_nothing_is_claimed() -> None:
+    assert key_notices(STORED, Keying(None)) == ()

@@ -1,0 +1,303 @@
+"""One end's part in making keys: what it says, what it counts, and what it asks of the keeper."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from protocol.link.keying import Keying
+from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.sender import Sender, SenderRecord
+from protocol.messages import Measurement, Offer
+from protocol.secret.blocks import NO_TAG, Closed, Judgement, Schedule, Stored
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Raw, as_bytes, fresh_nonce
+from protocol.secret.tasks import BlockVerdict, Broken, Judged
+from tests.support.line_plant import line_rules
+
+S, OTHER = "1" * 16, "2" * 16
+SCHEDULE = Schedule(Assumption(0.1), 2, 4)
+"""Block 0 is transitions 1 and 2, block 1 the four after them."""
+
+NONCES = tuple(fresh_nonce() for _ in range(8))
+TAG, THEIRS = "a" * 32, "b" * 32
+
+
+def offer(**fields: object) -> Offer:
+    made = Offer(session=S, k=3, candidates=((0.0,), (1.0,)), cipher=1, nonce=NONCES[0])
+    return made.model_copy(update=fields)
+
+
+def said(block: int, tag: str) -> Measurement:
+    return Measurement(session=S, k=3, x=(0.0,), applied_k=2, x_after=(0.0,), block=block, tag=tag)
+
+
+def counting(until: int) -> Keying:
+    """An end that has counted transitions 0 to ``until - 1``."""
+    keying = Keying(SCHEDULE)
+    keying.begin(S)
+    for j in range(until):
+        keying.count(j, 1, offer(), 0, NONCES[1])
+    return keying
+
+
+def stored(keying: Keying, number: int = 0) -> Stored:
+    """Its block ``number`` comes back from the keeper."""
+    (closed,) = keying.tasks()
+    assert isinstance(closed, Closed)
+    assert (closed.session, closed.number) == (S, number)
+    done = Stored(S, number, TAG, frozenset({THEIRS}), keys=5)
+    keying.done(done)
+    return done
+
+
+# --- no keys --------------------------------------------------------------------------------------
+
+
+def test_without_keys_everything_is_constant() -> None:
+    keying = Keying(None)
+    keying.begin(S, 3, TAG)
+    assert not keying.on
+    assert keying.no_tag == keying.nonce() == ""
+    assert keying.word() == (-1, "")
+    sent = offer(nonce="")
+    assert keying.again(sent) is sent
+    assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
+    assert keying.heard(said(0, THEIRS)) == ()
+    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    assert keying.done(Judged(S, 0, "confirmed", 5)) == ()
+    assert keying.settled() == ()
+    assert keying.told("", "") == {
+        "keys_made": 0,
+        "keys_of_block": 0,
+        "key_block_steps": 0,
+        "keys_claim": "",
+        "keys_refused": "",
+        "keys_stopped": "",
+    }
+
+
+# --- copies ---------------------------------------------------------------------------------------
+
+
+def test_another_copy_has_a_dummy_and_is_the_same_otherwise() -> None:
+    draws = iter(NONCES[2:])
+    keying = Keying(SCHEDULE, lambda: next(draws))
+    assert keying.on
+    assert keying.nonce() == NONCES[2]
+    assert keying.again(offer()) == offer(copy_number=1, nonce=NONCES[3])
+    assert keying.again(offer(copy_number=1)) == offer(copy_number=1, nonce=NONCES[4])
+
+
+@pytest.mark.parametrize("applied_copy", [0, 1])
+@pytest.mark.parametrize("heard", [0, 1])
+def test_a_transition_contributes_the_copies_0_that_were_taken(
+    applied_copy: int, heard: int
+) -> None:
+    keying = counting(1)
+    raw = keying.count(1, 7, offer(heard=heard), applied_copy, NONCES[1])
+    assert raw == Raw(
+        1,
+        7,
+        None if applied_copy else as_bytes(NONCES[0]),
+        None if heard else as_bytes(NONCES[1]),
+    )
+
+
+def test_a_sessions_first_transition_is_in_no_block() -> None:
+    keying = counting(0)
+    assert keying.count(0, 1, offer(), 0, NONCES[1]) is None
+    assert keying.count(1, 1, offer(), 0, NONCES[1]) is not None
+    assert keying.tasks() == ()
+    assert keying.count(2, 1, offer(), 0, NONCES[1]) is not None
+    (closed,) = keying.tasks()
+    assert isinstance(closed, Closed)
+    assert (closed.transitions, closed.steps, closed.pattern) == (2, 2, "33")
+    assert keying.tasks() == ()
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+
+def test_a_block_is_announced_once_it_is_stored() -> None:
+    keying = counting(3)
+    assert keying.no_tag == NO_TAG
+    assert keying.word() == (-1, NO_TAG)
+    stored(keying)
+    assert keying.word() == (0, TAG)
+
+
+def test_the_partners_word_confirms_a_block_or_differs() -> None:
+    for tag, what in ((THEIRS, "confirmed"), (TAG, "unequal")):
+        keying = counting(3)
+        stored(keying)
+        judged = keying.heard(said(0, tag))
+        assert [(j.number, j.what) for j in judged] == [(0, what)]
+        assert keying.tasks(judged) == (BlockVerdict(S, judged[0]),)
+        assert keying.heard(said(0, tag)) == ()
+
+
+def test_what_was_read_back_goes_on_where_it_was() -> None:
+    raws = [Raw(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
+    keying = Keying(SCHEDULE)
+    keying.begin(S, 0, TAG, raws)
+    assert keying.word() == (0, TAG)
+    keying.count(6, 1, offer(), 0, NONCES[1])
+    (closed,) = keying.tasks()
+    assert isinstance(closed, Closed)
+    assert (closed.number, closed.pattern, closed.last) == (1, "1113", 6)
+
+
+def test_a_session_that_is_over_leaves_nothing() -> None:
+    keying = counting(3)
+    keying.end()
+    assert keying.blocks is None
+    assert keying.word() == (-1, NO_TAG)
+    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    keying.begin(OTHER)
+    assert keying.tasks() == ()
+
+
+# --- the keeper -----------------------------------------------------------------------------------
+
+
+def test_a_verdict_goes_before_the_next_block() -> None:
+    keying = counting(3)
+    stored(keying)
+    for j in range(3, 7):
+        keying.count(j, 1, offer(), 0, NONCES[1])
+    verdict, closed = keying.tasks(keying.heard(said(0, THEIRS)))
+    assert isinstance(verdict, BlockVerdict)
+    assert isinstance(closed, Closed)
+    assert closed.number == 1
+
+
+def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
+    keying = counting(3)
+    stored(keying)
+    assert keying.made == 0
+    keying.done(Judged(S, 0, "unequal", 5))
+    assert (keying.made, keying.last) == (0, (0, 0))
+    keying.done(Judged(S, 0, "confirmed", 5))
+    keying.done(Judged(S, 1, "confirmed", 3))
+    assert keying.told("claim", "why") == {
+        "keys_made": 8,
+        "keys_of_block": 3,
+        "key_block_steps": 4,
+        "keys_claim": "claim",
+        "keys_refused": "why",
+        "keys_stopped": "",
+    }
+
+
+def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
+    keying = counting(3)
+    stored(keying)
+    assert keying.settled() == ()
+    keying.heard(said(0, THEIRS))
+    keying.word()
+    assert keying.settled() == ()
+    keying.done(Judged(S, 0, "confirmed", 5))
+    assert keying.settled() == (range(1, 3),)
+    assert keying.settled() == ()
+
+
+def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_once() -> None:
+    keying = counting(7)
+    first, second = keying.tasks()
+    assert isinstance(first, Closed)
+    assert isinstance(second, Closed)
+    keying.done(Stored(S, 1, TAG, frozenset({THEIRS}), keys=5))
+    keying.heard(said(1, THEIRS))
+    late = Stored(S, 0, TAG, frozenset({THEIRS}), keys=5)
+    assert keying.done(late) == (BlockVerdict(S, Judgement(0, "confirmed", "")),)
+
+
+@pytest.mark.parametrize(
+    ("done", "stopped"),
+    [
+        (Stored(S, 0, TAG, keys=5), ""),
+        (Stored(S, 2, ""), "block 2 lost too many copies to make one"),
+        (Stored(S, 0, "", exhausted=True), "no pad is left to sign key blocks with"),
+    ],
+)
+def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:
+    keying = counting(3)
+    keying.done(done)
+    assert keying.stopped == stopped
+    assert keying.told("", "")["keys_stopped"] == stopped
+    keying.done(Stored(S, 0, TAG, keys=1))
+    assert keying.stopped == ""
+
+
+def test_a_broken_store_is_asked_for_nothing_more() -> None:
+    keying = counting(3)
+    assert keying.done(Broken("disk full")) == ()
+    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    assert keying.told("claim", "why")["keys_refused"] == "disk full"
+
+
+# --- an end that comes back -----------------------------------------------------------------------
+
+ROWS = [Raw(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
+RULES = replace(line_rules(alpha=4.0, largest_input=5.0), schedule=SCHEDULE)
+
+
+class Nothing:
+    def payload(self, number: int) -> bytes | None:
+        return None
+
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
+def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) -> Sender:
+    draws = iter(NONCES[2:])
+    return Sender(
+        RULES,
+        lambda x: ((0.0,), (1.0,)),
+        Nothing(),
+        Nothing(),
+        OTHER,
+        record,
+        step,
+        ROWS,
+        lambda: next(draws),
+    )
+
+
+def receiver(record: ReceiverRecord, word: Measurement | None = None) -> Receiver:
+    draws = iter(NONCES[2:])
+    return Receiver(RULES, OTHER, record, "", ROWS, word, lambda: next(draws))
+
+
+AS_SENDER = SenderRecord(session=S, transitions=6, block=0, tag=TAG)
+AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=TAG)
+
+
+@pytest.mark.parametrize(
+    ("begun", "word"),
+    [
+        (lambda: sender(AS_SENDER), (0, TAG)),
+        (lambda: sender(AS_SENDER, (said(-1, NO_TAG), offer(block=1, tag=THEIRS))), (1, THEIRS)),
+        (lambda: receiver(AS_RECEIVER), (0, TAG)),
+        (lambda: receiver(AS_RECEIVER, said(1, THEIRS)), (1, THEIRS)),
+    ],
+    ids=["sender", "sender with a step", "receiver", "receiver with a step"],
+)
+def test_an_end_goes_on_with_its_last_word_and_its_rows(
+    begun: Callable[[], Sender | Receiver], word: tuple[int, str]
+) -> None:
+    keying = begun().keying
+    assert keying.word() == word
+    assert keying.nonce() == NONCES[2]
+    keying.count(6, 1, offer(), 0, NONCES[1])
+    (closed,) = keying.tasks()
+    assert isinstance(closed, Closed)
+    assert (closed.session, closed.number, closed.pattern) == (S, 1, "1113")
+
+
+def test_a_record_without_a_word_says_that_there_is_none() -> None:
+    assert receiver(AS_RECEIVER._replace(tag="")).record.tag == NO_TAG
+    assert receiver(AS_RECEIVER).record.tag == TAG
+    assert sender(SenderRecord()).keying.blocks is None

@@ -1,0 +1,396 @@
+"""What either end says where it refuses, word for word, and what it remembers afterwards."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from protocol.agreement import AgreementRule, Gauge
+from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.sender import REMEMBERED_SESSIONS, STALE, Sender, SenderEffects, SenderRecord
+from protocol.link.session import Rules
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.schemes.switched import Switched
+from protocol.vectors import Vector
+from tests.support.line_plant import line_rules
+
+RULES = line_rules(alpha=4.0, largest_input=5.0)
+OTHER = "e" * 64
+S, T, NEW = "1" * 16, "2" * 16, "9" * 16
+A, B, P, Q = (letter * 16 for letter in "abcd")
+CANDIDATES = ((1.5,), (-1.5,))
+
+
+class Outbox:
+    def payload(self, number: int) -> bytes | None:
+        return None
+
+
+class Zeros:
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
+def propose(x: Vector) -> tuple[Vector, ...]:
+    if x[0] > 100:
+        raise LookupError(f"no answer at {x[0]:g}")
+    return CANDIDATES
+
+
+def controller(record: SenderRecord | None = None, rules: Rules = RULES, **more: Any) -> Sender:
+    return Sender(rules, propose, Outbox(), Zeros(), A, record, **more)
+
+
+def hello(**fields: object) -> PlantHello:
+    made = PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        fingerprint=RULES.fingerprint,
+        transitions=0,
+        applied_k=-1,
+    )
+    return made.model_copy(update=fields)
+
+
+def reply(verdict: str, **fields: object) -> ControllerHello:
+    made = ControllerHello(
+        instance=A, fingerprint=RULES.fingerprint, verdict="greeting", session=S, answers=P
+    )
+    return made.model_copy(update={"verdict": verdict, **fields})
+
+
+def measurement(**fields: object) -> Measurement:
+    made = Measurement(session=S, k=4, x=(0.5,), applied_k=3, x_after=(0.5,))
+    return made.model_copy(update=fields)
+
+
+OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
+RECORD = SenderRecord(
+    session=S,
+    ended=(T,),
+    state=Switched(2).initial,
+    k=3,
+    applied_k=1,
+    transitions=2,
+    agreements=1,
+    p=1,
+    message=5,
+    offset=7,
+    x=(0.0,),
+    offer=OFFER,
+)
+OVER = SenderRecord(ended=(T, S), state=Switched(2).initial, message=5)
+"""What is left of :data:`RECORD` when its session is over: the message starts again."""
+
+
+def at_work() -> Sender:
+    sender = controller(RECORD)
+    assert sender.heard_plant(hello(transitions=2, applied_k=1)).reply == reply("accepted")
+    assert sender.plant == P
+    return sender
+
+
+# --- hellos ---------------------------------------------------------------------------------------
+
+
+def test_the_first_word_names_the_session_of_the_journal() -> None:
+    assert controller().greeting() == reply("greeting", session=None, answers=None)
+    assert controller(RECORD).greeting() == reply("greeting", session=S, answers=None)
+
+
+def test_another_model_is_named() -> None:
+    sender = controller()
+    said = sender.heard_plant(hello(fingerprint=OTHER))
+    assert said == SenderEffects(
+        reply=reply("other-model"), refusal=f"plant {P} shares another model"
+    )
+    assert sender.refused
+    assert not sender.heard_plant(hello()).refusal
+    for record in (RECORD, OVER):  # it has met a plant of its own
+        sender = controller(record)
+        assert sender.heard_plant(hello(fingerprint=OTHER)).reply == reply("other-model")
+        assert not sender.refused
+
+
+def test_a_second_plant_is_named_while_the_first_runs() -> None:
+    sender = at_work()
+    why = f"plant {Q} speaks up while plant {P} runs: two plants on one loop?"
+    assert sender.heard_plant(hello(instance=Q, session=NEW), running=True) == SenderEffects(
+        refusal=why
+    )
+    assert sender.plant == P
+    assert sender.record == RECORD
+
+
+def test_a_hello_to_anyone_is_greeted() -> None:
+    said = at_work().heard_plant(hello(controller=None, session=NEW))
+    assert said == SenderEffects(reply=reply("greeting", answers=None))
+
+
+def test_journals_that_do_not_fit_together() -> None:
+    for applied_k in (1, 3):
+        sender = controller(RECORD)
+        said = sender.heard_plant(hello(transitions=2, applied_k=applied_k))
+        assert said == SenderEffects(reply=reply("accepted"))
+        assert sender.record == RECORD
+    for applied_k in (0, 2, 4):
+        said = controller(RECORD).heard_plant(hello(transitions=2, applied_k=applied_k))
+        assert said == SenderEffects(
+            reply=reply("unknown-session"), refusal="the journals do not fit together"
+        )
+    unanswered = controller(RECORD._replace(offer=None))
+    assert unanswered.heard_plant(hello(transitions=2, applied_k=3)).refusal
+    assert not unanswered.heard_plant(hello(transitions=2, applied_k=1)).refusal
+
+
+@pytest.mark.parametrize("fields", [{"session": NEW, "transitions": 1}, {"session": T}])
+def test_a_session_of_another_journal(fields: dict[str, object]) -> None:
+    said = controller(RECORD).heard_plant(hello(**fields))
+    assert said == SenderEffects(
+        reply=reply("unknown-session", session=fields["session"]),
+        refusal="the plant is in a session this journal does not know",
+    )
+
+
+def test_a_new_session_ends_the_one_before_and_begins_the_message_again() -> None:
+    sender = controller(RECORD)
+    said = sender.heard_plant(hello(session=NEW))
+    assert said == SenderEffects(save=True, reply=reply("accepted", session=NEW))
+    assert sender.plant == P
+    assert sender.record == OVER._replace(session=NEW)
+
+
+def test_so_many_sessions_are_remembered() -> None:
+    sender = controller()
+    sessions = [f"{i:016x}" for i in range(REMEMBERED_SESSIONS + 5)]
+    for session in sessions:
+        assert sender.heard_plant(hello(session=session)).save
+    assert sender.record.ended == tuple(sessions[4:-1])
+    assert len(sender.record.ended) == REMEMBERED_SESSIONS
+
+
+def test_who_is_asked_for_another_steps_back() -> None:
+    why = f"plant {P} is with controller {B}, and not with this one, {A}"
+    sender = at_work()
+    overtaken = sender.heard_plant(hello(controller=B, transitions=2, applied_k=1))
+    assert overtaken == SenderEffects(save=True, refusal=why)
+    assert sender.plant is None
+    assert sender.record == OVER
+    sender = at_work()
+    assert sender.heard_plant(hello(controller=B, session=NEW)) == SenderEffects(refusal=why)
+    assert sender.plant is None
+    assert sender.record == RECORD
+    # it does not ask which session that is, as it knows; it asks of any other
+    assert sender.measured(measurement(session=NEW)) == SenderEffects()
+    assert sender.measured(measurement(session=T)) == SenderEffects(greet=True)
+    # asked again, or anyone being asked, it speaks up once more
+    sender.heard_plant(hello(controller=None, session=NEW))
+    assert sender.measured(measurement(session=NEW)) == SenderEffects(greet=True)
+
+
+def test_who_never_took_it_up_keeps_its_journal_when_it_steps_back() -> None:
+    sender = controller(RECORD)
+    said = sender.heard_plant(hello(controller=B, transitions=2, applied_k=1))
+    assert not said.save
+    assert sender.record == RECORD
+
+
+# --- measurements ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"x": (0.0, 0.0)}, "measurement.x: got 2 states, expected 1"),
+        ({"x": ()}, "measurement.x: got 0 states, expected 1"),
+        ({"x_after": (0.0, 0.0)}, "measurement.x_after: got 2 states, expected 1 or none"),
+        ({"x": (1.1e150,)}, "measurement: got a state beyond 1e+150"),
+        ({"x_after": (-1.1e150,)}, "measurement: got a state beyond 1e+150"),
+    ],
+)
+def test_a_measurement_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
+    sender = at_work()
+    with pytest.raises(ValueError) as refused:
+        sender.measured(measurement(**fields))
+    assert str(refused.value) == why
+    assert sender.record == RECORD
+
+
+def test_the_largest_state_is_still_reckoned_with() -> None:
+    assert at_work().measured(measurement(x=(-1e150,))).refusal == ""
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"k": 3, "applied_k": 1, "x": (0.1,)},
+        {"k": 3, "applied_k": 2},
+        {"applied_k": 2},
+        {"applied_k": 4},
+        {"x_after": ()},
+    ],
+)
+def test_a_measurement_that_the_journal_rules_out_ends_the_session(
+    fields: dict[str, object],
+) -> None:
+    sender = at_work()
+    told = measurement(**fields)
+    assert sender.measured(told) == SenderEffects(
+        save=True,
+        greet=True,
+        refusal=f"measurement {told.k} does not follow from the journal; session ended",
+    )
+    assert sender.record == OVER
+    assert sender.plant is None
+
+
+def test_so_many_measurements_of_steps_gone_by_end_the_session() -> None:
+    sender = at_work()
+    old = measurement(k=2, applied_k=1)
+    for _ in range(2):
+        for _ in range(STALE - 1):
+            assert sender.measured(old) == SenderEffects()
+        assert sender.measured(measurement(k=3, applied_k=1, x=(0.0,))).offer == OFFER
+    for _ in range(STALE - 1):
+        assert sender.measured(old) == SenderEffects()
+    assert sender.measured(old).refusal == (
+        "measurement 2 does not follow from the journal; session ended"
+    )
+    assert sender.record == OVER
+
+
+def test_where_the_law_has_no_answer_the_transition_counts_all_the_same() -> None:
+    sender = at_work()
+    effects = sender.measured(measurement(x=(101.0,)))
+    assert effects.save
+    assert effects.offer is None
+    assert not effects.append
+    assert effects.refusal == "no answer at 101"
+    assert effects.transition is not None
+    assert sender.record.transitions == 3
+    assert (sender.record.k, sender.record.applied_k) == (4, 3)
+    assert (sender.record.x, sender.record.offer) == ((101.0,), None)
+
+
+def test_a_difference_of_key_blocks_ends_the_session() -> None:
+    sender = at_work()
+    assert sender.unequal() == SenderEffects(
+        save=True, greet=True, refusal="a key block differs from the plant's; session ended"
+    )
+    assert sender.record == OVER
+
+
+def test_an_answer_is_settled_before_the_next_measurement() -> None:
+    sender = at_work()
+    with pytest.raises(AssertionError, match=r"^there is no answer to settle"):
+        sender.settle()
+    sender.measured(measurement())
+    assert sender.unsettled
+    with pytest.raises(AssertionError, match=r"^the answer before has not been settled"):
+        sender.measured(measurement(k=5))
+
+
+def test_a_nonlinear_model_brings_its_predictions() -> None:
+    rules = replace(RULES, predicted=True)
+    sender = controller(rules=rules, predict=lambda x, u: (x[0] + 2 * u[0],))
+    sender.heard_plant(hello())
+    offer = sender.measured(measurement(k=0, applied_k=-1, x_after=())).offer
+    assert offer is not None
+    assert offer.centres == ((3.5,), (-2.5,))
+    sender = controller(rules=rules)
+    sender.heard_plant(hello())
+    with pytest.raises(AssertionError, match=r"^a nonlinear f_c is the controller's to bring"):
+        sender.measured(measurement(k=0, applied_k=-1, x_after=()))
+
+
+# --- the plant's ----------------------------------------------------------------------------------
+
+AT_THE_PLANT = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
+
+
+def plant(rules: Rules = RULES) -> Receiver:
+    return Receiver(rules, P, AT_THE_PLANT)
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"candidates": ((0.0,),)}, "offer.candidates: got 1, expected 2"),
+        ({"candidates": ((0.0,),) * 3}, "offer.candidates: got 3, expected 2"),
+        ({"candidates": ((0.0,), (0.0, 0.0))}, "offer.candidates: expected 1 inputs in each"),
+        ({"candidates": ((0.0,), (5.1,))}, "offer.candidates: expected inputs in U"),
+        ({"cipher": 2}, "offer.cipher: got 2, expected below 2"),
+        ({"centres": ((0.0,),) * 2}, "offer.centres: expected none, as f_c is linear"),
+    ],
+)
+def test_an_offer_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
+    with pytest.raises(ValueError) as refused:
+        plant().check(OFFER.model_copy(update=fields))
+    assert str(refused.value) == why
+
+
+@pytest.mark.parametrize("centres", [(), ((0.0,),), ((0.0,),) * 3, ((0.0,), (0.0, 0.0))])
+def test_predictions_of_another_shape_are_garbage(centres: tuple[Vector, ...]) -> None:
+    receiver = plant(replace(RULES, predicted=True))
+    with pytest.raises(ValueError) as refused:
+        receiver.check(OFFER.model_copy(update={"centres": centres}))
+    assert str(refused.value) == "offer.centres: expected 2 predictions of 1 states"
+    right = OFFER.model_copy(update={"centres": ((0.0,),) * 2})
+    assert receiver.check(right) == "current"
+
+
+@pytest.mark.parametrize(
+    ("fields", "is_"),
+    [({}, "current"), ({"k": 2}, "stale"), ({"k": 4}, "stale"), ({"session": T}, "foreign")],
+)
+def test_an_offer_is_for_one_session_and_one_step(fields: dict[str, object], is_: str) -> None:
+    assert plant().check(OFFER.model_copy(update=fields)) == is_
+
+
+def test_predictions_decide_where_the_model_is_not_linear() -> None:
+    gauge = Gauge(half_widths=(1.0,))
+    rule = AgreementRule(A=((1.0,),), B=((1.0,),), gauge=gauge, alpha=9.0)
+    for predicted, gauges in ((True, (1.0, 4.0)), (False, (0.5, 3.5))):
+        rules = replace(RULES, agreement=rule, predicted=predicted)
+        verdict = rules.judge((0.0,), CANDIDATES, ((3.0,), (-2.0,)), (2.0,))
+        assert verdict.gauges == gauges
+
+
+def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
+    receiver = plant()
+    assert receiver.heard_controller(reply("greeting", session=None), NEW) == "nothing"
+    receiver.look_around()
+    assert receiver.heard_controller(reply("greeting", session=None), NEW) == "greet"
+    assert receiver.controller == A
+    assert receiver.heard_controller(reply("unknown-session"), NEW) == "ended"
+    assert not receiver.accepted
+    assert receiver.record == ReceiverRecord(
+        session=NEW,
+        k=3,
+        x=(0.0,),
+        u=(0.0,),
+        state=Switched(2).initial,
+        sessions=2,
+        controller=A,
+    )
+    assert receiver.hello() == hello(session=NEW)
+
+
+def test_a_difference_of_key_blocks_begins_a_session() -> None:
+    receiver = plant()
+    receiver.look_around()
+    receiver.heard_controller(reply("greeting"), NEW)
+    assert receiver.heard_controller(reply("accepted"), NEW) == "accepted"
+    receiver.end_session(NEW)
+    assert not receiver.accepted
+    assert (receiver.record.session, receiver.record.sessions) == (NEW, 2)
+
+
+@pytest.mark.parametrize("record", [AT_THE_PLANT, AT_THE_PLANT._replace(transitions=0, sessions=2)])
+def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
+    record: ReceiverRecord,
+) -> None:
+    receiver = Receiver(RULES, P, record)
+    assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "stranger"
+    assert not receiver.refused

@@ -1,0 +1,343 @@
+"""Every field that either end remembers or says, beside a tally of what happened to them.
+
+The two ends hear each other over a network that repeats and loses, on the plant on a line; their
+processes die. The tally knows the coins, the disturbances and the messages, and asks the ends for
+nothing but nonces.
+"""
+
+import random
+from dataclasses import replace
+from itertools import accumulate
+from typing import Any
+
+import pytest
+
+from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.link.receiver import CHUNK, Receiver, ReceiverEffects, ReceiverRecord
+from protocol.link.sender import Sender, SenderEffects, SenderRecord
+from protocol.link.session import CountedTransition
+from protocol.messages import Measurement, Offer
+from protocol.schemes.base import Scheme
+from protocol.schemes.framing import IDLE, Frame, encode_frame
+from protocol.schemes.pipelined import Pipelined
+from protocol.schemes.switched import Switched
+from protocol.secret.blocks import NO_TAG, Schedule
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Raw, as_bytes
+from protocol.vectors import Vector
+from tests.support.line_plant import line_rules
+
+SESSION, PLANT, CONTROLLER = "1" * 16, "a" * 16, "c" * 16
+PAYLOADS = (b"one", b"", b"three, which takes two chunks")
+APART = 4.0
+"""Between two candidates' centres: D_c = [-1, 1] around one has nothing of another's."""
+
+
+class Outbox:
+    def payload(self, number: int) -> bytes | None:
+        return PAYLOADS[number] if number < len(PAYLOADS) else None
+
+
+class Draws:
+    """Random symbols that say for which transition they were drawn."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def symbol(self, transition: int, size: int) -> int:
+        self.asked.append(transition)
+        return transition * 7 % size
+
+
+class Ends:
+    """Both ends and the tally; each method does one thing and compares."""
+
+    def __init__(self, scheme: Scheme[Any], seed: int, *, keys: bool) -> None:
+        self.random = random.Random(seed)
+        self.size, self.pipelined, self.keys = scheme.alphabet, scheme.name == "pipelined", keys
+        schedule = Schedule(Assumption(0.1), 64, 64) if keys else None
+        rules = line_rules(alpha=1000.0, largest_input=1e9, scheme=scheme)
+        self.rules = replace(rules, schedule=schedule)
+        self.draws = Draws()
+        self.rows: list[Raw] = []
+        self.chunks = ""
+        first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
+        self.sender = self.controller(None)
+        self.receiver = Receiver(self.rules, PLANT, first)
+        self.meet()
+        frames = [encode_frame(payload, self.size) for payload in PAYLOADS]
+        self.ends = list(accumulate(map(len, frames)))
+        self.stream = b"".join(frames)
+        self.no_tag = NO_TAG if keys else ""
+        self.said = SenderRecord(session=SESSION, state=scheme.initial)
+        self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
+        self.uncounted: CountedTransition | None = None
+        self.raw: Raw | None = None
+        self.early: Measurement | None = None
+        self.woke = keys
+        """Whether the plant's process woke up in this step: then it does not know what has left."""
+        self.delivered: list[int] = []
+        self.inbox: list[bytes] = []
+        self.compare()
+
+    def controller(
+        self, record: SenderRecord | None, step: tuple[Measurement, Offer] | None = None
+    ) -> Sender:
+        """A process of it, with the rows that its journal has."""
+        counted = [row for row in self.rows if record is not None and row.j < record.transitions]
+        return Sender(
+            self.rules, self.propose, Outbox(), self.draws, CONTROLLER, record, step, counted
+        )
+
+    def meet(self) -> None:
+        self.receiver.heard_controller(self.sender.greeting(), "9" * 16)
+        accepted = self.sender.heard_plant(self.receiver.hello()).reply
+        assert accepted is not None
+        assert self.receiver.heard_controller(accepted, "9" * 16) == "accepted"
+
+    def propose(self, x: Vector) -> tuple[Vector, ...]:
+        return tuple((APART * i - x[0],) for i in range(self.size))
+
+    def compare(self) -> None:
+        nonce = self.receiver.record.nonce
+        assert bool(nonce) == (self.keys and self.kept.k > 0)
+        assert self.receiver.record == self.kept._replace(nonce=nonce)
+        assert self.sender.record == self.said
+        assert self.sender.carries == (self.said.state[1] != NO_SYMBOL)
+
+    # --- what happens -----------------------------------------------------------------------------
+
+    def die(self) -> None:
+        """One of the two, between two things that it did; it comes back as its journal has it."""
+        if self.random.random() < 0.5:
+            self.sender = self.controller(self.said)
+        else:
+            record = self.receiver.record
+            self.receiver = Receiver(self.rules, PLANT, record, self.chunks, self.rows)
+            self.early, self.woke = None, self.keys
+        self.meet()
+        self.compare()
+
+    def miss(self) -> None:
+        x_next, u = (self.random.uniform(-1, 1),), (self.random.uniform(-1, 1),)
+        self.receiver.missed(u, x_next)
+        k, missed = self.kept.k + 1, self.kept.missed + 1
+        self.kept = self.kept._replace(k=k, x=x_next, u=u, missed=missed)
+        self.early, self.woke = None, False
+        self.compare()
+
+    def measure(self) -> Measurement:
+        """A copy of this step's measurement: the first, or one of those after it."""
+        measurement, self.early = self.early or self.receiver.measurement(), None
+        assert measurement == Measurement(
+            session=SESSION,
+            k=self.kept.k,
+            x=self.kept.x,
+            applied_k=self.kept.applied_k,
+            x_after=self.kept.x_after,
+            copy_number=measurement.copy_number,
+            nonce=measurement.nonce,
+            applied_copy=self.kept.applied_copy,
+            tag=self.no_tag,
+        )
+        first = measurement.copy_number == 0
+        assert first == (measurement.nonce == self.receiver.record.nonce)
+        assert bool(measurement.nonce) == self.keys
+        return measurement
+
+    def hear(self) -> Offer:
+        """The controller hears it once, or again; a copy of its offer."""
+        measurement = self.measure()
+        assert measurement.copy_number == self.woke
+        for _ in range(self.random.choice((0, 0, 1))):
+            measurement = self.measure()
+            assert measurement.copy_number == self.keys
+        effects = self.sender.measured(measurement)
+        offer = effects.offer
+        assert offer is not None
+        assert effects == SenderEffects(append=True, offer=offer)
+        if self.random.random() < 0.1:  # it dies once it has saved that
+            self.sender = self.controller(self.said, (measurement, offer))
+        self.settle(measurement, offer)
+        assert offer == Offer(
+            session=SESSION,
+            k=self.kept.k,
+            candidates=self.propose(self.kept.x),
+            cipher=self.said.cipher,
+            nonce=offer.nonce,
+            heard=measurement.copy_number,
+            tag=self.no_tag,
+        )
+        if self.sender.plant is None:
+            self.meet()
+        again = self.sender.measured(self.measure()).offer
+        assert again is not None
+        assert again == offer.model_copy(
+            update={"copy_number": int(self.keys), "nonce": again.nonce}
+        )
+        assert (again.nonce == offer.nonce) == (not self.keys)
+        return self.random.choice((offer, again))
+
+    def settle(self, measurement: Measurement, offer: Offer) -> None:
+        """What was applied since is counted, and the next symbol is decided."""
+        counted, raw = self.uncounted, self.raw
+        before = self.said
+        self.uncounted = self.raw = None
+        self.said = before._replace(
+            k=measurement.k,
+            x=measurement.x,
+            offer=offer,
+            nonce="" if measurement.copy_number else measurement.nonce,
+            tag=self.no_tag,
+        )
+        delivered = None
+        if counted is not None:
+            if counted.role == "message" and counted.p in self.ends:
+                delivered = self.ends.index(counted.p)
+                self.delivered.append(delivered)
+            key, p = self.kept.state[1], counted.p
+            carries = key != NO_SYMBOL
+            framed = carries and p < len(self.stream)
+            message = sum(end <= p for end in self.ends)
+            within = p - ([0, *self.ends][message]) if message < len(self.ends) else 0
+            symbol = (self.stream[p] if framed else IDLE) if carries else NO_SYMBOL
+            agreed = counted.symbol != NO_SYMBOL
+            self.said = self.said._replace(
+                state=self.kept.state,
+                applied_k=counted.k,
+                transitions=counted.j + 1,
+                agreements=before.agreements + agreed,
+                p=p,
+                cipher=(symbol + key if carries else (counted.j + 1) * 7) % self.size,
+                message_symbol=symbol,
+                framed=framed,
+                message=message,
+                offset=within + framed,
+            )
+        assert self.sender.settle() == SenderEffects(
+            save=delivered is not None, transition=counted, delivered=delivered, raw=raw
+        )
+        assert not self.sender.unsettled
+        self.compare()
+
+    def apply(self, offer: Offer) -> None:
+        """The plant tosses and is disturbed: within D_c, out of all, or up to the next centre."""
+        coin = self.random.randrange(self.size)
+        d = self.random.choice((0.9, -0.9, 0.5, 0.0, 1.1, APART, -APART))
+        before, x = self.kept, self.kept.x[0]
+        x_next = (x + offer.candidates[coin][0] + d,)
+        gauges = tuple(abs(x_next[0] - (x + u)) for (u,) in offer.candidates)
+        fits = [i for i, g in enumerate(gauges) if g <= 1]
+        symbol = fits[0] if fits else NO_SYMBOL
+        pad = before.state[1]
+        tested = self.pipelined or pad == NO_SYMBOL
+        agreed = symbol if tested else NO_SYMBOL
+        carried = pad != NO_SYMBOL
+        m = (offer.cipher - pad) % self.size if carried else NO_SYMBOL
+        if carried:
+            assert m == (self.stream[before.p] if before.p < len(self.stream) else IDLE)
+        p = before.p + carried
+        counts = (1 - offer.copy_number) + 2 * (1 - offer.heard)
+        if not (self.keys and before.transitions):
+            counts = 0
+        else:
+            original = self.said.offer
+            assert original is not None
+            self.raw = Raw(
+                before.transitions,
+                before.k - before.applied_k,
+                None if offer.copy_number else as_bytes(original.nonce),
+                None if offer.heard else as_bytes(self.said.nonce),
+            )
+        self.uncounted = CountedTransition(
+            session=SESSION,
+            j=before.transitions,
+            k=before.k,
+            x=before.x,
+            candidates=offer.candidates,
+            cipher=offer.cipher,
+            x_next=x_next,
+            role="message" if carried else "test",
+            verdict=Verdict(gauges, symbol, len(fits)),
+            symbol=agreed,
+            key=pad,
+            message_symbol=m,
+            p=p,
+            s=1 if agreed == NO_SYMBOL else 2,
+            tested=tested,
+            counts=counts,
+        )
+        frame, partial, chunk = self.frame(p, carried, m)
+        self.kept = before._replace(
+            k=before.k + 1,
+            x=x_next,
+            u=offer.candidates[coin],
+            applied_k=before.k,
+            x_after=x_next,
+            partial=partial,
+            state=(self.uncounted.s, agreed),
+            transitions=before.transitions + 1,
+            p=p,
+            agreements=before.agreements + (agreed != NO_SYMBOL),
+            symbol_errors=before.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            messages=before.messages + (frame is not None),
+            applied_copy=offer.copy_number,
+        )
+        assert self.receiver.check(offer) == "current"
+        before_it = self.receiver.record
+        rows = list(self.rows)
+        self.rows += [] if self.raw is None else [self.raw]
+        self.woke = False
+        what = self.random.random()
+        if what < 0.6:
+            self.early = self.receiver.moved(offer, x_next)
+            assert self.receiver.moved(offer, x_next) is self.early
+        if what < 0.4:
+            self.receiver.reported()
+        elif what < 0.6:  # it dies before it has counted
+            self.receiver = Receiver(self.rules, PLANT, before_it, self.chunks, rows, self.early)
+            self.woke = self.keys
+        effects = self.receiver.applied(offer, coin, x_next)
+        assert effects == ReceiverEffects(self.uncounted, chunk, frame, self.raw)
+        self.chunks = "" if frame else self.chunks + chunk
+        assert self.early is None or self.early.nonce == self.receiver.record.nonce
+        if what >= 0.4:
+            self.early = None
+        if not self.receiver.accepted:
+            self.meet()
+        self.compare()
+        assert self.receiver.check(offer) == "stale"
+
+    def frame(self, p: int, carried: bool, symbol: int) -> tuple[Frame | None, str, str]:
+        """The frame that ends with this symbol; what is kept of one under way, and what leaves."""
+        partial = self.kept.partial
+        if not carried or p > len(self.stream):
+            return None, partial, ""
+        if p in self.ends:
+            self.inbox.append(PAYLOADS[self.ends.index(p)])
+            return Frame(self.inbox[-1], True), "", ""
+        digits = 1 if self.size <= 16 else 2
+        partial += f"{symbol:0{digits}x}"
+        return (None, "", partial) if len(partial) == CHUNK * digits else (None, partial, "")
+
+
+SCHEMES = [Switched(2), Switched(16), Switched(17), Pipelined(2), Pipelined(5)]
+
+
+@pytest.mark.parametrize("keys", [False, True], ids=["no keys", "keys"])
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}-{s.alphabet}")
+def test_both_ends_remember_and_say_what_happened(scheme: Scheme[Any], keys: bool) -> None:
+    ends = Ends(scheme, 1, keys=keys)
+    while len(ends.delivered) < len(PAYLOADS) or ends.said.p < ends.ends[-1] + 5:
+        for _ in range(ends.random.choice((0, 0, 0, 1, 2))):
+            if ends.random.random() < 0.5:
+                ends.hear()  # and its offers are lost
+            ends.miss()
+        if ends.random.random() < 0.1:
+            ends.die()
+        ends.apply(ends.hear())
+    assert ends.delivered == [0, 1, 2]
+    assert ends.inbox == list(PAYLOADS)
+    assert ends.kept.symbol_errors > 0
+    assert ends.kept.missed > 0
+    assert ends.draws.asked == list(range(ends.said.transitions + 1))
