@@ -28,6 +28,7 @@ from protocol.secret.bound import clopper_pearson
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "protocol/schemes": ("tests/schemes",),
     "protocol/link": (
+        "tests/link/test_tallies.py",
         "tests/link",
         "tests/secret/test_keyed_link.py",
         "tests/secret/test_sealed_book.py",
