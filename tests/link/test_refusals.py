@@ -38,7 +38,9 @@ def propose(x: Vector) -> tuple[Vector, ...]:
 
 
 def controller(record: SenderRecord | None = None, rules: Rules = RULES, **more: Any) -> Sender:
-    return Sender(rules, propose, Outbox(), Zeros(), A, record, **more)
+    """A process that is the life of its journal which ``record`` counts."""
+    read = None if record is None else record._replace(life=record.life - 1)
+    return Sender(rules, propose, Outbox(), Zeros(), A, read, **more)
 
 
 def hello(**fields: object) -> PlantHello:
@@ -46,6 +48,7 @@ def hello(**fields: object) -> PlantHello:
         instance=P,
         session=S,
         controller=A,
+        life=1,
         fingerprint=RULES.fingerprint,
         transitions=0,
         applied_k=-1,
@@ -55,7 +58,12 @@ def hello(**fields: object) -> PlantHello:
 
 def reply(verdict: str, **fields: object) -> ControllerHello:
     made = ControllerHello(
-        instance=A, fingerprint=RULES.fingerprint, verdict="greeting", session=S, answers=P
+        instance=A,
+        life=1,
+        fingerprint=RULES.fingerprint,
+        verdict="greeting",
+        session=S,
+        answers=P,
     )
     return made.model_copy(update={"verdict": verdict, **fields})
 
@@ -68,6 +76,7 @@ def measurement(**fields: object) -> Measurement:
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 RECORD = SenderRecord(
     session=S,
+    life=1,
     ended=(T,),
     state=Switched(2).initial,
     k=3,
@@ -80,7 +89,7 @@ RECORD = SenderRecord(
     x=(0.0,),
     offer=OFFER,
 )
-OVER = SenderRecord(ended=(T, S), state=Switched(2).initial, message=5)
+OVER = SenderRecord(life=1, ended=(T, S), state=Switched(2).initial, message=5)
 """What is left of :data:`RECORD` when its session is over: the message starts again."""
 
 
@@ -373,6 +382,7 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
         state=Switched(2).initial,
         sessions=2,
         controller=A,
+        life=1,
     )
     assert receiver.hello() == hello(session=NEW)
 

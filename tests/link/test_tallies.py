@@ -64,12 +64,11 @@ class Ends:
         first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
         self.sender = self.controller(None)
         self.receiver = Receiver(self.rules, PLANT, first)
-        self.meet()
         frames = [encode_frame(payload, self.size) for payload in PAYLOADS]
         self.ends = list(accumulate(map(len, frames)))
         self.stream = b"".join(frames)
         self.no_tag = NO_TAG if keys else ""
-        self.said = SenderRecord(session=SESSION, state=scheme.initial)
+        self.said = SenderRecord(session=SESSION, life=1, state=scheme.initial)
         self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
         self.uncounted: CountedTransition | None = None
         self.raw: Raw | None = None
@@ -78,6 +77,7 @@ class Ends:
         """Whether the plant's process woke up in this step: then it does not know what has left."""
         self.delivered: list[int] = []
         self.inbox: list[bytes] = []
+        self.meet()
         self.compare()
 
     def controller(
@@ -90,6 +90,8 @@ class Ends:
         )
 
     def meet(self) -> None:
+        """A life greets, or the same once more; the plant remembers which it was."""
+        self.kept = self.kept._replace(life=self.said.life)
         self.receiver.heard_controller(self.sender.greeting(), "9" * 16)
         accepted = self.sender.heard_plant(self.receiver.hello()).reply
         assert accepted is not None
@@ -111,6 +113,7 @@ class Ends:
         """One of the two, between two things that it did; it comes back as its journal has it."""
         if self.random.random() < 0.5:
             self.sender = self.controller(self.said)
+            self.said = self.said._replace(life=self.said.life + 1)
         else:
             record = self.receiver.record
             self.receiver = Receiver(self.rules, PLANT, record, self.chunks, self.rows)
@@ -158,6 +161,7 @@ class Ends:
         assert effects == SenderEffects(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
             self.sender = self.controller(self.said, (measurement, offer))
+            self.said = self.said._replace(life=self.said.life + 1)
         self.settle(measurement, offer)
         assert offer == Offer(
             session=SESSION,
