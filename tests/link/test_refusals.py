@@ -10,7 +10,10 @@ from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import REMEMBERED_SESSIONS, STALE, Sender, SenderEffects, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.schemes.framing import Frame, encode_frame
 from protocol.schemes.switched import Switched
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
 from protocol.vectors import Vector
 from tests.support.line_plant import line_rules
 
@@ -404,3 +407,34 @@ def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
     receiver = Receiver(RULES, P, record)
     assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "stranger"
     assert not receiver.refused
+
+
+@pytest.mark.parametrize(("flipped", "refused"), [(0, 0), (1, 1)])
+def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int) -> None:
+    *symbols, last = encode_frame(b"a", 2)
+    record = AT_THE_PLANT._replace(
+        state=(2, 0), partial="".join(map(str, symbols)), messages=3, frames_refused=5
+    )
+    receiver = Receiver(RULES, P, record)
+    effects = receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
+    assert effects.frame == Frame(b"a", not refused)
+    after = receiver.record
+    assert (after.messages, after.frames_refused) == (4 - refused, 5 + refused)
+    assert (after.partial, effects.chunk) == ("", "")
+    assert not receiver.deframer.symbols
+
+
+def test_in_a_new_session_no_copy_of_the_step_under_way_is_the_first() -> None:
+    """That of the session before may have left with the nonce of this step."""
+    keys = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    receiver = Receiver(keys, P, AT_THE_PLANT)
+    receiver.missed((0.0,), (0.0,))
+    nonce = receiver.record.nonce
+    receiver.end_session(NEW)
+    for _ in range(2):
+        said = receiver.measurement()
+        assert said.copy_number == 1
+        assert len(said.nonce) == 44
+        assert said.nonce != nonce
+    receiver.missed((0.0,), (0.0,))
+    assert receiver.measurement().copy_number == 0
