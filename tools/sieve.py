@@ -2,9 +2,9 @@
 
 ``python -m tools.sieve CHOSEN TRIED TESTS...`` is what ``tools.mutants`` calls. A test file's tests
 run once as they are; that says which functions each reaches, and what it takes. Then each mutant
-that still lives is switched on in a fork, where those tests run that reach it, quickest first,
-until one fails. Limits are of processor time, so that a machine that is busy or a job that is
-paused kills nothing.
+that still lives is switched on in a fork, where those tests run that reach it, until one fails:
+first those that noticed another mutant of its function, then the quickest. Limits are of processor
+time, so that a machine that is busy or a job that is paused kills nothing.
 """
 
 import gc
@@ -15,6 +15,7 @@ import resource
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from itertools import accumulate, groupby
@@ -38,7 +39,10 @@ MEMORY: Final = 4 << 30
 WAIT_S: Final = 120.0
 """Of sleeping, for a mutant that waits for what never comes."""
 
-AFFORDED_S: Final = 4.0
+UNTOLD: Final = 200
+"""Exit code of a fork in which a mutant died, where the number of the test is not told."""
+
+AFFORDED_S: Final = 12.0
 """Of processor time, which the tests of one file that judge one mutant take, the quickest first."""
 
 
@@ -99,14 +103,18 @@ class Sieve:
         reach, cost = self._as_it_is(items)
         self._reached |= set().union(*reach.values())
         due = [m for m in self._alive if (m[2], path.name, digest) not in self._outlived]
-        if self._fate("", afforded(items, cost), cost) != "survived":
+        if self._fate("", afforded(items, cost), cost)[0] != "survived":
             raise SystemExit(f"{path.name} fails in a fork without a mutant")
         gc.collect()
         gc.freeze()
         began, dead = time.process_time(), set()
+        noticed: Counter[tuple[str, pytest.Item]] = Counter()
         for name, function, key in due:
             tests = afforded([i for i in items if function in reach[i]], cost)
-            fate = self._fate(name, tests, cost) if tests else "survived"
+            tests.sort(key=lambda i: -noticed[function, i])
+            fate, by = self._fate(name, tests, cost) if tests else ("survived", None)
+            if by is not None:
+                noticed[function, by] += 1
             with self._tried.open("a") as log:
                 row = (
                     {"outlived": [key, path.name, digest]}
@@ -141,12 +149,15 @@ class Sieve:
         trampoline.set_mutant_under_test("")
         return reach, cost
 
-    def _fate(self, name: str, items: list[pytest.Item], cost: dict[pytest.Item, float]) -> str:
+    def _fate(
+        self, name: str, items: list[pytest.Item], cost: dict[pytest.Item, float]
+    ) -> tuple[str, pytest.Item | None]:
+        """What becomes of a mutant, and which test noticed it where that is known."""
         from mutmut.mutation.trampoline import set_mutant_under_test
 
         child = os.fork()
         if child == 0:
-            code = 1
+            code = UNTOLD
             try:
                 quiet = os.open(os.devnull, os.O_RDWR)
                 os.dup2(quiet, 1)
@@ -154,9 +165,10 @@ class Sieve:
                 signal.signal(signal.SIGPROF, signal.SIG_DFL)
                 resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
                 set_mutant_under_test(name)
-                for item, following in _in_turn(items):
+                for place, (item, following) in enumerate(_in_turn(items)):
                     signal.setitimer(signal.ITIMER_PROF, 1 + 10 * cost[item])
                     if not _passes(item, following):
+                        code = min(1 + place, UNTOLD)
                         break
                 else:
                     code = 0
@@ -167,14 +179,15 @@ class Sieve:
             done, status = os.waitpid(child, os.WNOHANG)
             if done:
                 code = os.waitstatus_to_exitcode(status)
-                return (
+                fate = (
                     "survived" if code == 0 else "timeout" if code == -signal.SIGPROF else "killed"
                 )
+                return fate, items[code - 1] if 0 < code < UNTOLD else None
             time.sleep(nap)
             waited, nap = waited + nap, min(0.02, nap * 1.5)
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        return "timeout"
+        return "timeout", None
 
 
 def afforded(items: list[pytest.Item], cost: Mapping[pytest.Item, float]) -> list[pytest.Item]:
