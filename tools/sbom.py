@@ -6,10 +6,12 @@
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-PINS: Final = Path(__file__).resolve().parent.parent / "requirements" / "image.txt"
+ROOT: Final = Path(__file__).resolve().parent.parent
+PINS: Final = ROOT / "requirements" / "image.txt"
 
 _PIN = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)(?:\s*;\s*(?P<when>[^\\]+))?")
 
@@ -55,10 +57,9 @@ def sbom(text: str, version: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print it."""
-    from importlib.metadata import version
-
-    json.dump(sbom(PINS.read_text(encoding="utf-8"), version("wyner")), sys.stdout, indent=2)
+    """Print it; nothing has to be installed for it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    json.dump(sbom(PINS.read_text(encoding="utf-8"), project["version"]), sys.stdout, indent=2)
     print()
     return 0
 

@@ -1,9 +1,11 @@
 """What deployment rests on: units, variables that are named, the list of what is in the image."""
 
+import json
 import re
 import shutil
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,16 @@ def test_every_pinned_package_is_in_the_bill_with_its_hashes() -> None:
     assert [c["name"] for c in found] == [name.lower() for name in pinned]
     assert sum(len(c["hashes"]) for c in found) == text.count("--hash=sha256:")
     assert all(c["hashes"] and c["purl"].startswith("pkg:pypi/") for c in found)
+
+
+def test_the_bill_is_printed_where_nothing_is_installed() -> None:
+    """As `deploy/image` calls it: by the machine's own Python."""
+    command = [sys.executable, "-S", "-m", "tools.sbom"]
+    done = subprocess.run(
+        command, cwd=ROOT, env={}, capture_output=True, text=True, check=True
+    )  # fmt: skip
+    told = json.loads(done.stdout)["metadata"]["component"]
+    assert (told["name"], told["version"]) == ("wyner", version("wyner"))
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.stem)
