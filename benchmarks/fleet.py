@@ -150,7 +150,7 @@ def measure(
     router : bool
         Field messages go through a router.
     progress : callable, optional
-        ToldKnowledge in a line what is under way.
+        Told in a line what is under way.
 
     Returns
     -------

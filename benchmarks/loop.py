@@ -17,13 +17,14 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
+from protocol.runtime.bus import ChannelClosed
 from protocol.runtime.process import Failure, freeze_startup
 from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
@@ -271,9 +272,10 @@ def _echo(pipe: Connection, listen: str, connect: str, payload: bytes, way: str)
         pipe.send("up")
 
         def answer() -> None:
-            while True:
-                questions()
-                publisher.put(payload)
+            with suppress(ChannelClosed):
+                while True:
+                    questions()
+                    publisher.put(payload)
 
         threading.Thread(target=answer, daemon=True).start()
         pipe.recv()

@@ -80,7 +80,7 @@ class TapFleet:
         except (UsageError, Failure, OSError) as error:
             self._log.error("loop %s: %s", loop.id, error)
             return
-        tap.publish_on(self._intel)
+        tap.publish_on(self._intel, many=True)
         self._taps[loop.id] = tap
         self._by_key |= dict.fromkeys(tap.keys, tap)
 

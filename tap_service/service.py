@@ -245,9 +245,9 @@ class TapService:
         """The keys that are listened to."""
         return tuple(self._types)
 
-    def publish_on(self, intel_bus: "Bus") -> None:
-        """Publish statuses there."""
-        self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop)).put
+    def publish_on(self, intel_bus: "Bus", *, many: bool = False) -> None:
+        """Publish statuses there; of a fleet one of ``many``."""
+        self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop), many=many).put
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         """Take one message from the transport; runs on its thread, so it only enqueues."""

@@ -50,8 +50,8 @@ class Channel(Protocol):
 class Bus(Protocol):
     """Publish and subscribe. A bus never delivers its own messages to itself."""
 
-    def publisher(self, key: str, *, express: bool = True) -> Publisher:
-        """A publisher on one key (no wildcard); ``express`` says not to wait for more to send."""
+    def publisher(self, key: str, *, many: bool = False) -> Publisher:
+        """A publisher on one key (no wildcard); one of ``many`` may wait 1 ms for others."""
 
     def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """Call ``deliver`` with every message of others that fits, until the bus is closed.

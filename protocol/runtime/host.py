@@ -152,7 +152,7 @@ class Host:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self._turns:
             publishers = {
-                kind: self._bus(kind).publisher(key_of(kind, loop), express=not self._fleet)
+                kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
             }
             worker = None

@@ -113,7 +113,7 @@ class MemoryBus(Bus):
         self._closed = False
         self._channels: list[MemoryChannel] = []
 
-    def publisher(self, key: str, *, express: bool = True) -> MemoryPublisher:  # noqa: ARG002
+    def publisher(self, key: str, *, many: bool = False) -> MemoryPublisher:  # noqa: ARG002
         """A publisher on one key; every message goes at once."""
         if "*" in key:
             raise TransportError(f"key {key!r}: expected a key without wildcards")

@@ -92,9 +92,9 @@ class NotedBus(Bus):
         self._bus = bus
         self._board = board
 
-    def publisher(self, key: str, *, express: bool = True) -> Publisher:
+    def publisher(self, key: str, *, many: bool = False) -> Publisher:
         """A publisher on one key."""
-        publisher = self._bus.publisher(key, express=express)
+        publisher = self._bus.publisher(key, many=many)
         _base, _version, loop, topic = key.split("/", 3)
         if topic not in COUNTERS:
             return publisher

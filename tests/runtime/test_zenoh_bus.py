@@ -180,7 +180,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
         MemoryBus(hub) if kind == "memory" else ZenohBus(connect=[endpoint]) as sink,
     ):
         channel = sink.channel("wyner/v1/*/offer", 4)
-        publisher = source.publisher("wyner/v1/b/offer", express=False)
+        publisher = source.publisher("wyner/v1/b/offer", many=True)
         until = time.monotonic() + 10
         while not publisher.matched():
             assert time.monotonic() < until
