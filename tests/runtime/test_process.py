@@ -88,7 +88,43 @@ def test_a_file_is_replaced_whole(tmp_path: Path, write: Write) -> None:
     write(path, b"new, and longer")
     assert path.read_bytes() == b"new, and longer"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert list(path.parent.iterdir()) == [path]
+    beside = {path.with_name(".spare-status.json")} if write is write_status else set()
+    assert {*path.parent.iterdir()} == {path, *beside}
+
+
+def test_a_status_takes_the_place_of_the_one_before_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "status.json"
+    for data in (b"first", b"second"):
+        write_status(path, data)
+    files = {file.stat().st_ino for file in tmp_path.iterdir()}
+    monkeypatch.setattr(run_folder, "READ_S", 0.0)
+    for data in (b"third, and longer", b"4"):
+        write_status(path, data)
+        assert path.read_bytes() == data
+        assert {file.stat().st_ino for file in tmp_path.iterdir()} == files
+
+
+def test_whoever_has_opened_a_status_reads_it_though_two_more_are_written(tmp_path: Path) -> None:
+    path = tmp_path / "status.json"
+    write_status(path, b"first")
+    write_status(path, b"second")
+    with path.open("rb") as reader:
+        for data in (b"third", b"4"):
+            write_status(path, data)
+        assert reader.read() == b"second"
+
+
+def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "status.json"
+    write_status(path, b"old")
+    monkeypatch.setattr(os, "write", lambda _file, data: len(data) - 1)
+    with pytest.raises(OSError, match="No space left"):
+        write_status(path, b"new")
+    assert path.read_bytes() == b"old"
 
 
 def test_a_status_is_replaced_where_names_cannot_be_exchanged(
@@ -102,7 +138,7 @@ def test_a_status_is_replaced_where_names_cannot_be_exchanged(
 
 
 def test_what_a_killed_writer_left_of_a_status_harms_nobody(tmp_path: Path) -> None:
-    (tmp_path / ".partial-f").write_bytes(b"half of something long")
+    (tmp_path / ".spare-f").write_bytes(b"half of something long")
     write_status(tmp_path / "f", b"new")
     assert (tmp_path / "f").read_bytes() == b"new"
 
