@@ -23,7 +23,7 @@ from protocol.runtime.process import (
     stop_on_signals,
 )
 from protocol.topics import every_loop
-from tap_service.service import GATHER_S, NICENESS, Note, TapConfig, TapService
+from tap_service.service import NICENESS, Note, TapConfig, TapService
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 TELL_S: Final = 2.0
 """Between two statuses of one loop's tap, and between two writings of its beliefs."""
 
-ROUND_S: Final = 0.1
-"""Part of :data:`TELL_S` in which its share of the loops is told of."""
+ROUND_S: Final = 0.2
+"""Rest between two rounds through all taps: what gathered of a loop meanwhile is one write. In each
+a share of the loops is told of, all in :data:`TELL_S`."""
 
 FOLLOW_S: Final = 1.0
 
@@ -95,15 +96,13 @@ class TapFleet:
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""
-        follow, tell = Throttle(FOLLOW_S), Throttle(ROUND_S)
+        follow = Throttle(FOLLOW_S)
         while not stopping.is_set():
             for tap in list(self._taps.values()):
                 tap.work(0.0)
-            time.sleep(GATHER_S)
-            now = time.monotonic()
-            if tell.ready(now):
-                self._tell()
-            if follow.ready(now):
+            time.sleep(ROUND_S)
+            self._tell()
+            if follow.ready(time.monotonic()):
                 self._follow()
         for name in list(self._known):
             self._close(name)
@@ -151,8 +150,8 @@ def run_taps(
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
-        field_bus = stack.enter_context(open_bus(field))
-        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel))))
+        field_bus = stack.enter_context(open_bus(field, many=True))
+        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel, many=True))))
         taps = TapFleet(fleet, config_of)
         taps.attach(field_bus, intel_bus)
         os.nice(NICENESS)

@@ -5,6 +5,7 @@ importing :mod:`protocol` stays cheap. ``docs/transport.md`` gives the reason fo
 """
 
 import json
+import os
 import re
 import socket
 import time
@@ -45,6 +46,11 @@ YOUNG_NS: Final = 1_000_000
 
 AGES: Final = 4096
 """Messages over which the youngest is remembered, and over as many again."""
+
+ONE_THREAD: Final = (
+    "(acc: (handover: rx), net: (handover: rx), tx: (handover: rx), rx: (worker_threads: 1))"
+)
+"""Zenoh's setting by which accepting, sending and keeping alive are done where it receives."""
 
 _JSON: Final = "application/json"
 
@@ -372,14 +378,19 @@ class ZenohBus(Bus):
         session.close()
 
 
-def open_bus(endpoints: Endpoints, patience_s: float = inf) -> ZenohBus:
+def open_bus(endpoints: Endpoints, patience_s: float = inf, *, many: bool = False) -> ZenohBus:
     """Open the bus that ``endpoints`` describe; a client waits so long for its router.
+
+    A process of ``many`` loops lets Zenoh have one thread of its own instead of four: what wakes
+    less often takes more at a time. A single loop would gain nothing that lasts.
 
     Raises
     ------
     TransportError
         As :class:`ZenohBus` does.
     """
+    if many:
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
     return ZenohBus(
         listen=endpoints.listen,
         connect=endpoints.connect,
