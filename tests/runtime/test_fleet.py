@@ -154,7 +154,7 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
 ) -> None:
     hosts = Hosts(lambda: numbered(3, "sustained", "hi", seed=1), sustained_law, tmp_path)
     names = list(hosts.fleet().loops)
-    with hosts.running("x20"):
+    with hosts.running("x10"):
         hosts.wait(lambda: all(map(hosts.delivered, names)))
         assert main(["health", "--service", "plant", "--run-dir", str(tmp_path)]) == 0
         assert "plant advances on all 3 loops" in capsys.readouterr().out
