@@ -19,7 +19,7 @@ from protocol.runtime.host import FIELD
 if TYPE_CHECKING:
     from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
-    from protocol.messages import Message
+    from protocol.messages import Message, Status
     from protocol.runtime.ports import Files
     from protocol.scenario import Scenario
     from protocol.secret.tasks import Task
@@ -123,7 +123,7 @@ class TimedPorts:
     def tell(self, notice: "Notice") -> None:
         """Nobody reads the log."""
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: "Status") -> None:
         """Nobody asks for the health."""
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from protocol.link.events import Event
     from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
-    from protocol.messages import Message
+    from protocol.messages import Message, Status
     from protocol.runtime.ports import Files
     from protocol.secret.tasks import Done, Task
 
@@ -135,7 +135,7 @@ class TimingPorts:
     def tell(self, notice: "Notice") -> None:
         """Nobody reads the log."""
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: "Status") -> None:
         """Nobody asks for the health."""
 
 

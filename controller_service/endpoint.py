@@ -23,6 +23,7 @@ from protocol.messages import (
     PlantHello,
     SendCommand,
     SendReply,
+    Status,
 )
 from protocol.runtime.process import USAGE, proquint
 from protocol.schemes.framing import MAX_PAYLOAD
@@ -203,7 +204,7 @@ class ControllerEndpoint:
         """What the sender asks for, beside the step itself."""
         publish: list[Outgoing] = []
         notices: list[Notice] = []
-        health = b""
+        health: Status | None = None
         if effects.transition is not None:
             events = (*events, effects.transition)
             if self._telemetry is not None:
@@ -299,15 +300,15 @@ class ControllerEndpoint:
 
     # --- telling ----------------------------------------------------------------------------------
 
-    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], bytes]:
+    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], Status | None]:
         """A status to publish, and once in :data:`HEALTH_S` to be kept."""
         if self._telemetry is None:
-            return (), b""
-        payload = self.status().wire()
+            return (), None
+        status = self.status()
         keep = force or self._now >= self._health_at
         if keep:
             self._health_at = self._now + HEALTH_S
-        return (Outgoing(ControllerStatus, payload),), payload if keep else b""
+        return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
 
     def _garbage(self, text: str) -> Actions:
         self.garbage += 1

@@ -77,7 +77,7 @@ def open_controller(
     UsageError
         When the journal cannot be used.
     """
-    scenario, seeded = config.scenario, config.seed is not None
+    scenario = config.scenario
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         record, step = journal.load(), journal.step()
@@ -101,9 +101,7 @@ def open_controller(
         scenario.plant.period_s,
         message=config.message,
         telemetry=ControllerTelemetry(
-            scenario,
             config.law,
-            seeded=seeded,
             keys_refused="" if scenario.keys is None else refusal(scenario, config.seed) or "",
         ),
         status_s=status_s,

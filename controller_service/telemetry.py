@@ -6,9 +6,8 @@ from typing import Literal, Protocol
 from controller_service.laws.online import OnlineLaw
 from protocol.link.sender import Outbox, Sender
 from protocol.messages import ControllerStatus
-from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
-from protocol.text import readable
+from protocol.text import Shown
 
 Phase = Literal["greeting", "running", "outside", "stopped", "refused"]
 
@@ -31,17 +30,13 @@ class ControllerTelemetry:
     ``phase``, ``detail`` and ``unexplained`` are the endpoint's to set.
     """
 
-    def __init__(
-        self, scenario: Scenario, law: OnlineLaw, *, seeded: bool, keys_refused: str = ""
-    ) -> None:
+    def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
         self.unexplained = 0
-        self._scenario = scenario.name
-        self._keys_claim = "" if scenario.keys is None else scenario.keys.assumption().sentence()
         self._keys_refused = keys_refused
         self._law = law
-        self._seeded = seeded
+        self._sending = Shown()
         self._seq = 0
 
     def status(self, sender: Sender, messages: Messages, garbage: int) -> ControllerStatus:
@@ -56,26 +51,23 @@ class ControllerTelemetry:
         except LookupError:
             set_index = -1
         self._seq += 1
-        return ControllerStatus(
+        return ControllerStatus.model_construct(
             seq=self._seq,
             t_ns=time.time_ns(),
             phase=self.phase,
             detail=self.detail,
-            scenario=self._scenario,
-            seeded=self._seeded,
             session=record.session,
             k=record.k,
             set_index=set_index,
-            horizon=self._law.design.horizon,
             transitions=record.transitions,
             agreements=record.agreements,
             garbage=garbage,
             automaton=record.s,
-            sending="" if payload is None else readable(payload),
+            sending="" if payload is None else self._sending.text(payload),
             frame_symbols=length if idle else record.offset,
             frame_length=length,
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self.unexplained,
-            **sender.keying.told(self._keys_claim, self._keys_refused),
+            **sender.keying.told(self._keys_refused),
         )

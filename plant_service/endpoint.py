@@ -21,7 +21,9 @@ from protocol.messages import (
     Message,
     Offer,
     PlantHello,
+    PlantModel,
     PlantStatus,
+    Status,
 )
 from protocol.runtime.process import DONE, USAGE, proquint
 from protocol.schemes.framing import Frame
@@ -33,6 +35,13 @@ HELLO_S: Final = 0.1
 
 STATUS_S: Final = 0.05
 HEALTH_S: Final = 1.0
+
+MODEL_S: Final = 1.0
+"""Seconds between two words on the plant's model, where statuses come often."""
+
+MODEL_AFTER: Final = 4
+"""Where they come seldom: the model goes before every so manieth status."""
+
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
 
@@ -87,7 +96,7 @@ class PlantEndpoint:
     """
 
     hears: tuple[type[Message], ...] = (Offer, ControllerHello)
-    says: tuple[type[Message], ...] = (Measurement, PlantHello, PlantStatus)
+    says: tuple[type[Message], ...] = (Measurement, PlantHello, PlantModel, PlantStatus)
 
     def __init__(
         self,
@@ -115,6 +124,8 @@ class PlantEndpoint:
         self._news = news
         self._status_s = status_s
         self._status_at = now if news is not None else inf
+        self._said = 0
+        self._model_every = max(MODEL_AFTER, round(MODEL_S / status_s))
         self._health_at = self._hello_at = self._last_at = -inf
         self._answered_at = now
         self._latest_late_k = self._measured_k = -1
@@ -209,7 +220,7 @@ class PlantEndpoint:
             actions = self._missed()
         elif over == "ended":
             actions = self._ended()
-        health = b""
+        health: Status | None = None
         if now >= self._status_at:
             self._status_at = next_turn(now, self._status_s, phase_of(receiver.instance))
             status, health = self._status(force=False)
@@ -230,8 +241,7 @@ class PlantEndpoint:
         assert step.coin is not None
         contradicted = None
         if self._news is not None:
-            self._news.tail.append(step)
-            contradicted = self._news.watch.counted(step.effects.transition, step.coin)
+            contradicted = self._news.counted(step)
         effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
         applied = Applied(effects.transition, step.coin, step.u)
         if frame is None:
@@ -449,17 +459,22 @@ class PlantEndpoint:
             self._news.phase = phase
             self._news.detail = detail or self._news.detail
 
-    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], bytes]:
-        """A status to publish, and once in :data:`HEALTH_S` to be kept."""
+    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], Status | None]:
+        """A status to publish, at times with the model, and once in :data:`HEALTH_S` to be kept."""
         if self._news is None:
-            return (), b""
+            return (), None
         if self._finished and self._news.phase != "refused":
             self._news.phase = "stopped"
-        payload = self.status(self._now).wire()
+        whole = self._said % self._model_every == 0
+        self._said += 1
+        status = self._news.status(self.plant.receiver, self.garbage, self._now, whole=whole)
+        publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
+        if whole:  # who hears this one lacks nothing
+            publish = (Outgoing(PlantModel, self._news.model), *publish)
         keep = force or self._now >= self._health_at
         if keep:
             self._health_at = self._now + HEALTH_S
-        return (Outgoing(PlantStatus, payload),), payload if keep else b""
+        return publish, status if keep else None
 
     def _garbage(self, text: str) -> Actions:
         self.garbage += 1

@@ -1,5 +1,6 @@
 """How punctual the plant's steps are, and whether D_c keeps what was promised of it."""
 
+from bisect import bisect_left, insort
 from collections import deque
 from typing import Final
 
@@ -21,43 +22,58 @@ class Punctuality:
     """Lateness of the last :data:`STEPS` steps; of a plant in lock-step there is none."""
 
     def __init__(self) -> None:
-        self._sampled: deque[float] = deque(maxlen=STEPS)
-        self._actuated: deque[float] = deque(maxlen=STEPS)
+        self._sampled = _Newest()
+        self._actuated = _Newest()
         self.overruns = 0
 
     def ticked(self, late_s: float, overruns: int) -> None:
         """A step was found to be over ``late_s`` after its end."""
-        self._sampled.append(late_s)
+        self._sampled.add(late_s)
         self.overruns = overruns
 
     def acted(self, after_s: float) -> None:
         """An input was applied ``after_s`` after its step began."""
-        self._actuated.append(after_s)
+        self._actuated.add(after_s)
 
     @property
     def sampled_late_s(self) -> Vector:
         """Median, 99th percentile and largest; empty before the first step."""
-        return _spread(self._sampled)
+        return self._sampled.spread()
 
     @property
     def actuated_after_s(self) -> Vector:
         """Median, 99th percentile and largest; empty before the first step."""
-        return _spread(self._actuated)
+        return self._actuated.spread()
 
     def as_event(self, k: int) -> Timing | None:
         """For the trace; None where nothing was measured."""
-        if not self._sampled:
-            return None
         steps = len(self._sampled)
+        if not steps:
+            return None
         return Timing(k, steps, self.sampled_late_s, self.actuated_after_s, self.overruns)
 
 
-def _spread(values: deque[float]) -> Vector:
-    if not values:
-        return ()
-    ordered = sorted(values)
-    last = len(ordered) - 1
-    return ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last]
+class _Newest:
+    """The newest :data:`STEPS` values, by age and by size: nothing is sorted for a status."""
+
+    def __init__(self) -> None:
+        self._by_age: deque[float] = deque()
+        self._ordered: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._ordered)
+
+    def add(self, value: float) -> None:
+        """Take in a value; the oldest goes where there is no room."""
+        if len(self._by_age) == STEPS:
+            del self._ordered[bisect_left(self._ordered, self._by_age.popleft())]
+        self._by_age.append(value)
+        insort(self._ordered, value)
+
+    def spread(self) -> Vector:
+        """Median, 99th percentile and largest; empty of none."""
+        ordered, last = self._ordered, len(self._ordered) - 1
+        return (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last]) if ordered else ()
 
 
 class ReachWatch:

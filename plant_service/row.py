@@ -12,7 +12,12 @@ register(
         ends={"field": Ends((PLANT_FIELD,)), "ops": Ends((PLANT_OPS,))},
         publishes={
             "field": ("measurement",),
-            "ops": ("ops/plant/hello", "ops/plant/status", "ops/plant/receipt"),
+            "ops": (
+                "ops/plant/hello",
+                "ops/plant/model",
+                "ops/plant/status",
+                "ops/plant/receipt",
+            ),
         },
         health=look_at_status,
     )

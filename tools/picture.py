@@ -7,13 +7,13 @@ recording gives the same bytes. ``--record`` makes the recording anew from a run
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 from pydantic_core import to_json
 
-from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
 from protocol.runtime.jsonl import read_lines
 from wyner.dashboard.model import Arrival, Board, reduce_all
 from wyner.dashboard.screenshot import to_svg
@@ -27,9 +27,6 @@ SIZE: Final = (110, 36)
 
 STEPS_RECORDED: Final = 1000
 """Steps before the pictured moment that a recording holds."""
-
-OVERLAP: Final = 8
-"""Steps by which the tails of two recorded statuses may overlap."""
 
 _TYPES: Final = {kind.topic: kind for kind in (*OPS_WATCHED, *INTEL_WATCHED)}
 
@@ -64,31 +61,37 @@ def draw(arrivals: Iterable[Arrival], width: int, height: int) -> str:
 
 
 def thin(arrivals: Sequence[Arrival], k: int) -> list[Arrival]:
-    """What is needed to draw the last agreement up to step ``k``: the newest statuses, no overlaps.
+    """What is needed to draw the last agreement up to step ``k``: the newest of each, and tails.
 
-    An earlier status is kept only when the tail of the next one kept hardly reaches back to it.
+    Of the earlier statuses of a plant or a tap as few are kept as have all of the last steps.
     """
-    kept: list[Arrival] = []
-    begins: dict[str, int] = {}
     moment = [a for a in arrivals if not isinstance(a.message, PlantStatus) or a.message.k <= k]
     last = next(i for i in reversed(range(len(moment))) if _is_agreement(moment[i]))
-    for arrival in reversed(moment[: last + 1]):
+    said: dict[str, list[Arrival]] = {}
+    for arrival in moment[: last + 1]:
         match arrival.message:
-            case PlantStatus(tail_k=tail):
-                name = "plant"
-            case TapStatus(name=name, tail_k=tail):
-                name = f"tap {name}"
-            case ControllerStatus():
-                name, tail = "controller", ()
-            case _:
-                continue
-        first = begins.get(name)
-        reaches = tail[-1] if tail else -1
-        # A little overlap is allowed, so that statuses a few steps apart leave no gap.
-        if first is None or (k - STEPS_RECORDED < reaches <= first + OVERLAP):
-            kept.append(arrival)
-            begins[name] = tail[0] if tail else -1
-    return kept[::-1]
+            case PlantStatus() | ControllerStatus() | PlantModel() as message:
+                said.setdefault(type(message).topic, []).append(arrival)
+            case TapStatus(name=name):
+                said.setdefault(name, []).append(arrival)
+    kept = {id(arrival) for its in said.values() for arrival in _covering(its, k - STEPS_RECORDED)}
+    return [arrival for arrival in moment if id(arrival) in kept]
+
+
+def _covering(its: Sequence[Arrival], oldest: int) -> Iterator[Arrival]:
+    """The newest, and before it those that leave the least gap and reach back furthest."""
+    yield its[-1]
+    tails = {id(a): getattr(a.message, "tail_k", ()) for a in its}
+    first = min(tails[id(its[-1])], default=-1)
+    while first > oldest:
+        spans = [(tail[0], tail[-1], a) for a in its if (tail := tails[id(a)]) and tail[0] < first]
+        if not spans:
+            return
+        least = min(max(0, first - 1 - last) for _, last, _ in spans)
+        first, _, best = min(
+            (span for span in spans if first - 1 - span[1] <= least), key=lambda span: span[0]
+        )
+        yield best
 
 
 def _is_agreement(arrival: Arrival) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, Verdict, predict
-from protocol.messages import ControllerStatus, PlantStatus, TapStatus
+from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
 from protocol.vectors import Vector
@@ -21,6 +21,9 @@ from wyner.simulate.single import closed_loop
 MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
 PERIOD_S: Final = 0.1
 TAIL: Final = 64
+MODEL_EVERY: Final = 10
+"""Batches from one that has the model, and a status with the whole tail, to the next."""
+
 SESSION: Final = "3f2a9c51d07be684"
 STEP_NS: Final = 10_000_000
 """Wall time of a step: ten times real time."""
@@ -61,6 +64,18 @@ class Rehearsal:
         ]
         H, h = tuple(rows), tuple(w for w in self.half_widths for _ in range(2))
         rule = AgreementRule(self.A, self.B, Gauge.from_rows(H, h), self.alpha)
+        model = PlantModel(
+            scenario="rehearsal",
+            law="sustained",
+            pace="x10",
+            seeded=True,
+            period_s=PERIOD_S,
+            alpha=self.alpha,
+            defender_H=H,
+            defender_h=h,
+            A=self.A,
+            B=self.B,
+        )
         x: tuple[float, ...] = tuple(4.0 / (i + 1) * (-1) ** i for i in range(n))
         frame = encode_frame(self.message.encode(), 2)
         scheme = Switched(2)
@@ -119,28 +134,20 @@ class Rehearsal:
                 continue
             t_ns = (k + 1) * STEP_NS
             partial = deframer.partial.decode("utf-8", "replace")
+            with_model = (k + 1) // every % MODEL_EVERY == 1
+            last = tail if with_model else tail[-max(8, 2 * every) :]
             tails = {
-                "tail_k": tuple(row[0] for row in tail),
-                "tail_x": tuple(row[1] for row in tail),
-                "tail_role": tuple(row[2] for row in tail),
-                "tail_symbol": tuple(row[3] for row in tail),
-                "tail_coin": tuple(row[4] for row in tail),
-                "tail_automaton": tuple(row[5] for row in tail),
+                "tail_k": tuple(row[0] for row in last),
+                "tail_x": tuple(row[1] for row in last),
+                "tail_role": tuple(row[2] for row in last),
+                "tail_symbol": tuple(row[3] for row in last),
+                "tail_coin": tuple(row[4] for row in last),
+                "tail_automaton": tuple(row[5] for row in last),
             }
             plant = {
                 "seq": k,
                 "t_ns": t_ns,
                 "phase": "running",
-                "scenario": "rehearsal",
-                "law": "sustained",
-                "pace": "x10",
-                "seeded": True,
-                "period_s": PERIOD_S,
-                "alpha": self.alpha,
-                "defender_H": H,
-                "defender_h": h,
-                "A": self.A,
-                "B": self.B,
                 "session": SESSION,
                 "sessions": 1,
                 "k": k + 1,
@@ -165,12 +172,9 @@ class Rehearsal:
                 "seq": k,
                 "t_ns": t_ns,
                 "phase": "running",
-                "scenario": "rehearsal",
-                "seeded": True,
                 "session": SESSION,
                 "k": k,
                 "set_index": max(0, 40 - k),
-                "horizon": 250,
                 "transitions": k + 1,
                 "agreements": agreements,
                 "garbage": 0,
@@ -183,6 +187,7 @@ class Rehearsal:
             }
             text = recovered or partial
             yield [
+                *([Arrival(t_ns, model)] if with_model else []),
                 Arrival(t_ns, PlantStatus.model_validate({**plant, **pictured, **tails})),
                 Arrival(t_ns, ControllerStatus.model_validate(controller)),
                 *(

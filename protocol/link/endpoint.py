@@ -11,7 +11,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
-from protocol.messages import Message
+from protocol.messages import Message, Status
 from protocol.secret.nonces import Raw
 from protocol.secret.tasks import Done, Task
 
@@ -73,7 +73,7 @@ class Actions(NamedTuple):
 
     ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
     them, once more. ``keys`` are tasks for the keeper of keys, which may take its time.
-    ``health`` is the status to be left in the run's folder. ``settle`` asks for
+    ``health`` is the status of which the run's folder keeps what a file may. ``settle`` asks for
     :meth:`Endpoint.settle`, once everything else is done.
     """
 
@@ -81,7 +81,7 @@ class Actions(NamedTuple):
     write: Write | None = None
     publish: tuple[Outgoing, ...] = ()
     notices: tuple[Notice, ...] = ()
-    health: bytes = b""
+    health: Status | None = None
     settle: bool = False
     keys: tuple[Task, ...] = ()
 

@@ -124,13 +124,12 @@ class Keying:
                 self.last = (done.keys, self.schedule.length(done.number))
         return self.tasks(judged)
 
-    def told(self, claim: str, refused: str) -> dict[str, Any]:
-        """A status's fields of keys, with the claim and why nobody gets them."""
+    def told(self, refused: str) -> dict[str, Any]:
+        """A status's fields of keys, with why nobody gets them."""
         return {
             "keys_made": self.made,
             "keys_of_block": self.last[0],
             "key_block_steps": self.last[1],
-            "keys_claim": claim,
             "keys_refused": self.broken or refused,
             "keys_stopped": self.stopped,
         }

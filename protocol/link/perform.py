@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
-from protocol.messages import Message
+from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 
 
@@ -40,7 +40,7 @@ class Ports(Protocol):
     def tell(self, notice: Notice) -> None:
         """Log it."""
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         """Replace the status in the run's folder."""
 
 
@@ -57,7 +57,7 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
             ports.keep(task)
         for notice in actions.notices:
             ports.tell(notice)
-        if actions.health:
+        if actions.health is not None:
             ports.health(actions.health)
         if not actions.settle:
             return
@@ -123,6 +123,6 @@ class Mortal:
         """Log it: nobody's fate hangs on that."""
         self._ports.tell(notice)
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         """Replace the status, which nobody goes on from."""
         self._ports.health(status)

@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from pydantic_core import from_json, to_json
-
 from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
-from protocol.messages import Message, without_secrets
+from protocol.messages import Message, PlantStatus, Status
 from protocol.runtime.bus import Publisher
 from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import HEALTH, write_status
+from protocol.runtime.run_folder import HEALTH, StatusLine, write_status
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import Keeper
 from protocol.secret.tasks import Task
@@ -59,6 +57,7 @@ class LoopPorts:
     limited: dict[str, RateLimitedLog] = field(default_factory=dict)
     pulse: Pulse = field(default_factory=Pulse)
     space: Space | None = None
+    line: StatusLine | None = None
     burst: Burst = field(default_factory=Burst)
 
     def write(self, write: Write) -> None:
@@ -93,18 +92,20 @@ class LoopPorts:
             self.limited[subject] = RateLimitedLog(self.log)
         return self.limited[subject]
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         """Replace the status file, and the line beside it that says whether this end keeps up.
 
         The file holds no text, key or coin: whoever may read it need not be on ops.
         """
-        told = from_json(status)
-        write_status(self.files.health, to_json(without_secrets(told)))
-        beat = self.pulse.beat(time.monotonic(), told["transitions"], told.get("missed", 0))
-        folder = self.files.health.parent
-        write_status(folder / HEALTH, f"{beat.line}\n".encode())
+        path = self.files.health
+        write_status(path, status.on_file())
+        missed = status.missed if isinstance(status, PlantStatus) else 0
+        beat = self.pulse.beat(time.monotonic(), status.transitions, missed)
+        if self.line is None:
+            self.line = StatusLine(path.with_name(HEALTH))
+        self.line.say(beat.line)
         if self.space is None:
-            self.space = Space(folder)
+            self.space = Space(path.parent)
         for line in (beat.notice, self.space.look()):
             if line:
                 self.log.warning("%s", line)

@@ -1,8 +1,9 @@
 """Whether one end of a loop keeps up, told once a second in a file of one line.
 
 The line begins with ``ok`` or ``bad`` and says why, so that a health check costs a shell's start
-and no interpreter's (``deploy/healthy``). A change is told in the log too, once: a partner that is
-frozen, gone or off the network, a machine too slow for its pace, a disk nearly full.
+and no interpreter's (``deploy/healthy``). While all is well it stays the same. A change is told in
+the log too, once: a partner that is frozen, gone or off the network, a machine too slow for its
+pace, a disk nearly full.
 """
 
 import shutil
@@ -93,7 +94,7 @@ class Pulse:
         if trouble:
             return Beat(f"bad: {why}", notice)
         share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
-        return Beat(f"ok: {transitions} transitions, {share} missed lately", notice)
+        return Beat(f"ok: {share} missed lately", notice)
 
 
 @dataclass(slots=True)

@@ -2,12 +2,15 @@
 
 import json
 import os
+import random
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
@@ -403,6 +406,16 @@ def test_percentiles_are_of_the_newest_steps() -> None:
     event = p.as_event(7)
     assert event is not None
     assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
+
+
+@given(st.lists(st.sampled_from([0.0, 1e-4, 3e-3, 0.2]) | st.floats(0, 1), max_size=40))
+def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None:
+    p, known = Punctuality(), [random.Random(len(values)).random() for _ in range(990)]
+    for value in (*known, *values):
+        p.acted(value)
+    ordered = sorted([*known, *values][-1000:])
+    last = len(ordered) - 1
+    assert p.actuated_after_s == (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last])
 
 
 def transition(gauges: tuple[float, ...]) -> Any:

@@ -18,7 +18,7 @@ from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
 from protocol.link.perform import Killed, Mortal
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Closed
 from protocol.secret.nonces import NONCE_BYTES
@@ -282,7 +282,7 @@ class End:
     def tell(self, notice: Notice) -> None:
         """Nobody reads the log."""
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         """Nobody asked for statuses."""
         raise AssertionError(status)
 

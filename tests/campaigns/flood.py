@@ -24,6 +24,7 @@ from protocol.messages import (
     Message,
     Offer,
     PlantHello,
+    PlantModel,
     PlantStatus,
     SealCommand,
     Sealed,
@@ -42,7 +43,7 @@ BUSES = ("field", "ops", "intel")
 CARRIES: dict[str, tuple[type[Message], ...]] = {
     "field": (Measurement, Offer, Sealed),
     "ops": (
-        *(PlantHello, ControllerHello, PlantStatus, ControllerStatus),
+        *(PlantHello, ControllerHello, PlantModel, PlantStatus, ControllerStatus),
         *(SendCommand, SealCommand, SealedReceipt),
     ),
     "intel": (TapStatus,),

@@ -9,6 +9,7 @@ from protocol.messages import (
     Measurement,
     Message,
     Offer,
+    PlantModel,
     PlantStatus,
     SealCommand,
     Sealed,
@@ -106,7 +107,7 @@ class Tap:
 class Dashboard:
     """The screen and the lines without one, from statuses on ops and intel."""
 
-    kinds: tuple[type[Message], ...] = (PlantStatus, ControllerStatus, TapStatus)
+    kinds: tuple[type[Message], ...] = (PlantModel, PlantStatus, ControllerStatus, TapStatus)
 
     def __init__(self, folder: Path) -> None:
         hub = MemoryHub()

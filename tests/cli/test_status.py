@@ -1,11 +1,13 @@
 """``wyner status``: what was last said, and each thing that contradicts it."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from protocol.runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS
+from protocol.runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS, SCENARIO
+from protocol.shipped import SCENARIOS
 from wyner.cli.main import main
 
 
@@ -92,6 +94,20 @@ def test_what_the_tap_found_against_the_claim_is_a_warning(
     assert capsys.readouterr().out.count("warning: ") == 1
     assert main(["status", str(folder), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["warnings"] == [warning]
+
+
+def test_the_claim_is_that_of_the_runs_scenario(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = changed(run_dir, tmp_path, PLANT_STATUS)
+    shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
+    assert main(["status", str(folder)]) == 0
+    assert "0 at the controller; secret only from a tap that misses" in capsys.readouterr().out
+    assert main(["status", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["claim"].startswith("secret only from a tap")
+    (folder / SCENARIO).write_text("name = 1")
+    assert main(["status", str(folder)]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_what_cannot_be_read_is_one_line(

@@ -63,7 +63,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert "FROZEN, 0 steps on" in held
     assert "FROZEN, 50 steps on" in still
     assert held.splitlines()[1:] == still.splitlines()[1:]
-    assert watch.board.received == 50
+    assert watch.board.received == 51
     watch.press(" ", SIZE, 0)
     assert "FROZEN" not in text_of(watch)
     assert "step 100 " in text_of(watch)
@@ -556,6 +556,7 @@ def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
     text = "A second message."
     board = Board()
     for message in (
+        whole.model,
         plant_of(with_plant(whole, partial="A sec")),
         with_controller(whole, sending=text, frame_symbols=40, frame_length=200).controller,
         whole.taps["list-decoder"].status,

@@ -333,8 +333,9 @@ def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
 
 def test_model_error_is_relative_and_zero_for_the_true_model() -> None:
     board = board_after(100)
-    plant = plant_of(board)
-    exact = with_tap(board, "list-decoder", A=plant.A, B=plant.B)
+    model = board.model
+    assert model is not None
+    exact = with_tap(board, "list-decoder", A=model.A, B=model.B)
     assert model_error(exact, exact.taps["list-decoder"]) == 0
     nothing = with_tap(board, "list-decoder", A=((0.0, 0.0), (0.0, 0.0)), B=((0.0,), (0.0,)))
     off = model_error(nothing, nothing.taps["list-decoder"])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import PlantStatus
+from protocol.messages import PlantModel
 from tools.picture import DOCS, PICTURE, RECORDING, SIZE, draw, main, read, thin, write
 from tools.rehearsal import Rehearsal
 from wyner.dashboard.model import Arrival, Board, reduce_all
@@ -34,7 +34,7 @@ def test_thinning_keeps_what_the_moment_shows(k: int) -> None:
     last = kept[-1].t_ns
     board = reduce_all(Board(), kept)
     whole = reduce_all(Board(), [a for a in arrivals if a.t_ns <= last])
-    assert board.plant == whole.plant
+    assert (board.model, board.plant) == (whole.model, whole.plant)
     assert board.plant is not None
     assert board.plant.pictured_symbol >= 0
     assert k - 60 < board.plant.k <= k
@@ -56,6 +56,6 @@ def test_the_command_draws_and_says_what_is_missing(
 
 
 def test_the_recording_is_of_a_seeded_run_and_says_so() -> None:
-    statuses = [a.message for a in read(DOCS / RECORDING) if isinstance(a.message, PlantStatus)]
-    assert statuses
-    assert all(status.seeded for status in statuses)
+    models = [a.message for a in read(DOCS / RECORDING) if isinstance(a.message, PlantModel)]
+    assert models
+    assert all(model.seeded for model in models)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import AgreementRule, Gauge
-from protocol.messages import PlantStatus
+from protocol.messages import Message, PlantModel, PlantStatus
 from tools.rehearsal import Rehearsal
-from wyner.dashboard.plane import Axes, axes_of, draw, outline, verdict
+from wyner.dashboard.plane import Axes, axes_of, draw, fits, outline, verdict
 
 
 def box(*half_widths: float) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]:
@@ -22,12 +22,18 @@ def box(*half_widths: float) -> tuple[tuple[tuple[float, ...], ...], tuple[float
 
 
 @cache
+def said() -> list[Message]:
+    return [arrival.message for batch in Rehearsal().arrivals(600) for arrival in batch]
+
+
+@cache
 def statuses() -> tuple[PlantStatus, ...]:
-    found = []
-    for batch in Rehearsal().arrivals(600):
-        assert isinstance(batch[0].message, PlantStatus)
-        found.append(batch[0].message)
-    return tuple(found)
+    return tuple(message for message in said() if isinstance(message, PlantStatus))
+
+
+@cache
+def plant_model() -> PlantModel:
+    return next(message for message in said() if isinstance(message, PlantModel))
 
 
 widths = st.floats(0.01, 100)
@@ -77,7 +83,7 @@ def test_axes_follow_the_input_in_widths_of_the_defenders_set() -> None:
 @pytest.mark.parametrize("unicode", [True, False])
 def test_the_picture_has_its_size_both_centres_and_the_next_state(unicode: bool) -> None:
     for status in statuses():
-        rows = draw(status, 60, 20, unicode=unicode)
+        rows = draw(plant_model(), status, 60, 20, unicode=unicode)
         assert [len(row) for row in rows] == [60] * 20
         cells = [cell for row in rows for cell in row]
         shown = {cell.character for cell in cells if cell.kind == "centre"}
@@ -89,7 +95,7 @@ def test_the_picture_has_its_size_both_centres_and_the_next_state(unicode: bool)
 
 def test_marks_lie_as_the_points_do() -> None:
     status = next(s for s in statuses() if s.pictured_k > 100)
-    rows = draw(status, 76, 24, unicode=True)
+    rows = draw(plant_model(), status, 76, 24, unicode=True)
     where = {
         cell.character: (x, y)
         for y, row in enumerate(rows)
@@ -102,15 +108,15 @@ def test_marks_lie_as_the_points_do() -> None:
 
 
 def test_the_frame_is_that_of_the_small_sets_and_arrows_say_what_goes_on() -> None:
-    status = statuses()[-1]
-    narrow = status.model_copy(update={"alpha": 1.1})
-    for drawn, arrows in ((status, 2), (narrow, 0)):
-        cells = [cell for row in draw(drawn, 60, 20, unicode=True) for cell in row]
+    status, model = statuses()[-1], plant_model()
+    narrow = model.model_copy(update={"alpha": 1.1})
+    for drawn, arrows in ((model, 2), (narrow, 0)):
+        cells = [cell for row in draw(drawn, status, 60, 20, unicode=True) for cell in row]
         assert sum(cell.character in "◀▶" for cell in cells) == arrows
         # half of the frame and more is what the two small sets and the state span
         columns = {
             x
-            for row in draw(drawn, 60, 20, unicode=True)
+            for row in draw(drawn, status, 60, 20, unicode=True)
             for x, cell in enumerate(row)
             if cell.kind == "defender"
         }
@@ -119,7 +125,7 @@ def test_the_frame_is_that_of_the_small_sets_and_arrows_say_what_goes_on() -> No
 
 def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
     status = statuses()[-1].model_copy(update={"pictured_x_next": (50.0, -50.0)})
-    rows = draw(status, 40, 12, unicode=True)
+    rows = draw(plant_model(), status, 40, 12, unicode=True)
     assert rows[0][-1].kind != "next"
     assert sum(cell.kind == "next" for row in rows for cell in row) == 1
 
@@ -127,12 +133,16 @@ def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
 def test_a_state_too_far_out_for_a_float_to_span_leaves_the_picture_blank() -> None:
     for x in ((1.7e308, -1.7e308), (-1.7e308, 0.0)):
         status = statuses()[-1].model_copy(update={"pictured_x_next": x, "pictured_x": x})
-        assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
+        assert {
+            c.character for row in draw(plant_model(), status, 10, 4, unicode=True) for c in row
+        } == {" "}
 
 
 def test_before_the_first_step_the_picture_is_blank() -> None:
     status = statuses()[0].model_copy(update={"pictured_k": -1})
-    assert {c.character for row in draw(status, 10, 4, unicode=True) for c in row} == {" "}
+    assert {
+        c.character for row in draw(plant_model(), status, 10, 4, unicode=True) for c in row
+    } == {" "}
 
 
 @pytest.mark.parametrize(
@@ -156,8 +166,10 @@ def test_the_verdict_says_why(gauges: tuple[float, ...], words: str) -> None:
     assert words in verdict(statuses()[-1].model_copy(update=update))
 
 
-def marks(status: PlantStatus) -> str:
-    cells = [c for line in draw(status, 120, 30, unicode=True) for c in line]
+def marks(status: PlantStatus, model: PlantModel | None = None) -> str:
+    cells = [
+        c for line in draw(model or plant_model(), status, 120, 30, unicode=True) for c in line
+    ]
     return "".join(sorted(c.character for c in cells if c.kind == "centre"))
 
 
@@ -176,15 +188,15 @@ def test_a_grid_of_two_inputs_has_all_its_centres() -> None:
     B = ((0.400086, 0.022762), (0.01209, 0.305529), (0.0, 0.215905), (0.143777, 0.0))
     grid = tuple((0.15 * i, 0.2 * j) for i in range(4) for j in range(4))
     eye = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
+    four = {"A": eye, "B": B, "defender_H": H, "defender_h": h}
+    model = plant_model().model_copy(update=four)
     status = statuses()[-1].model_copy(
         update={
-            "A": eye,
-            "B": B,
-            "defender_H": H,
-            "defender_h": h,
             "pictured_x": (0.0,) * 4,
             "pictured_candidates": grid,
             "pictured_x_next": (0.01,) * 4,
         }
     )
-    assert set(marks(status)) == set("0123456789abcdef")
+    assert fits(model, status)
+    assert not fits(plant_model(), status)
+    assert set(marks(status, model)) == set("0123456789abcdef")

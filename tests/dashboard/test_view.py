@@ -17,7 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from protocol.messages import PlantStatus
+from protocol.messages import PlantModel, PlantStatus
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.headless import Reporter
 from wyner.dashboard.keymap import KEYS, Action, action_of
@@ -80,6 +80,11 @@ def plant_of(board: Board) -> PlantStatus:
 
 def with_plant(board: Board, **changes: object) -> Board:
     return replace(board, plant=plant_of(board).model_copy(update=changes))
+
+
+def with_model(board: Board, **changes: object) -> Board:
+    assert board.model is not None
+    return replace(board, model=board.model.model_copy(update=changes))
 
 
 def with_controller(board: Board, **changes: object) -> Board:
@@ -162,7 +167,8 @@ def test_every_line_has_the_screens_width_whatever_the_texts(
     width: int, height: int, sent: str, guess: str, other: str, unicode: bool
 ) -> None:
     board = with_tap(board_after(700), "list-decoder", name=other, message=guess)
-    board = with_plant(board, scenario=guess[:20], detail=other, partial=sent[:9])
+    board = with_model(board, scenario=guess[:20])
+    board = with_plant(board, detail=other, partial=sent[:9])
     board = with_controller(board, sending=sent, phase="refused", detail=guess)
     for line in screen(board, width, height, Wishes(unicode=unicode, filter=other[:1]), 0):
         assert cell_len(line.plain) == width
@@ -287,7 +293,8 @@ REASON = "x lies outside of every control set, by 12.5 in its first component; t
 
 @pytest.mark.parametrize("of", ["plant", "controller"])
 def test_a_long_reason_is_cut_before_anything_that_tells_more(of: str) -> None:
-    board = with_plant(board_after(700), seeded=False, detail=REASON if of == "plant" else "")
+    board = with_model(board_after(700), seeded=False)
+    board = with_plant(board, detail=REASON if of == "plant" else "")
     reason = REASON if of == "controller" else ""
     board = with_controller(board, phase="outside", detail=reason)
     for width in (80, 100, 120, 200):
@@ -300,6 +307,24 @@ def test_a_long_reason_is_cut_before_anything_that_tells_more(of: str) -> None:
     assert "running  controller outside" in narrow.replace(
         REASON[: DETAIL_AT_LEAST - 1] + "…  ", ""
     )
+
+
+def test_what_the_plant_has_not_said_of_itself_yet_is_left_out() -> None:
+    board = replace(board_after(700), model=None)
+    for size in ((80, 24), (120, 40), (60, 16)):
+        text = shown(board, *size)
+        assert "rehearsal" not in text
+        assert "alpha" not in text.splitlines()[0]
+        assert " - bit/s" in text
+        assert " of plant time" not in text
+    assert "the plant's model was not heard yet" in shown(board, 80, 24)
+    four = next(a.message for a in next(FOUR_STATES.arrivals(10)) if a.message.topic.endswith("el"))
+    assert isinstance(four, PlantModel)
+    assert "the plant's model was not heard yet" in shown(replace(board, model=four), 80, 24)
+    lines, reporter = Reporter().report(board, 0)
+    assert not any(line.startswith("session ") for line in lines)
+    lines, _ = reporter.report(board_after(700), 0)
+    assert lines[0] == "session 3f2a9c51d07be684: rehearsal, alpha 8, law sustained"
 
 
 def test_trouble_stands_in_the_first_line() -> None:
@@ -390,7 +415,7 @@ def test_the_time_left_counts_the_symbols_that_are_missing() -> None:
     assert time_left_s(board_after(3000)) is None
     assert rate_of(board) == pytest.approx(seen.recovered_symbols / 70.0)
     assert time_left_s(Board()) is None
-    assert rate_of(Board()) == 0.0
+    assert rate_of(Board()) is None
 
 
 def test_the_course_of_claimed_and_true_ends_where_the_figures_stand() -> None:
@@ -436,10 +461,10 @@ def test_a_large_gauge_is_short() -> None:
 @pytest.mark.parametrize(
     ("width", "tail"),
     [
-        (120, "350 messages, 5 garbage"),
-        (80, "350 messages, 5 garbage"),
-        (72, "350 messages, 5 garbage"),
-        (60, "350 messages, 5 garbage"),
+        (120, "357 messages, 5 garbage"),
+        (80, "357 messages, 5 garbage"),
+        (72, "357 messages, 5 garbage"),
+        (60, "357 messages, 5 garbage"),
         (40, "  5 garbage"),
     ],
 )
@@ -704,14 +729,15 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     board = board_after(700)
     assert "distilled" not in shown(board, 120, 40)
     claim = "secret only from a tap that misses 30 % of first copies or more"
-    made = with_plant(board, keys_made=63, keys_of_block=48, key_block_steps=176, keys_claim=claim)
+    board = with_model(board, keys_claim=claim)
+    made = with_plant(board, keys_made=63, keys_of_block=48, key_block_steps=176)
     for height in (24, 40):
         assert "63 keys, 698 bit/s; no tap goes for them" in shown(made, 120, height)
         assert f" assumption     {claim}" in shown(made, 120, height)
     assert "63 keys, 698 bit/s" in shown(made, 60, 16)
     seeded = with_plant(made, keys_refused="seed 3: predictable")
     assert f"refused: seed 3: predictable; {claim}" in shown(seeded, 120, 40)
-    none = with_plant(board, keys_claim=claim, keys_refused="eps_E = 0: nothing is claimed")
+    none = with_plant(board, keys_refused="eps_E = 0: nothing is claimed")
     assert "none: eps_E = 0: nothing is claimed" in shown(none, 120, 40)
     stopped = with_plant(made, keys_stopped="no pad is left to sign key blocks with")
     assert "STOPPED: no pad is left" in shown(stopped, 120, 40)
@@ -727,7 +753,7 @@ def with_attacker(board: Board, **fields: object) -> Board:
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
     claim = "secret only from a tap that misses 30 % of first copies or more"
-    board = with_plant(board_after(700), keys_made=63, keys_claim=claim)
+    board = with_plant(with_model(board_after(700), keys_claim=claim), keys_made=63)
     holds = with_attacker(board, copies_missed=600)
     for width, height in ((80, 24), (120, 40)):
         text = shown(holds, width, height)

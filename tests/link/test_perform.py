@@ -10,16 +10,22 @@ from protocol.link.events import Applied, Event, Missed, Recovered
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import SenderRecord
 from protocol.link.session import CountedTransition
-from protocol.messages import Measurement, Message
+from protocol.messages import ControllerStatus, Measurement, Message, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Judgement
 from protocol.secret.tasks import BlockVerdict, Done, Task
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
+from tools.rehearsal import Rehearsal
 
 STEP = Append(b"heard", b"said")
 RECORD = Keep(SenderRecord(), later=True)
 VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed", ""))
+WELL = next(
+    arrival.message
+    for arrival in next(Rehearsal().arrivals(10))
+    if isinstance(arrival.message, ControllerStatus)
+)
 EVENT = Missed("1" * 16, 0, (0.0,), (0.0,), (0.0,))
 
 
@@ -51,7 +57,7 @@ class Script:
             events=(EVENT,),
             write=RECORD,
             notices=(Notice("told"),),
-            health=b"well",
+            health=WELL,
             keys=(VERDICT,),
         )
 
@@ -83,7 +89,7 @@ class Listing:
     def tell(self, notice: Notice) -> None:
         self._done.append(notice.text)
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         self._done.append(status)
 
 
@@ -92,7 +98,7 @@ def test_save_publish_settle_trace_keep_tell() -> None:
     said = Outgoing(Measurement, b"said")
     actions = Actions(write=STEP, publish=(said,), settle=True)
     perform(actions, Script(done), Listing(done))
-    assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, "told", b"well"]
+    assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, "told", WELL]
 
 
 @pytest.mark.parametrize(("before", "done"), [

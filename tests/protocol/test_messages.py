@@ -12,15 +12,19 @@ from protocol.messages import (
     INTEL,
     OPS,
     ControllerHello,
+    ControllerStatus,
     Measurement,
     Message,
     Offer,
     PlantHello,
+    PlantModel,
+    PlantStatus,
     SendCommand,
     SendReply,
 )
 from protocol.secret.nonces import fresh_nonce
 from protocol.topics import BASE, check_loop, key_of
+from tools.rehearsal import Rehearsal
 
 ALL = (*FIELD, *OPS, *INTEL)
 SESSION = "0123456789abcdef"
@@ -159,6 +163,39 @@ def test_garbage_is_refused(payload: bytes) -> None:
     for kind in ALL:
         with pytest.raises(ValidationError):
             kind.model_validate_json(payload)
+
+
+def test_a_file_of_a_status_holds_no_text_key_or_coin() -> None:
+    batch = list(Rehearsal().arrivals(1200))[-1]
+    for kind in (PlantStatus, ControllerStatus):
+        status = next(a.message for a in batch if isinstance(a.message, kind))
+        kept = json.loads(status.on_file())
+        secret = {"last_message", "partial", "sending"} | {
+            name for name in kind.model_fields if name.startswith(("tail_", "pictured_"))
+        }
+        assert kept.keys() == set(kind.model_fields) - secret
+        told = status.model_dump(mode="json")
+        assert kept == {name: told[name] for name in kept}
+        assert kind.model_validate_json(status.on_file()).transitions == status.transitions
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"A": ((1.0,),)},
+        {"B": ()},
+        {"B": ((1.0,), (1.0, 2.0))},
+        {"defender_h": (1.0,)},
+        {"defender_H": (), "defender_h": ()},
+        {"defender_H": ((1.0,),), "defender_h": (1.0,)},
+    ],
+)
+def test_a_model_that_does_not_fit_together_is_refused(changes: dict[str, Any]) -> None:
+    model = next(Rehearsal().arrivals(10))[0].message
+    assert isinstance(model, PlantModel)
+    assert PlantModel.model_validate(model.model_dump()) == model
+    with pytest.raises(ValidationError):
+        PlantModel.model_validate({**model.model_dump(), **changes})
 
 
 def test_messages_cannot_change() -> None:

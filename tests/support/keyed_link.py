@@ -15,7 +15,7 @@ from protocol.link.key_events import BlockJudged
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.perform import Ports as AnyPorts
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.keeper import Keeper
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
@@ -59,7 +59,7 @@ class Ports:
     def tell(self, notice: Notice) -> None:
         pass
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         pass
 
 

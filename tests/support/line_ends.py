@@ -11,7 +11,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
-from protocol.messages import Message, Offer
+from protocol.messages import Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
@@ -84,7 +84,7 @@ class ToldPorts:
     def tell(self, notice: Notice) -> None:
         self._tell(notice)
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         raise AssertionError("nobody asked for statuses")
 
 

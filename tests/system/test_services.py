@@ -26,8 +26,10 @@ from protocol.messages import (
     ControllerHello,
     ControllerStatus,
     Measurement,
+    Message,
     Offer,
     PlantHello,
+    PlantModel,
     PlantStatus,
     SendCommand,
     SendReply,
@@ -385,7 +387,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     effects = receiver.applied(offer, 1, (0.0, 0.0))
     gauges = (float("inf"), 1.0)
     transition = effects.transition._replace(verdict=Verdict(gauges, -1))
-    news.tail.append(Step(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
+    news.counted(Step(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
     status = news.status(receiver, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
@@ -621,11 +623,37 @@ def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
             assert (status.phase, status.detail) == ("running", "")
 
 
-def test_the_status_has_the_horizon_that_was_designed(system: System) -> None:
-    longer = system.scenario.control.model_copy(update={"horizon": 9999})
-    scenario = system.scenario.model_copy(update={"control": longer})
-    with system.controller(scenario=scenario) as controller:
-        assert controller.endpoint.status().horizon == system.law.design.horizon
+def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system: System) -> None:
+    """The ends do not validate their own; every second status will do, from any moment on."""
+    said: dict[type[Message], list[tuple[float, Message]]] = {}
+
+    def listen(kind: type[Message]) -> None:
+        def hear(_key: str, payload: bytes, _t_ns: int) -> None:
+            message = kind.model_validate_json(payload)
+            assert message.wire() == payload
+            said.setdefault(kind, []).append((time.monotonic(), message))
+
+        MemoryBus(system.ops).subscribe(key_of(kind, "loop"), hear)
+
+    for kind in (PlantModel, PlantStatus, ControllerStatus):
+        listen(kind)
+    with system.controller(b"one"), system.plant("x20", steps=700):
+        system.wait(lambda: "plant" in system.codes)
+    models = [message for _, message in said[PlantModel]]
+    assert len(set(map(Message.wire, models))) == 1
+    times = [t for t, _ in said[PlantModel]]
+    assert times[0] < said[PlantStatus][0][0]
+    assert 1 < len(times) <= 1 + len(said[PlantStatus]) / 20
+    assert len(said[ControllerStatus]) > 10
+    statuses = [s for _, s in said[PlantStatus] if isinstance(s, PlantStatus)]
+    counted = [e["k"] for e in read_trace(system.run_dir / PLANT_TRACE).of("transition")]
+    sizes = [len(s.tail_k) for s in statuses if s.k > 100]
+    assert max(sizes) == 64
+    assert sorted(sizes)[len(sizes) // 2] < 40
+    for heard in (statuses, statuses[::2], statuses[1::2]):
+        assert {k for s in heard for k in s.tail_k} >= set(counted[: heard[-1].transitions])
+    late = statuses[len(statuses) // 2 : len(statuses) // 2 + 20]
+    assert any(set(s.tail_k) >= set(counted[s.transitions - 64 : s.transitions]) for s in late)
 
 
 # --- frames and restarts --------------------------------------------------------------------------

@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Read both statuses and print them."""
     run_dir = _run_dir(args.run_dir)
     plant, controller = _statuses(run_dir)
+    claim = _claim(run_dir)
     now_ns = time.time_ns()
     warnings = [
         *_warnings_of_plant(plant),
@@ -56,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         told = {"plant": plant.model_dump(), "controller": controller.model_dump()}
         servers = {name: line for name, (_, line) in served.items()}
-        print(json.dumps({**told, **servers, "warnings": warnings}))
+        print(json.dumps({**told, **servers, "claim": claim, "warnings": warnings}))
     else:
         rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
-        lines = (*_lines(plant, controller), *rows)
+        lines = (*_lines(plant, controller, claim), *rows)
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
     return FAILED if warnings else DONE
@@ -108,10 +109,23 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     return plant, controller
 
 
-def _lines(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
+def _claim(run_dir: Path) -> str:
+    """Under which claim the run's keys are secret; empty where it makes none."""
+    from protocol.runtime.run_folder import SCENARIO
+    from protocol.scenario import ScenarioError, load_scenario
+
+    path = run_dir / SCENARIO
+    try:
+        keys = load_scenario(path).keys if path.exists() else None
+    except ScenarioError as error:
+        raise Failure(error.problems[0]) from None
+    return "" if keys is None else keys.assumption().sentence()
+
+
+def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> list[str]:
     late = max(plant.sampled_late_s, default=0.0)
     acted = max(plant.actuated_after_s, default=0.0)
-    keys = plant.keys_refused or plant.keys_claim
+    keys = plant.keys_refused or claim
     return [
         f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
         f"messages, {plant.agreements} keys agreed",

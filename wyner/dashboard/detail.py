@@ -103,10 +103,10 @@ def _tap(board: Board, tap: TapBoard, its: Score, width: int, glyphs: Glyphs) ->
     ]
     if sure:
         lines.append(row("", Text(sure)))
-    plant = board.plant
+    model = board.model
     for name in ("A", "B"):
         hers = getattr(status, name)
-        true = getattr(plant, name) if plant is not None else ()
+        true = getattr(model, name) if model is not None else ()
         for i, values in enumerate(hers):
             beside = true[i] if i < len(true) else ()
             told = "  ".join(component(v, "+") for v in values)

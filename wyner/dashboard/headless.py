@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
-from protocol.messages import PlantStatus
+from protocol.messages import PlantModel, PlantStatus
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import Board, TapBoard, reduce_all
 from wyner.dashboard.score import (
     characters_right,
-    rate_of,
+    rate_in_words,
     score,
     secrecy,
     time_left_s,
@@ -21,7 +21,7 @@ from wyner.dashboard.score import (
 from wyner.dashboard.secrecy_panel import attacker, contradictions, held
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, duration, letters, number, percent
+from wyner.dashboard.text import component, duration, letters, percent
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
@@ -63,10 +63,10 @@ def progress(board: Board) -> str:
         f"x ({', '.join(component(v) for v in plant.x)})",
         f"keys {plant.agreements}",
         f"missed {plant.missed}",
-        f"{number(rate_of(board))} bit/s",
+        rate_in_words(board),
         f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
     ]
-    if plant.keys_claim:
+    if board.model is not None and board.model.keys_claim:
         parts.append(f"distilled {plant.keys_made}, {held(board, 99)[0]}")
     left = time_left_s(board)
     if left is not None:
@@ -144,12 +144,7 @@ def run_headless(
 def _events(before: Board, board: Board) -> Iterator[str]:
     plant, was = board.plant, before.plant
     if plant is not None:
-        if was is None or was.session != plant.session:
-            law = printable(plant.law)
-            what = f"{printable(plant.scenario)}, alpha {plant.alpha:g}, law {law}"
-            yield f"session {plant.session}{' began' if was is not None else ''}: {what}"
-            if plant.seeded:
-                yield "random choices are seeded: an experiment, nothing here is secret"
+        yield from _session(before, plant, board.model)
         if was is None or was.phase != plant.phase:
             yield f"plant {plant.phase}{_because(plant.detail)}"
         if was is not None and plant.symbol_errors > was.symbol_errors:
@@ -173,6 +168,20 @@ def _events(before: Board, board: Board) -> Iterator[str]:
     yield from _key_events(before, board)
     if board.garbage > before.garbage:
         yield f"{board.garbage - before.garbage} messages were garbage"
+
+
+def _session(before: Board, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:
+    """Which session this is, of which plant: as soon as both are known."""
+    if model is None:
+        return
+    first = before.plant is None or before.model is None
+    if not first and before.plant is not None and before.plant.session == plant.session:
+        return
+    law = printable(model.law)
+    what = f"{printable(model.scenario)}, alpha {model.alpha:g}, law {law}"
+    yield f"session {plant.session}{'' if first else ' began'}: {what}"
+    if model.seeded:
+        yield "random choices are seeded: an experiment, nothing here is secret"
 
 
 def _whole_at(plant: PlantStatus) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar
 
-from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
 
 T = TypeVar("T")
 
@@ -92,11 +92,12 @@ class Automata:
 class Board:
     """All that the screen and the plain lines are made from.
 
-    ``pictured`` is the plant's status whose step is drawn, ``pictures`` holds those of the last
-    steps by k; ``automata`` is the last moment at
-    which both automata were known, None before the first one of a session.
+    ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn,
+    ``pictures`` holds those of the last steps by k; ``automata`` is the last moment at which both
+    automata were known, None before the first one of a session.
     """
 
+    model: PlantModel | None = None
     plant: PlantStatus | None = None
     plant_seen_ns: int = -1
     controller: ControllerStatus | None = None
@@ -148,9 +149,11 @@ class Board:
 
 
 def reduce(board: Board, arrival: Arrival) -> Board:
-    """The board after one more arrival; anything but a status only counts."""
+    """The board after one more arrival; anything else than these only counts."""
     board = replace(board, received=board.received + 1)
     match arrival.message:
+        case PlantModel() as model:
+            return replace(board, model=model)
         case PlantStatus() as status:
             return _plant(board, status, arrival.t_ns)
         case ControllerStatus() as status:

@@ -16,7 +16,7 @@ from wyner.dashboard.score import (
     Score,
     SecrecyScore,
     ranked,
-    rate_of,
+    rate_in_words,
     secrecy,
     time_left_s,
     truth_for,
@@ -95,15 +95,17 @@ class Panels:
 
     def loop(self, width: int, extra: int) -> list[Text]:
         """Step, state with history, rate and time left, missed and late steps."""
-        plant = self.board.plant
+        plant, model = self.board.plant, self.board.model
         lines = [self.rule("Loop", width)]
         if plant is None:
             return [*lines, Text(" no word from the plant yet"), Text(), Text(), Text()]
-        seconds = plant.k * plant.period_s
         step = f" step {plant.k}"
         pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
         room = width - len(step) - len(pace)
-        time = longest(room, f"  {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
+        time = ""
+        if model is not None:
+            seconds = plant.k * model.period_s
+            time = longest(room, f"  {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
         lines.append(Text(step + time + pace))
         states = [self.board.states[k] for k in sorted(self.board.states)]
         lines += self._states(plant.x, states, width, 2 + max(0, extra))
@@ -116,7 +118,7 @@ class Panels:
 
     def _carried(self, width: int) -> Text:
         """What the link carries, and how long the message on its way still takes."""
-        rate = f" {number(rate_of(self.board))} bit/s"
+        rate = f" {rate_in_words(self.board)}"
         left = time_left_s(self.board)
         missed = self._missed_short()
         room = width - len(rate) - len(missed)
@@ -256,7 +258,9 @@ class Panels:
         status = self.board.pictured
         if self.wishes.step is not None:
             status = self.board.pictures.get(self.wishes.step, status)
-        return agreement(status, width, rows, self.glyphs, unicode=self.wishes.unicode)
+        return agreement(
+            self.board.model, status, width, rows, self.glyphs, unicode=self.wishes.unicode
+        )
 
     def message(self, taps: int) -> list[Text]:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""

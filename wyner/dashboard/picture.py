@@ -5,7 +5,7 @@ from typing import Final
 
 from rich.text import Text
 
-from protocol.messages import PlantStatus
+from protocol.messages import PlantModel, PlantStatus
 from wyner.dashboard import plane
 from wyner.dashboard.gauges import bars
 from wyner.dashboard.text import STYLES, Glyphs, fit, longest, rule
@@ -17,7 +17,13 @@ BARS_AT_MOST: Final = 16
 
 
 def agreement(
-    status: PlantStatus | None, width: int, rows: int, glyphs: Glyphs, *, unicode: bool
+    model: PlantModel | None,
+    status: PlantStatus | None,
+    width: int,
+    rows: int,
+    glyphs: Glyphs,
+    *,
+    unicode: bool,
 ) -> list[Text]:
     """The last pictured step, in exactly ``rows`` lines of ``width`` cells.
 
@@ -25,27 +31,32 @@ def agreement(
     """
     if status is None:
         lines = [rule(glyphs, "Agreement", width), Text(" no step pictured yet")]
+    elif model is None or not plane.fits(model, status):
+        title = f"Agreement at step {status.pictured_k}"
+        lines = [rule(glyphs, title, width), Text(" the plant's model was not heard yet")]
     else:
-        axes = plane.axes_of(status.B, status.defender_H, status.defender_h)
+        axes = plane.axes_of(model.B, model.defender_H, model.defender_h)
         title = f"Agreement at step {status.pictured_k}"
         lines = [rule(glyphs, title, width, axes.words, axes.short)]
         gauges = status.pictured_gauges
         room = rows - 3  # rule, scale, verdict
         with_plane = room - min(len(gauges), 2) >= PLANE_ROWS + 1
         most = room - (PLANE_ROWS + 1 if with_plane else 0)
-        lines += bars(gauges, status.alpha, width, max(1, min(most, BARS_AT_MOST)), glyphs)
+        lines += bars(gauges, model.alpha, width, max(1, min(most, BARS_AT_MOST)), glyphs)
         agreed = status.pictured_symbol >= 0
         lines.append(Text(f" {plane.verdict(status)}", style=STYLES["good"] if agreed else ""))
         if with_plane:
-            lines += _plane(status, width, rows - len(lines) - 1, unicode=unicode)
+            lines += _plane(model, status, width, rows - len(lines) - 1, unicode=unicode)
             lines.append(_legend(glyphs, width))
     lines += [Text()] * (rows - len(lines))
     return [fit(line, width) for line in lines[:rows]]
 
 
-def _plane(status: PlantStatus, width: int, rows: int, *, unicode: bool) -> list[Text]:
+def _plane(
+    model: PlantModel, status: PlantStatus, width: int, rows: int, *, unicode: bool
+) -> list[Text]:
     lines = []
-    for cells in plane.draw(status, width - 2, rows, unicode=unicode):
+    for cells in plane.draw(model, status, width - 2, rows, unicode=unicode):
         line = Text(" ")
         for kind, run in itertools.groupby(cells, key=lambda cell: cell.kind):
             line.append("".join(cell.character for cell in run), style=STYLES[kind])

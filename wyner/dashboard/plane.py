@@ -13,7 +13,7 @@ from itertools import combinations
 from math import isfinite
 from typing import Final, Literal
 
-from protocol.messages import PlantStatus
+from protocol.messages import PlantModel, PlantStatus
 from protocol.vectors import Matrix, Vector
 from wyner.dashboard.text import symbol_of
 
@@ -86,22 +86,32 @@ def verdict(status: PlantStatus) -> str:
     return "no key: outside a D_e, so she knows"
 
 
-def draw(status: PlantStatus, width: int, height: int, *, unicode: bool) -> list[list[Cell]]:
-    """The pictured transition as ``height`` rows of ``width`` cells.
+def fits(model: PlantModel, status: PlantStatus) -> bool:
+    """Whether the pictured step can be one of this model's; another plant may have spoken."""
+    states, inputs = len(model.A), len(model.B[0])
+    return len(status.pictured_x) == states and all(
+        len(u) == inputs for u in status.pictured_candidates
+    )
+
+
+def draw(
+    model: PlantModel, status: PlantStatus, width: int, height: int, *, unicode: bool
+) -> list[list[Cell]]:
+    """The pictured transition, which fits the model, as ``height`` rows of ``width`` cells.
 
     Blank before the first one, and where it is too far out for a float to span.
     """
     blank = [[Cell(" ", "")] * width for _ in range(height)]
     if status.pictured_k < 0 or not status.pictured_candidates or width < 4 or height < 2:
         return blank
-    axes = axes_of(status.B, status.defender_H, status.defender_h)
-    shape = outline(status.defender_H, status.defender_h, axes)
+    axes = axes_of(model.B, model.defender_H, model.defender_h)
+    shape = outline(model.defender_H, model.defender_h, axes)
     centres = [
-        _project(_centre(status.A, status.B, status.pictured_x, u), axes)
+        _project(_centre(model.A, model.B, status.pictured_x, u), axes)
         for u in status.pictured_candidates
     ]
     fallen = _project(status.pictured_x_next, axes)
-    wide = [(status.alpha * a, status.alpha * b) for a, b in shape]
+    wide = [(model.alpha * a, model.alpha * b) for a, b in shape]
     points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in shape] + [fallen]
     if not isfinite(sum(abs(v) for point in points for v in point)):
         return blank

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from wyner.dashboard.model import Board, TapBoard
-from wyner.dashboard.text import letters
+from wyner.dashboard.text import letters, number
 
 SCORED_AT_LEAST: Final = 8
 """Agreed steps needed before a guessing probability is quoted; fewer say nothing."""
@@ -167,12 +167,20 @@ def course(board: Board, points: int) -> list[tuple[float, float | None]]:
     return found
 
 
-def rate_of(board: Board) -> float:
-    """Message bits per second of plant time, over the session."""
-    plant = board.plant
-    if plant is None or plant.k == 0 or plant.period_s <= 0:
+def rate_of(board: Board) -> float | None:
+    """Message bits per second of plant time, over the session; None: the period is not known."""
+    plant, model = board.plant, board.model
+    if plant is None or model is None:
+        return None
+    if plant.k == 0 or model.period_s <= 0:
         return 0.0
-    return plant.recovered_symbols * math.log2(board.candidates) / (plant.k * plant.period_s)
+    return plant.recovered_symbols * math.log2(board.candidates) / (plant.k * model.period_s)
+
+
+def rate_in_words(board: Board) -> str:
+    """The same with its unit."""
+    rate = rate_of(board)
+    return f"{'-' if rate is None else number(rate)} bit/s"
 
 
 def time_left_s(board: Board) -> float | None:
@@ -204,11 +212,11 @@ def characters_right(board: Board, tap: TapBoard) -> tuple[int, int]:
 
 def model_error(board: Board, tap: TapBoard) -> float | None:
     """Distance of her [A B] from the plant's, relative, Frobenius norm; None: she has no model."""
-    plant, status = board.plant, tap.status
-    if plant is None or not status.A or not status.B:
+    model, status = board.model, tap.status
+    if model is None or not status.A or not status.B:
         return None
     hers = [*_entries(status.A), *_entries(status.B)]
-    true = [*_entries(plant.A), *_entries(plant.B)]
+    true = [*_entries(model.A), *_entries(model.B)]
     if len(hers) != len(true):
         return None
     size = math.hypot(*true)

@@ -89,15 +89,15 @@ def distilled(board: Board, width: int) -> list[Text]:
 
     Nothing where the scenario makes none.
     """
-    plant = board.plant
-    if plant is None or not (plant.keys_claim or plant.keys_refused):
+    plant, model = board.plant, board.model
+    if plant is None or model is None or not (model.keys_claim or plant.keys_refused):
         return []
     room = width - LABEL - 1
-    claim = drawn(plant.keys_claim)
+    claim = drawn(model.keys_claim)
     if plant.keys_refused and not plant.keys_made:
         told = longest(room, f"none: {plant.keys_refused}", "none")
         return [row("distilled", Text(told, style=STYLES["bad"])), row("assumption", Text(claim))]
-    seconds = plant.key_block_steps * plant.period_s
+    seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
     made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; "
     line = row("distilled", Text(made))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from pydantic import ValidationError
 
-from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
 from protocol.topics import key_of
 from wyner.dashboard.model import Arrival
 
@@ -21,7 +21,7 @@ WAITING_AT_MOST: Final = 32 * 2**20
 OVERHEAD: Final = 200
 """Bytes that a payload costs beside itself, about."""
 
-OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantStatus, ControllerStatus)
+OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
 INTEL_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
 
 

@@ -158,19 +158,19 @@ class _Page(Panels):
 
     def _parts(self) -> list[tuple[int, str]]:
         """What the first line says, each with its rank: the highest goes first."""
-        plant = self.board.plant
+        plant, model = self.board.plant, self.board.model
         parts: list[tuple[int, str]] = [(0, self.wishes.title or "wyner")]
         if plant is None:
             parts.append((0, "waiting for the plant"))
         else:
-            parts += [
-                (5, drawn(plant.scenario)),
-                (4, drawn(plant.pace)),
-                (7, f"alpha {number(plant.alpha)}"),
-                (8, f"session {plant.session[:8]}"),
-                (2, plant.phase),
-            ]
-            if plant.seeded:
+            if model is not None:
+                parts += [
+                    (5, drawn(model.scenario)),
+                    (4, drawn(model.pace)),
+                    (7, f"alpha {number(model.alpha)}"),
+                ]
+            parts += [(8, f"session {plant.session[:8]}"), (2, plant.phase)]
+            if model is not None and model.seeded:
                 parts.append((3, "SEEDED"))
             if plant.frames_refused:
                 parts.append((2, f"{count(plant.frames_refused)} frames refused"))

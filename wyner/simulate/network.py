@@ -26,7 +26,7 @@ from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import Sender, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
-from protocol.messages import Message, Offer
+from protocol.messages import Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
 from protocol.secret.keeper import Keeper
@@ -135,7 +135,7 @@ class _Ports:
     def tell(self, notice: Notice) -> None:
         pass
 
-    def health(self, status: bytes) -> None:
+    def health(self, status: Status) -> None:
         pass
 
 

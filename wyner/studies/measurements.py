@@ -38,7 +38,7 @@ SOURCES: Final = ("wyner/studies/measurements.py",)
 TAP_SOURCES: Final = (
     *SOURCES,
     "protocol/knowledge.py",
-    "protocol/messages.py",
+    "protocol/messages/*.py",
     "tap_service/inference/list_decoding.py",
     "tap_service/inference/hypotheses.py",
     "tap_service/inference/frame_scores.py",
