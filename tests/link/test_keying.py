@@ -67,11 +67,10 @@ def test_without_keys_everything_is_constant() -> None:
     assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
     assert keying.done(Judged(S, 0, "confirmed", 5)) == ()
     assert keying.settled() == ()
-    assert keying.told("", "") == {
+    assert keying.told("") == {
         "keys_made": 0,
         "keys_of_block": 0,
         "key_block_steps": 0,
-        "keys_claim": "",
         "keys_refused": "",
         "keys_stopped": "",
     }
@@ -180,11 +179,10 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
     assert (keying.made, keying.last) == (0, (0, 0))
     keying.done(Judged(S, 0, "confirmed", 5))
     keying.done(Judged(S, 1, "confirmed", 3))
-    assert keying.told("claim", "why") == {
+    assert keying.told("why") == {
         "keys_made": 8,
         "keys_of_block": 3,
         "key_block_steps": 4,
-        "keys_claim": "claim",
         "keys_refused": "why",
         "keys_stopped": "",
     }
@@ -225,7 +223,7 @@ def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:
     keying = counting(3)
     keying.done(done)
     assert keying.stopped == stopped
-    assert keying.told("", "")["keys_stopped"] == stopped
+    assert keying.told("")["keys_stopped"] == stopped
     keying.done(Stored(S, 0, TAG, keys=1))
     assert keying.stopped == ""
 
@@ -234,7 +232,7 @@ def test_a_broken_store_is_asked_for_nothing_more() -> None:
     keying = counting(3)
     assert keying.done(Broken("disk full")) == ()
     assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
-    assert keying.told("claim", "why")["keys_refused"] == "disk full"
+    assert keying.told("why")["keys_refused"] == "disk full"
 
 
 # --- an end that comes back -----------------------------------------------------------------------

@@ -124,10 +124,10 @@ EVERYTHING = Actions(
     write=STEP,
     publish=(Outgoing(Measurement, b"said"),),
     notices=(Notice("told"),),
-    health=b"well",
+    health=WELL,
     keys=(VERDICT,),
 )
-DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", b"well"]
+DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", WELL]
 
 
 @pytest.mark.parametrize("after", range(5))
