@@ -18,7 +18,8 @@ from typing import Any, Final
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
-from tap_service.capture.recording import CaptureError, CaptureReader, Limits, RotatingLog
+from tap_service.capture.reading import CaptureError, CaptureReader
+from tap_service.capture.recording import Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
 from tap_service.guests import guarded

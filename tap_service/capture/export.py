@@ -15,7 +15,7 @@ from protocol.messages import FIELD, FieldMessage, Measurement, Offer, Sealed
 from protocol.runtime.parts import first_part, parts_of
 from protocol.runtime.process import needs
 from protocol.topics import key_of
-from tap_service.capture.recording import CaptureReader
+from tap_service.capture.reading import CaptureReader
 
 Record = tuple[int, FieldMessage]
 

@@ -19,7 +19,8 @@ from protocol.runtime.options import alone_in
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from tap_service.capture.channel import View
-from tap_service.capture.recording import CaptureReader, Limits, RotatingLog, mirror_line
+from tap_service.capture.reading import CaptureReader
+from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.cli.main import main
 from wyner.studies.secrecy.runs import Run, simulate
 

@@ -18,7 +18,7 @@ from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import CAPTURE
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
-from tap_service.capture import recording as capture
+from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript

@@ -19,14 +19,8 @@ from protocol.runtime import jsonl
 from protocol.runtime.parts import part_path, parts_of
 from protocol.runtime.run_folder import CAPTURE
 from protocol.runtime.trace import read_trace
-from tap_service.capture.recording import (
-    CaptureError,
-    CaptureReader,
-    Limits,
-    RotatingLog,
-    garbage_line,
-    mirror_line,
-)
+from tap_service.capture.reading import CaptureError, CaptureReader
+from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tests.support.lines import unmark
 
 LOG = logging.getLogger("test")

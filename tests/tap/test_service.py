@@ -29,7 +29,8 @@ from protocol.runtime.zenoh_bus import Endpoints, ZenohBus, free_endpoints
 from protocol.topics import key_of
 from tap_service import service as tap
 from tap_service.capture.channel import View
-from tap_service.capture.recording import CaptureReader, Limits
+from tap_service.capture.reading import CaptureReader
+from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import TapConfig, TapService
 from wyner.scoring.replay import Replay

@@ -21,7 +21,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
 from protocol.secret.store import KeyStore
-from tap_service.capture.recording import CaptureError, CaptureReader
+from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import MissRate, miss_rate
 

@@ -8,7 +8,7 @@ from typing import Any
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
 from tap_service.capture.channel import View, told
-from tap_service.capture.recording import CaptureError, CaptureReader
+from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
 from tap_service.guests import guarded

@@ -7,7 +7,7 @@ from typing import IO, Any
 
 from protocol.runtime.run_folder import PLANT_TRACE
 from protocol.runtime.trace import TraceError, TraceReader
-from tap_service.capture.recording import CaptureReader
+from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.scoring.score import ScoreError, Step
 

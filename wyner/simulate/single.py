@@ -18,6 +18,7 @@ from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
 from protocol.link.model import load_model
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
+from protocol.scenario.plant import Disturbance
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
 from protocol.vectors import Vector
 from wyner.simulate.engine.draws import symbol_type
@@ -80,6 +81,17 @@ def closed_loop(
         x = x_next
 
 
+def step_plant(
+    plant: Operated, spec: Disturbance, u: Vector, d: tuple[float, ...] | None
+) -> tuple[Vector, Vector]:
+    """Apply an input and sample; the input that was really applied, and the next state.
+
+    ``d`` reaches the plant where the disturbance enters; None where there is none to hand over.
+    """
+    applied = plant.apply(u, d if spec.enters == "input" else None)
+    return applied, plant.sample(d if spec.enters in (None, "state") else None)
+
+
 def simulate_plant(
     scenario: Scenario,
     law: Law,
@@ -113,7 +125,7 @@ def simulate_plant(
     """
     n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
     spec = scenario.plant.disturbance
-    width, in_state = len(spec.half_widths), spec.enters in (None, "state")
+    width = len(spec.half_widths)
     R = len(runs)
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
@@ -132,8 +144,7 @@ def simulate_plant(
             k: int, _x: Vector, u: Vector, plant: Operated = plant, noise: Stream = noise
         ) -> Vector:
             d = None if width == 0 else disturbance(spec, k, noise.at(k))
-            plant.apply(u, d if spec.enters == "input" else None)
-            return plant.sample(d if in_state else None)
+            return step_plant(plant, spec, u, d)[1]
 
         try:
             x = plant.start(seed + run)

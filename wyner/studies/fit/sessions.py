@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from plant_service.adapters import Operated
+from plant_service.disturbance import disturbance
 from protocol.arrays import Array
 from protocol.scenario import Scenario
-from wyner.simulate.single import Law, simulate_plant
+from wyner.simulate.single import Law, simulate_plant, step_plant
 
 OpenPlant = Callable[[Scenario], Operated]
 
@@ -33,6 +34,9 @@ def excite(
 ) -> Transitions:
     """Apply random inputs, beside u = K x where ``control.gain`` is stated.
 
+    Nothing is chosen from candidates here, so this is not the closed loop of
+    :mod:`wyner.simulate.single`; a model is fitted to what the plant says it applied.
+
     Parameters
     ----------
     scenario : Scenario
@@ -48,6 +52,7 @@ def excite(
     widths = _reach(scenario) * amplitude
     gain = None if scenario.control.gain is None else np.array(scenario.control.gain)
     rows: list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = []
+    spec = scenario.plant.disturbance
     for session in range(sessions):
         plant = open_plant(scenario)
         noise = _noise(scenario, rng, steps)
@@ -56,7 +61,7 @@ def excite(
             for k in range(steps):
                 v = rng.uniform(-widths, widths)
                 wanted = v if gain is None else v + gain @ np.array(x)
-                u, x_next = _step(plant, scenario, tuple(wanted.tolist()), noise[k])
+                u, x_next = step_plant(plant, spec, tuple(wanted.tolist()), noise[k] or None)
                 rows.append((x, u, x_next))
                 x = x_next
         finally:
@@ -75,19 +80,9 @@ def _reach(scenario: Scenario) -> Array:
 
 
 def _noise(scenario: Scenario, rng: np.random.Generator, steps: int) -> list[tuple[float, ...]]:
-    from plant_service.disturbance import disturbance
-
     spec = scenario.plant.disturbance
     uniforms = rng.random((steps, len(spec.half_widths))).tolist()
     return [disturbance(spec, k, row) for k, row in enumerate(uniforms)]
-
-
-def _step(
-    plant: Operated, scenario: Scenario, u: tuple[float, ...], d: tuple[float, ...]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    enters = scenario.plant.disturbance.enters or "state"
-    applied = plant.apply(u, d if enters == "input" else None)
-    return applied, plant.sample(d if enters == "state" and d else None)
 
 
 def residuals_under(

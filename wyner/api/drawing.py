@@ -1,0 +1,63 @@
+"""The paper's figures of one's own systems and runs, on axes of one's own."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protocol.agreement import NO_SYMBOL
+from protocol.convex import corners
+from wyner.api.simulation import Simulated, rate_against_alpha
+from wyner.api.systems import System
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def draw_sets(
+    system: System,
+    axes: "Axes",
+    indices: Sequence[int] | None = None,
+    runs: Simulated | None = None,
+) -> None:
+    """Draw some T_i of a plant in the plane, and the trajectories of ``runs`` through them."""
+    from wyner.studies.figures.axes import draw_sets as draw
+
+    chosen = indices or sorted({0, 1, 2, 4, 8} & set(range(system.horizon + 1)))
+    draw(axes, {i: system.corners(i) for i in chosen}, None if runs is None else runs.x)
+
+
+def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: int = 0) -> None:
+    """Draw one step as Fig. 4 does: both reachable sets of both parties, and where x(k+1) fell.
+
+    By default the first step on which a key symbol was agreed; of plants with more than two states
+    the first two.
+    """
+    from wyner.studies.figures.axes import draw_agreement as draw
+
+    agreed = np.flatnonzero(runs.key[run] != NO_SYMBOL)
+    k = step if step is not None else int(agreed[0]) if len(agreed) else 0
+    scenario = runs.system.scenario
+    x, offers = runs.x[run, k], runs.candidates[run, k]
+    centres = x @ np.array(scenario.A).T + offers @ np.array(scenario.B).T
+    D_c = scenario.defender.disturbance
+    points = corners(*(np.array(a) for a in D_c.rows()))
+    draw(axes, centres, runs.x[run, k + 1], points, scenario.secrecy.alpha)
+
+
+def draw_states(runs: Simulated, axes: "Axes", run: int = 0) -> None:
+    """Draw the states of a run over time, with a mark on every step that agreed a key symbol."""
+    from wyner.studies.figures.axes import draw_states as draw
+
+    agreed = np.flatnonzero(runs.key[run] != NO_SYMBOL)
+    draw(axes, runs.x[run], runs.system.scenario.plant.period_s, agreed)
+
+
+def draw_rate(runs: Simulated, axes: "Axes", alphas: ArrayLike, label: str | None = None) -> None:
+    """Draw the rate against alpha with its 95 % band (the paper's Fig. 7)."""
+    from wyner.studies.figures.axes import draw_rate as draw
+
+    values = np.atleast_1d(np.asarray(alphas, dtype=float))
+    name = label or runs.system.scenario.name
+    draw(axes, values, rate_against_alpha(runs, values), name)

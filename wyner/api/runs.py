@@ -1,0 +1,34 @@
+"""Runs of the services, from their folders."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from wyner.verify.clause import Finding
+
+
+def check(run_dir: str | Path) -> "list[Finding]":
+    """What ``wyner check`` says of a run's folder, clause by clause.
+
+    Raises
+    ------
+    FileNotFoundError, ScenarioError, TraceError
+        When there is no run, or it cannot be read.
+    """
+    from wyner.verify import check as judge
+    from wyner.verify.evidence import read_evidence
+
+    return judge(read_evidence(Path(run_dir)))
+
+
+def report(run_dir: str | Path, output: str | Path | None = None) -> Path:
+    """Write the page of a run, by default as ``report.html`` in its folder; returns its path.
+
+    Raises
+    ------
+    FileNotFoundError, ScenarioError, TraceError
+        When there is no run, or it cannot be read.
+    """
+    from wyner.run_report import write_report
+
+    return write_report(Path(run_dir), None if output is None else Path(output))

@@ -1,0 +1,223 @@
+"""Runs of a system, as arrays and data frames."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from plant_service.adapters import PlantAdapter, Stepped
+from plant_service.adapters.registry import open_plant
+from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array, Symbols
+from protocol.scenario import Scenario
+from protocol.schemes.framing import Deframer
+from wyner.api.systems import System, design
+from wyner.scoring.statistics import Interval, bootstrap_mean
+from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
+from wyner.simulate.engine.link import follow
+from wyner.simulate.single import simulate_plant
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Runs of a system. Arrays have the run first and the step second.
+
+    Parameters
+    ----------
+    system : System
+    seed : int
+    record : Runs
+        As the engine keeps them, the run last.
+    link : Transfer
+    """
+
+    system: System
+    seed: int
+    record: Runs
+    link: Transfer
+
+    @property
+    def steps(self) -> int:
+        """Steps of each run."""
+        return self.record.steps
+
+    @property
+    def count(self) -> int:
+        """R, the number of runs."""
+        return len(self.record.runs)
+
+    @cached_property
+    def x(self) -> Array:
+        """States, shape (R, steps + 1, n)."""
+        assert self.record.x is not None
+        return np.moveaxis(self.record.x, 2, 0)
+
+    @cached_property
+    def candidates(self) -> Array:
+        """Offered inputs, shape (R, steps, M, m)."""
+        assert self.record.candidates is not None
+        return np.moveaxis(self.record.candidates, 3, 0)
+
+    @cached_property
+    def u(self) -> Array:
+        """Applied inputs, shape (R, steps, m)."""
+        place = self.coin[:, :, None, None].astype(np.intp)
+        return np.take_along_axis(self.candidates, place, axis=2)[:, :, 0]
+
+    @cached_property
+    def gauges(self) -> Array:
+        """g(x(k+1) - c_i), in units of D_c, shape (R, steps, M)."""
+        assert self.record.gauges is not None
+        return np.moveaxis(self.record.gauges, 2, 0)
+
+    @property
+    def coin(self) -> Symbols:
+        """The plant's coin b_r, shape (R, steps)."""
+        return self.record.coin.T
+
+    @property
+    def key(self) -> Symbols:
+        """The key symbol agreed on a step, or -1, shape (R, steps)."""
+        return self.link.agreed.T
+
+    @property
+    def cipher(self) -> Symbols:
+        """The public ciphertext symbol of a step, shape (R, steps)."""
+        return self.link.cipher.T
+
+    @property
+    def message_symbol(self) -> Symbols:
+        """The message symbol recovered on a step, or -1, shape (R, steps)."""
+        return self.link.message_symbol.T
+
+    @cached_property
+    def messages(self) -> list[list[bytes]]:
+        """Whole messages that the plant recovered, in each run."""
+        found = []
+        for row in self.message_symbol.tolist():
+            deframer = Deframer(self.system.scenario.secrecy.candidates)
+            frames = [f for v in row if v != NO_SYMBOL and (f := deframer.push(v)) is not None]
+            found.append([f.payload for f in frames if f.intact])
+        return found
+
+    @property
+    def agreements(self) -> NDArray[np.int64]:
+        """Key symbols agreed in each run, shape (R,)."""
+        out: NDArray[np.int64] = (self.key != NO_SYMBOL).sum(axis=1)
+        return out
+
+    @property
+    def rate(self) -> Interval:
+        """Message bits a second of plant time, with the 95 % bootstrap interval over runs.
+
+        The paper's count: what was sent, not what stayed secret (docs/secrecy.md).
+        """
+        s = self.system.scenario
+        counts, of = np.unique((self.message_symbol != NO_SYMBOL).sum(axis=1), return_counts=True)
+        bits = float(np.log2(s.secrecy.candidates))
+        mean = bootstrap_mean(dict(zip(counts.tolist(), of.tolist(), strict=True)))
+        return mean.scaled(bits / (self.steps * s.plant.period_s))
+
+    def frame(self, run: int | None = None) -> "pd.DataFrame":
+        """One row a step as a pandas data frame; of one run, or of all.
+
+        Columns: run, k, x_1.., u_1.., coin, gauge_0.., key, cipher, message_symbol; -1 stands for
+        no symbol.
+        """
+        import pandas as pd
+
+        rows = range(self.count) if run is None else range(run, run + 1)
+        columns: dict[str, Any] = {
+            "run": np.repeat(np.array(self.record.runs)[list(rows)], self.steps),
+            "k": np.tile(np.arange(self.steps), len(rows)),
+        }
+        part = slice(rows.start, rows.stop)
+
+        def add(name: str, values: NDArray[Any], first: int) -> None:
+            for i in range(values.shape[2]):
+                columns[f"{name}_{i + first}"] = values[part, : self.steps, i].ravel()
+
+        add("x", self.x, 1)
+        add("u", self.u, 1)
+        columns["coin"] = self.coin[part].ravel()
+        add("gauge", self.gauges, 0)
+        for name in ("key", "cipher", "message_symbol"):
+            columns[name] = getattr(self, name)[part].ravel()
+        return pd.DataFrame(columns)
+
+
+def run(
+    system: System | Scenario | str,
+    *,
+    steps: int = 250,
+    runs: int = 1,
+    seed: int = 1,
+    message: bytes = b"",
+    plant: Stepped | PlantAdapter | None = None,
+    folder: str | Path = ".",
+) -> Simulated:
+    """Simulate runs of a system; run r of a seed is the same however many others there are.
+
+    Linear plants go through the engine, all runs at once; any other is stepped by itself.
+
+    Parameters
+    ----------
+    system : System, Scenario or str
+        What :func:`design` returned, or what it takes.
+    steps, runs : int
+    seed : int
+        Of coins, disturbances and ciphertext symbols.
+    message : bytes
+        Sent once, then idle symbols.
+    plant : Stepped or PlantAdapter, optional
+        An object of one's own in place of the scenario's plant, in physical units; it is reset, or
+        started, for each run.
+    folder : path
+        Where the files that the scenario's plant names are looked for.
+
+    Raises
+    ------
+    SimulationError
+        When a state leaves every set or a plant fails; the message names run and step.
+    PlantError
+        When the plant cannot be opened.
+    """
+    s = system if isinstance(system, System) else design(system)
+    linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
+    if plant is None and linear:
+        record = simulate_runs(
+            s.scenario, s.law, seed=seed, runs=range(runs), steps=steps, record=True
+        )
+    else:
+        record = simulate_plant(
+            s.scenario,
+            s.law,
+            lambda: open_plant(s.scenario, Path(folder), plant),
+            seed=seed,
+            runs=range(runs),
+            steps=steps,
+            folder=Path(folder),
+        )
+    return Simulated(s, seed, record, transfer(record, payloads=[message] if message else []))
+
+
+def rate_against_alpha(runs: Simulated, alphas: ArrayLike) -> list[Interval]:
+    """The rate that the same runs would have had at each alpha, bits a second.
+
+    Neither law nor coin depends on alpha.
+    """
+    s = runs.system.scenario
+    link = follow(runs.record, [float(a) for a in np.atleast_1d(alphas)])
+    scale = float(np.log2(s.secrecy.candidates)) / (runs.steps * s.plant.period_s)
+    out = []
+    for row in link.message_symbols:
+        counts, of = np.unique(row, return_counts=True)
+        mean = bootstrap_mean(dict(zip(counts.tolist(), of.tolist(), strict=True)))
+        out.append(mean.scaled(scale))
+    return out

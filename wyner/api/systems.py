@@ -1,0 +1,117 @@
+"""Scenarios and what is designed for them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import Design
+from protocol.arrays import Array
+from protocol.convex import Polytope, corners, planar_vertices
+from protocol.scenario import Scenario, load_scenario, parse_scenario, set_field
+from protocol.shipped import SCENARIOS, scenario_file_of
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios."""
+    return sorted(path.stem for path in SCENARIOS.glob("*.toml"))
+
+
+def load(source: str | Path) -> Scenario:
+    """A scenario from a TOML file, or a shipped one by its name.
+
+    Raises
+    ------
+    ScenarioError
+        With one line for each wrong field.
+    """
+    return load_scenario(scenario_file_of(str(source)))
+
+
+def build(tables: Mapping[str, Any], source: str = "scenario") -> Scenario:
+    """A scenario from nested dictionaries, which have the names of the TOML file's tables.
+
+    Parameters
+    ----------
+    tables : mapping
+    source : str
+        Stands first in each line of an error.
+
+    Raises
+    ------
+    ScenarioError
+        With one line for each wrong field.
+    """
+    return parse_scenario(dict(tables), source)
+
+
+def vary(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """The scenario with some fields changed: ``vary(s, {"secrecy.alpha": 4.0})``.
+
+    Raises
+    ------
+    ScenarioError
+        When there is no such field, or the whole is no scenario any more.
+    """
+    data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
+    for path, value in changes.items():
+        set_field(data, path, value)
+    return parse_scenario(data, scenario.name)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A scenario with its sets and its law.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    design : Design
+        The sets T_0..T_N.
+    law : CandidateLaw
+    """
+
+    scenario: Scenario
+    design: Design
+    law: CandidateLaw
+
+    @property
+    def gain(self) -> Array:
+        """K of u = K x, shape (m, n)."""
+        return self.design.K
+
+    @property
+    def horizon(self) -> int:
+        """N, the index of the largest set."""
+        return self.design.horizon
+
+    def index(self, x: Sequence[float]) -> int:
+        """i(k) = min { i : x in T_i }; raises :class:`OutsideError` where x is in none."""
+        return self.law.index(tuple(x))
+
+    def candidates(self, x: Sequence[float]) -> Array:
+        """The M candidate inputs at x, shape (M, m)."""
+        return np.array(self.law.candidates(tuple(x)))
+
+    def corners(self, i: int) -> Array:
+        """Corners of T_i, shape (corners, n); in the plane in order of angle."""
+        p = Polytope(*self.design.set(i))
+        return planar_vertices(p) if p.dimension == 2 else corners(p.H, p.h)
+
+
+def design(scenario: Scenario | str | Path) -> System:
+    """Compute a scenario's sets, or read them from the cache, and make its law.
+
+    Raises
+    ------
+    ScenarioError, SynthesisError, ProgramError
+        With one line that names the field.
+    """
+    s = scenario if isinstance(scenario, Scenario) else load(scenario)
+    found = cached_design(s)
+    return System(s, found, make_law(s, found))
