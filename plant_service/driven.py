@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from plant_service.adapters.operated import Operated
 from plant_service.endpoint import PlantEndpoint
-from plant_service.plant import Move, Plant, Step
+from plant_service.plant import Move, Plant, PlantStep
 from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Outgoing
 from protocol.link.events import Interrupted
@@ -76,14 +76,14 @@ class DrivenPlant(Plant):
         d = self._disturbance(self.receiver.record.k) if self._enters == "state" else None
         return self.operated.sample(d)
 
-    def count(self, move: Move) -> Step:
+    def count(self, move: Move) -> PlantStep:
         """Count the transition that ``move`` made."""
         record = self.receiver.record
         effects = self.receiver.applied(move.offer, move.coin, move.x_next)
         u = move.offer.candidates[move.coin]
-        return Step(record.k, record.x, u, move.x_next, move.coin, effects)
+        return PlantStep(record.k, record.x, u, move.x_next, move.coin, effects)
 
-    def miss(self) -> Step:
+    def miss(self) -> PlantStep:
         """No offer came in time.
 
         A simulation makes the step under the fallback. A device has already made it, under the
@@ -95,14 +95,14 @@ class DrivenPlant(Plant):
             self.actuate(u)
             x_next = self.read()
             self.receiver.missed(u, x_next)
-            return Step(record.k, record.x, u, x_next, None, None)
+            return PlantStep(record.k, record.x, u, x_next, None, None)
         x_next = self.read()
         self.receiver.missed(record.u, x_next)
         following = self._fallback.input(x_next, record.u)
         if following != record.u:
             self.actuate(following)
             self.receiver.record = self.receiver.record._replace(u=following)
-        return Step(record.k, record.x, record.u, x_next, None, None)
+        return PlantStep(record.k, record.x, record.u, x_next, None, None)
 
     def interrupted(self, begun: BegunStep | None, x_next: Vector) -> Interrupted:
         """Count the step under way when the process died, as a missed one."""

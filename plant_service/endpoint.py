@@ -7,7 +7,7 @@ from typing import Final, Literal, Protocol
 from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
-from plant_service.plant import Move, Step
+from plant_service.plant import Move, PlantStep
 from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
@@ -57,10 +57,10 @@ class Stepper(Protocol):
     def move(self, offer: Offer) -> Move:
         """Choose one input of the current ``offer``, and apply it."""
 
-    def count(self, move: Move) -> Step:
+    def count(self, move: Move) -> PlantStep:
         """Count the transition that ``move`` made."""
 
-    def miss(self) -> Step:
+    def miss(self) -> PlantStep:
         """Apply the fallback input."""
 
     def safe(self, why: str) -> None:

@@ -23,7 +23,7 @@ from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 
 
-class Step(NamedTuple):
+class PlantStep(NamedTuple):
     """One step of the plant: the input that was in force, and where it led.
 
     ``coin`` is b_r and ``effects`` what the receiver made of it; both are None on a missed step.
@@ -142,21 +142,21 @@ class Plant:
         x_next = self._advance(record.k, record.x, offer.candidates[draw.coin], draw.d)
         return Move(offer, draw.coin, x_next)
 
-    def count(self, move: Move) -> Step:
+    def count(self, move: Move) -> PlantStep:
         """Count the transition that ``move`` made, and draw for the one to come."""
         offer, coin, x_next = move
         record = self.receiver.record
         effects = self.receiver.applied(offer, coin, x_next)
         self._drawn = self._draw()
-        return Step(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
+        return PlantStep(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
 
-    def miss(self) -> Step:
+    def miss(self) -> PlantStep:
         """No offer came in time: apply the fallback (rule 4)."""
         record = self.receiver.record
         u = self._fallback.input(record.x, record.u)
         x_next = self._advance(record.k, record.x, u, self._disturbance(record.k))
         self.receiver.missed(u, x_next)
-        return Step(record.k, record.x, u, x_next, None, None)
+        return PlantStep(record.k, record.x, u, x_next, None, None)
 
     def _draw(self) -> Draw:
         """The coin of the next transition and the disturbance of the next step."""

@@ -6,7 +6,7 @@ from collections import deque
 from math import isfinite
 from typing import Final, Literal
 
-from plant_service.plant import Step
+from plant_service.plant import PlantStep
 from plant_service.punctuality import Punctuality, ReachWatch
 from protocol.link.receiver import Receiver
 from protocol.link.session import CountedTransition
@@ -55,7 +55,7 @@ class PlantTelemetry:
         """Count an offer that came so long after its measurement."""
         self._latencies[bisect_left(LATENCY_BOUNDS_S, seconds)] += 1
 
-    def counted(self, step: Step) -> str | None:
+    def counted(self, step: PlantStep) -> str | None:
         """Take in a counted step; a line the first time that the promise of D_c is contradicted."""
         assert step.effects is not None
         assert step.coin is not None

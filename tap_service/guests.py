@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from protocol.runtime.guest import START_S, GuestError, GuestProcess, serve
+from protocol.runtime.guest import START_S, GuestError, borrowed, give_back, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
@@ -35,7 +35,7 @@ class Guest(Eavesdropper):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._within_s = HEAVY_S if self.heavy else LIGHT_S
-        self._process = _process(self.source)
+        self._process = borrowed(__name__, (self.source,))
         try:
             self._process.ask("make", knowledge.model_dump_json(), START_S)
         except BaseException as error:
@@ -43,7 +43,7 @@ class Guest(Eavesdropper):
             if isinstance(error, GuestError) and error.kind == LACKS:
                 raise KnowledgeError(str(error)) from None
             raise
-        weakref.finalize(self, _park, self.source, self._process)
+        weakref.finalize(self, give_back, self._process)
 
     def _ask(self, what: str, argument: object = None) -> Any:
         return self._process.ask(what, argument, self._within_s)
@@ -78,20 +78,6 @@ def _guess(told: Any) -> Guess:
     return Guess(int(k), tuple(symbol), agreed, str(session))
 
 
-_idle: dict[str, GuestProcess] = {}
-"""Processes whose eavesdropper is no longer used, one a name: a sweep makes one after the other."""
-
-
-def _process(name: str) -> GuestProcess:
-    return _idle.pop(name) if name in _idle else GuestProcess(__name__, (name,))
-
-
-def _park(name: str, process: GuestProcess) -> None:
-    """Keep a process for the next of its name."""
-    if process.close.alive and _idle.setdefault(name, process) is not process:
-        process.close()
-
-
 @cache
 def guarded(name: str) -> type[Eavesdropper]:
     """The class of an eavesdropper; one of the user's own as a :class:`Guest`.
@@ -103,7 +89,7 @@ def guarded(name: str) -> type[Eavesdropper]:
     """
     if name in LADDER or ":" not in name:
         return named(name)
-    process = _process(name)
+    process = borrowed(__name__, (name,))
     try:
         told = process.ask("who", None, START_S)
     except GuestError as error:

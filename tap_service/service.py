@@ -46,7 +46,7 @@ from protocol.runtime.run_folder import (
 )
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.analysis import Assignment, Listeners, analyse, listeners_of
-from tap_service.capture.channel import Channel, View, told
+from tap_service.capture.channel import View, WiretapChannel, told
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
@@ -201,7 +201,7 @@ class TapService:
         self._capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
         self._listeners = Listeners(listeners, self._guesses)
-        self._channel = Channel(config.view)
+        self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
         self._queue: Inbox[tuple[str, bytes, int]] = Inbox(QUEUE_BYTES)
         self._complaints = RateLimitedLog(self.log)

@@ -123,15 +123,6 @@ def _box_less_boxes(shift: Array, widths: Array, alpha: float, law: DisturbanceL
     return float(law.measure(edges)[~covered].sum())
 
 
-def two_uniform(alpha: float, a: float) -> float:
-    """Best chance of two candidates on one input, d uniform in a D_c, 0 < a <= 1, in closed form.
-
-    The distances that agree make a window (1, alpha] for the other candidate's gauge, of length
-    alpha - 1, and d spreads it over 2 a.
-    """
-    return min(1.0, (alpha - 1) / (2 * a))
-
-
 class Bet(NamedTuple):
     """The best alphabet for one law of d: bits a transition, M, and the spacing."""
 
@@ -181,22 +172,3 @@ def best_bet(
             if value > best.bits + 1e-12:
                 best = Bet(value, size, s)
     return best
-
-
-def noiseless_rate(P: Array) -> float:
-    """Bits a transition with the best coin, of symbols that agree with probability P_r.
-
-    Shannon's noiseless channel with durations 1 / P_r: the root F of sum 2^(-F / P_r) = 1. With
-    equal chances it is P log2 M, that of a fair coin.
-    """
-    used = P[P > 0]
-    if len(used) < 2:
-        return 0.0
-    low, high = 0.0, float(used.max()) * math.log2(len(used)) + 1e-12
-    for _ in range(200):
-        F = 0.5 * (low + high)
-        if float((2.0 ** (-F / used)).sum()) > 1:
-            low = F
-        else:
-            high = F
-    return high

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Sample, SimulatedPlant, floats
-from protocol.runtime.guest import START_S, GuestError, GuestProcess, serve
+from protocol.runtime.guest import START_S, GuestError, borrowed, give_back, serve
 from protocol.runtime.user_code import UserCodeError
 from protocol.vectors import Vector
 
@@ -20,17 +20,14 @@ PLANT: Final = "plant"
 ABILITIES: Final = ("resume", "displace", "safe")
 """What a plant may be able to do beyond what every plant is."""
 
-_idle: dict[int, GuestProcess] = {}
-"""Processes without a plant, by their bytes of memory: one of each at most."""
-
 
 class _Far:
     """The plant's process, and what was said to it."""
 
     def __init__(self, table: Any, start: Vector, folder: Path) -> None:
-        self._memory = table.memory_mib << 20
         self._within_s = table.answer_s
-        self._process = _process(self._memory)
+        self._process = borrowed(__name__, memory=table.memory_mib << 20)
+        self._open = True
         self._unsaid: list[tuple[str, tuple[Any, ...]]] = []
         try:
             self._ask("path", sys.path, START_S)  # first: the table's class may be found there
@@ -53,26 +50,21 @@ class _Far:
         self._unsaid.append((method, arguments))
 
     def close(self) -> None:
-        """Let go of the plant; its process waits for another, or ends."""
+        """Let go of the plant, once; its process waits for another, or ends."""
+        if not self._open:  # another's plant may be open there by now
+            return
+        self._open = False
         try:
             self._ask("close", None, self._within_s)
         except PlantError:
             self._process.close()
-        if self._process.close.alive and _idle.setdefault(self._memory, self._process) is not (
-            self._process
-        ):
-            self._process.close()
+        give_back(self._process)
 
     def _ask(self, what: str, argument: Any, within_s: float) -> Any:
         try:
             return self._process.ask(what, argument, within_s)
         except GuestError as error:
             raise PlantError(str(error)) from None
-
-
-def _process(memory: int) -> GuestProcess:
-    """One that waits, or a new one."""
-    return _idle.pop(memory) if memory in _idle else GuestProcess(__name__, (), memory)
 
 
 class _Device:

@@ -80,6 +80,7 @@ class GuestProcess:
     """
 
     def __init__(self, module: str, arguments: Sequence[str] = (), memory: int = MEMORY) -> None:
+        self.like = module, tuple(arguments), memory
         self._child = subprocess.Popen(
             [sys.executable, "-m", module, str(memory), *arguments],
             stdin=subprocess.PIPE,
@@ -97,6 +98,11 @@ class GuestProcess:
         self._sent.register(self._to, select.POLLOUT)
         self._heard.register(self._from, select.POLLIN)
         self.close = weakref.finalize(self, _end, self._child)
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked."""
+        return self.close.alive and self._child.poll() is None
 
     def ask(self, what: str, argument: object, within_s: float) -> Any:
         """Its answer.
@@ -148,6 +154,24 @@ class GuestProcess:
             parts.append(part)
             length -= len(part)
         return b"".join(parts)
+
+
+_idle: dict[tuple[str, tuple[str, ...], int], GuestProcess] = {}
+"""Processes that nobody asks for now, one of a kind: a sweep makes one guest after the other."""
+
+
+def borrowed(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> GuestProcess:
+    """A :class:`GuestProcess` that was given back, or a new one."""
+    waiting = _idle.pop((module, arguments, memory), None)
+    if waiting is not None and waiting.alive:
+        return waiting
+    return GuestProcess(module, arguments, memory)
+
+
+def give_back(process: GuestProcess) -> None:
+    """Keep a process that lives for the next of its kind, where none is kept."""
+    if not process.alive or _idle.setdefault(process.like, process) is not process:
+        process.close()
 
 
 class _Ended(OSError):

@@ -76,7 +76,7 @@ def told(knowledge: Knowledge, kind: type[Eavesdropper], view: View) -> Knowledg
     return view.told(knowledge.model_copy(update=nothing))
 
 
-class Channel:
+class WiretapChannel:
     """The tap's imperfect channel: decides which messages get through, and what becomes of them."""
 
     def __init__(self, view: View) -> None:

@@ -29,9 +29,9 @@ from protocol.runtime.process import UsageError
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
 from tests.adapters.plants import Device, PythonLine
+from tests.support.safety import violations
 from wyner.api import load, vary
 from wyner.simulate.network import Faults, Simulation
-from wyner.simulate.safety import violations
 
 OBJECT = "tests.adapters.plants:PythonLine"
 

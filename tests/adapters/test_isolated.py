@@ -67,6 +67,28 @@ def written(note: Path, within_s: float = 5.0) -> str:
     return note.read_text() if note.exists() else ""
 
 
+def test_a_second_close_leaves_the_next_plant_alone(tmp_path: Path) -> None:
+    first = opened(tmp_path, "pass")
+    first.start(None)
+    first.close()
+    second = opened(tmp_path, "pass")  # in the same process
+    first.close()
+    assert len(stepped(second, 2)) == 3
+    second.close()
+
+
+def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: Path) -> None:
+    first = opened(tmp_path, "pass")
+    first.start(None)
+    first.close()
+    for process in guest._idle.values():
+        process._child.kill()
+        process._child.wait()
+    second = opened(tmp_path, "pass")
+    assert len(stepped(second, 2)) == 3
+    second.close()
+
+
 def test_it_steps_as_in_the_services_own_process(tmp_path: Path) -> None:
     far, near = opened(tmp_path, "pass"), open_plant(line())
     assert stepped(far, 20) == stepped(near, 20)

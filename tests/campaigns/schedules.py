@@ -22,9 +22,9 @@ from protocol.scenario import Scenario
 from protocol.scenario.keys import Keys
 from protocol.secret.store import KeyStore
 from tests.support.copies import Copies
+from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.network import Faults, Side, Simulation
-from wyner.simulate.safety import violations
 from wyner.studies.grid import code_version
 
 EACH: Final = 5000

@@ -11,8 +11,6 @@ from controller_service.sets.betting import (
     DisturbanceLaw,
     best_bet,
     chances,
-    noiseless_rate,
-    two_uniform,
 )
 from controller_service.sets.separation import Separation
 from plant_service.disturbance import disturbance
@@ -89,6 +87,15 @@ def test_best_bets_of_the_paper_plant(alpha: float, uniform: float, widest: floa
         assert bet.bits == pytest.approx(bits, abs=6e-4)
 
 
+def two_uniform(alpha: float, a: float) -> float:
+    """Best chance of two candidates on one input, d uniform in a D_c, 0 < a <= 1, in closed form.
+
+    The distances that agree make a window (1, alpha] for the other candidate's gauge, of length
+    alpha - 1, and d spreads it over 2 a.
+    """
+    return min(1.0, (alpha - 1) / (2 * a))
+
+
 def test_two_candidates_in_closed_form() -> None:
     """b along one axis, so that only the window of the other candidate's gauge decides."""
     b = np.array([0.0, 1.0])
@@ -96,15 +103,3 @@ def test_two_candidates_in_closed_form() -> None:
         law = DisturbanceLaw.of(Disturbance(half_widths=(0.0, 0.12 * a)))
         bet = best_bet(b, 0.24, W, alpha, law)
         assert bet.bits == pytest.approx(two_uniform(alpha, a), abs=2e-3)
-
-
-def test_noiseless_channel() -> None:
-    assert noiseless_rate(np.full(4, 0.5)) == pytest.approx(1.0)
-    assert noiseless_rate(np.array([1.0])) == 0.0
-    P = np.array([0.9, 0.5, 0.9])
-    F = noiseless_rate(P)
-    assert (2.0 ** (-F / P)).sum() == pytest.approx(1.0)
-    # Never below a fair coin, whose agreed symbols are not equally likely.
-    shares = P / P.sum()
-    fair = P.mean() * -(shares * np.log2(shares)).sum()
-    assert fair < F < fair + 0.01

@@ -19,11 +19,11 @@ from protocol.registry import UnknownError
 from protocol.runtime.run_folder import SCENARIO
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
 from protocol.shipped import SCENARIOS
+from tests.support.safety import violations
 from tests.system.test_services import System
 from wyner.cli.main import main
 from wyner.simulate.engine import simulate_runs
 from wyner.simulate.network import simulate
-from wyner.simulate.safety import violations
 
 
 class Ends(ScenarioTable):

@@ -19,12 +19,12 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import PlantStatus
+from tests.support.scripted import ScriptedSource
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen, speaks_unicode
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
 from wyner.dashboard.model import Arrival, Board, reduce_all
-from wyner.dashboard.source import ScriptedSource
 from wyner.dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
 
 SIZE = (80, 24)
@@ -276,7 +276,7 @@ import sys, time
 from pathlib import Path
 from wyner.dashboard.app import run_dashboard
 from tools.rehearsal import Rehearsal
-from wyner.dashboard.source import ScriptedSource
+from tests.support.scripted import ScriptedSource
 source = ScriptedSource(Rehearsal().arrivals(100000))
 def until():
     print("complaint behind the screen", file=sys.stderr)

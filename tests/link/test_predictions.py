@@ -10,10 +10,10 @@ from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
 from protocol.scenario import Scenario
+from tests.support.safety import violations
 from wyner.api import System, design, eavesdrop, run, vary
 from wyner.simulate.engine import SimulationError, simulate_runs
 from wyner.simulate.network import Faults, Simulation
-from wyner.simulate.safety import violations
 
 MODEL = "wyner.scenarios.plants:predict_pendulum"
 FAR = {

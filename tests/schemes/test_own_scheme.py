@@ -29,13 +29,13 @@ from tap_service.eavesdroppers import EAVESDROPPERS
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.service import TapConfig, TapService
+from tests.support.safety import violations
 from tests.support.small_run import SCENARIOS, SmallRun
 from tests.system.test_services import System
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Faults, simulate
-from wyner.simulate.safety import violations
 
 
 class Hoard(NamedTuple):

@@ -13,8 +13,8 @@ from controller_service.laws.base import CandidateLaw
 from protocol.link.endpoint import Append, Write
 from protocol.runtime.journal import PlantJournal
 from protocol.scenario import Scenario
+from tests.support.safety import violations
 from wyner.simulate.network import Faults, Simulation, simulate
-from wyner.simulate.safety import violations
 
 PAYLOADS = (b"first", b"second message", b"3")
 

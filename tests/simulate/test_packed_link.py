@@ -15,11 +15,11 @@ from protocol.schemes.framing import Deframer, frame_length
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother
+from tests.support.safety import violations
 from wyner.scoring.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Faults, Simulation
-from wyner.simulate.safety import violations
 from wyner.studies.secrecy.runs import simulate as study_run
 from wyner.studies.secrecy.study import heard_by, knowledge_for, said_about
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from controller_service.endpoint import ControllerEndpoint
 from plant_service.endpoint import PlantEndpoint
-from plant_service.plant import Move, Step
+from plant_service.plant import Move, PlantStep
 from protocol.link.endpoint import Notice, Outgoing, Write
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
@@ -33,19 +33,19 @@ class LinePlant:
         x, u = self.receiver.record.x[0], offer.candidates[self.coin][0]
         return Move(offer, self.coin, (x + u + self.d,))
 
-    def count(self, move: Move) -> Step:
+    def count(self, move: Move) -> PlantStep:
         record, reported = self.receiver.record, self.receiver.moved(move.offer, move.x_next)
         effects = self.receiver.applied(move.offer, move.coin, move.x_next)
         assert self.receiver.record.nonce == reported.nonce
         assert self.receiver.keying.on or self.receiver.measurement() == reported
         u = move.offer.candidates[move.coin]
-        return Step(record.k, record.x, u, move.x_next, move.coin, effects)
+        return PlantStep(record.k, record.x, u, move.x_next, move.coin, effects)
 
-    def miss(self) -> Step:
+    def miss(self) -> PlantStep:
         record = self.receiver.record
         x_next = (record.x[0] + record.u[0] + self.d,)
         self.receiver.missed(record.u, x_next)
-        return Step(record.k, record.x, record.u, x_next, None, None)
+        return PlantStep(record.k, record.x, record.u, x_next, None, None)
 
     def safe(self, why: str) -> None:
         pass

@@ -17,7 +17,7 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
-from plant_service.plant import Plant, Step, first_record
+from plant_service.plant import Plant, PlantStep, first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
@@ -387,7 +387,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     effects = receiver.applied(offer, 1, (0.0, 0.0))
     gauges = (float("inf"), 1.0)
     transition = effects.transition._replace(verdict=Verdict(gauges, -1))
-    news.counted(Step(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
+    news.counted(PlantStep(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
     status = news.status(receiver, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 

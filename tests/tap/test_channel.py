@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from protocol.knowledge import Knowledge, Policy
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.scenario import TapView
-from tap_service.capture.channel import Channel, View, told
+from tap_service.capture.channel import View, WiretapChannel, told
 from tap_service.eavesdroppers import named
 
 S = "f" * 16
@@ -33,7 +33,7 @@ KNOWLEDGE = Knowledge(
 
 
 def seen(view: View) -> list[FieldMessage]:
-    channel = Channel(view)
+    channel = WiretapChannel(view)
     out = [m for i, message in enumerate(MESSAGES) for _, m in channel.hear(i, message)]
     return out + [m for _, m in channel.rest()]
 
@@ -58,7 +58,7 @@ def test_one_direction(view: str, kind: type) -> None:
 
 
 def test_delay_holds_back_and_loses_nothing() -> None:
-    channel = Channel(View(delay=7))
+    channel = WiretapChannel(View(delay=7))
     counts = [len(list(channel.hear(i, m))) for i, m in enumerate(MESSAGES)]
     assert counts == [0] * 7 + [1] * (len(MESSAGES) - 7)
     assert seen(View(delay=7)) == MESSAGES

@@ -21,7 +21,7 @@ class Action(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class Binding:
     """One row of the table: what is typed, how it is written, its short and its whole meaning.
 
     A key without a short meaning stands in the help only.
@@ -34,17 +34,21 @@ class Key:
     meaning: str
 
 
-KEYS: Final[tuple[Key, ...]] = (
-    Key("q", "q", Action.QUIT, "quit", "leave the dashboard"),
-    Key("?", "?", Action.HELP, "help", "show or hide this page"),
-    Key(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
-    Key("/", "/", Action.FILTER, "filter", "show only taps whose name holds a text (Esc: all)"),
-    Key("s", "s", Action.SAVE, "save", "save the screen as SVG and as text; the names are printed"),
-    Key("\r", "Enter", Action.DETAIL, "more", "all about the chosen step and tap; again: back"),
-    Key("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
-    Key("right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"),
-    Key("up", "Up", Action.UP, "", "choose the tap above, in the table of taps"),
-    Key("down", "Down", Action.DOWN, "", "choose the tap below"),
+KEYS: Final[tuple[Binding, ...]] = (
+    Binding("q", "q", Action.QUIT, "quit", "leave the dashboard"),
+    Binding("?", "?", Action.HELP, "help", "show or hide this page"),
+    Binding(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
+    Binding("/", "/", Action.FILTER, "filter", "show only taps whose name holds a text (Esc: all)"),
+    Binding(
+        "s", "s", Action.SAVE, "save", "save the screen as SVG and as text; the names are printed"
+    ),
+    Binding("\r", "Enter", Action.DETAIL, "more", "all about the chosen step and tap; again: back"),
+    Binding("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
+    Binding(
+        "right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"
+    ),
+    Binding("up", "Up", Action.UP, "", "choose the tap above, in the table of taps"),
+    Binding("down", "Down", Action.DOWN, "", "choose the tap below"),
 )
 
 

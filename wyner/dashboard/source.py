@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 from pydantic import ValidationError
@@ -108,35 +108,3 @@ class BusSource:
         if self._dropped > 0:
             lines.append(f"dashboard: {self._dropped} messages came faster than they were read")
         return lines
-
-
-class ScriptedSource:
-    """Gives prepared batches, one at each call; its clock stands at the last arrival given."""
-
-    garbage = 0
-
-    def __init__(self, batches: Iterable[Sequence[Arrival]]) -> None:
-        self._batches = iter(batches)
-        self._next = next(self._batches, None)
-        self._now_ns = 0
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether all batches were given."""
-        return self._next is None
-
-    def drain(self) -> Sequence[Arrival]:
-        """The next batch, or nothing."""
-        batch = self._next or ()
-        self._next = next(self._batches, None)
-        if batch:
-            self._now_ns = batch[-1].t_ns
-        return batch
-
-    def now_ns(self) -> int:
-        """The time of the last arrival given."""
-        return self._now_ns
-
-    def problems(self) -> Sequence[str]:
-        """Nothing goes wrong in a script."""
-        return ()

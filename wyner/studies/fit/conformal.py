@@ -66,17 +66,6 @@ def conformal_scale(scores: Sequence[float], violation: float) -> float:
     return sorted(scores)[rank(len(scores), violation) - 1]
 
 
-def training_conditional(sessions: int, k: int, violation: float) -> float:
-    """How probable it is that *this* calibration promises too much.
-
-    P[the k-th smallest of N scores is exceeded with probability > violation] is at most
-    sum_{i=0}^{N-k} C(N, i) violation^i (1 - violation)^(N - i) (Vovk 2012, proposition 2a).
-    """
-    from scipy.stats import binom
-
-    return float(binom.cdf(sessions - k, sessions, violation))
-
-
 def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
     """Upper bound of the probability that a session leaves D_c, after ``exceeded`` of N did.
 
@@ -97,13 +86,6 @@ def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
     from scipy.stats import beta
 
     return float(beta.ppf(confidence, exceeded + 1, sessions - exceeded))
-
-
-def violation_floor(sessions: int, exceeded: int, confidence: float) -> float:
-    """Lower bound of that probability, one-sided: what contradicts a certificate."""
-    if exceeded == 0:
-        return 0.0
-    return 1.0 - violation_bound(sessions, sessions - exceeded, confidence)
 
 
 def sessions_needed(violation: float, confidence: float) -> int:

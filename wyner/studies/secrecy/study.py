@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from tap_service.capture.channel import Channel, View, told
+from tap_service.capture.channel import View, WiretapChannel, told
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -101,7 +101,7 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
 
 def heard_by(run: Run, view: View) -> list[Transition]:
     """The transitions that a tap with this view puts together."""
-    channel, transcript = Channel(view), Transcript()
+    channel, transcript = WiretapChannel(view), Transcript()
     out: list[Transition] = []
     for message in run.messages:
         for _, seen in channel.hear(0, message):
