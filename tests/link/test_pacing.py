@@ -179,6 +179,13 @@ def test_the_first_measurement_is_due_at_once_and_not_before() -> None:
     assert pacing.due_at(running=False, measuring=True) == inf
 
 
+def test_in_lock_step_an_offer_asks_for_the_next_measurement_whatever_the_clock_says() -> None:
+    pacing = running(0.0, None)
+    assert pacing.measurement_due(0.0)
+    pacing.applied()
+    assert pacing.measurement_due(0.0)
+
+
 def test_in_lock_step_a_late_answer_does_not_stop_the_repeats() -> None:
     pacing = running(0.0, None)
     pacing.answered_late()

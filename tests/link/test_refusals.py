@@ -1,11 +1,12 @@
 """What either end says where it refuses, word for word, and what it remembers afterwards."""
 
 from dataclasses import replace
+from math import nextafter
 from typing import Any
 
 import pytest
 
-from protocol.agreement import AgreementRule, Gauge
+from protocol.agreement import INSIDE, AgreementRule, Gauge
 from protocol.link.receiver import Receiver, ReceiverRecord
 from protocol.link.sender import REMEMBERED_SESSIONS, STALE, Sender, SenderEffects, SenderRecord
 from protocol.link.session import Rules
@@ -340,6 +341,12 @@ def test_an_offer_that_is_garbage_is_named(fields: dict[str, object], why: str) 
     with pytest.raises(ValueError) as refused:
         plant().check(OFFER.model_copy(update=fields))
     assert str(refused.value) == why
+
+
+def test_an_input_outside_u_by_rounding_alone_is_admissible() -> None:
+    rules = line_rules(alpha=4.0, largest_input=1.0)
+    assert rules.admissible((-INSIDE,))
+    assert not rules.admissible((nextafter(INSIDE, 2),))
 
 
 @pytest.mark.parametrize("centres", [(), ((0.0,),), ((0.0,),) * 3, ((0.0,), (0.0, 0.0))])

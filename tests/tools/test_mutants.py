@@ -5,10 +5,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tools.mutants import Mutant, drawn, fates, generate, told
+from tools.mutants import ROOMS, Mutant, drawn, fates, generate, told
+from tools.sieve import AFFORDED_S, afforded
 
 MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b") for i in range(50)]
 
@@ -42,6 +44,19 @@ def test_what_was_tried_is_told_with_its_interval_and_the_survivors() -> None:
         "room: 8 of 10 killed, 80.0%, of 10 mutants"
     )
     assert told("room", 50, MUTANTS[20:], fate) == "room: none of 50 tried"
+
+
+@pytest.mark.parametrize("room", ["link", "verify"])
+def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
+    judges = {Path(name).name for names in ROOMS.values() for name in names}
+    there = {path.name for path in Path(f"tests/{room}").glob("test_*.py")}
+    assert there - judges <= {"test_mutants.py", "test_key_clauses.py"}  # slow; live services
+
+
+def test_a_mutant_is_judged_by_the_quickest_that_its_budget_is_enough_for() -> None:
+    cost: dict[Any, float] = {"a": AFFORDED_S / 2, "b": 0.0, "c": AFFORDED_S / 4, "d": AFFORDED_S}
+    judges: list[Any] = afforded(list(cost), cost)
+    assert judges == ["b", "c", "a"]
 
 
 SOURCE = """

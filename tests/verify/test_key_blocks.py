@@ -1,7 +1,5 @@
 """The clauses of keys one by one: what they count, what they find, and how they say it."""
 
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,61 +7,20 @@ from typing import Any, cast
 import pytest
 
 from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from protocol.secret.blocks import Schedule
-from protocol.secret.bound import Assumption
 from protocol.secret.records import BlockRow, Side, key_id
 from protocol.secret.store import KeyStore
+from tests.verify.judged import SCHEDULE, Judge, evidence, heard, judge
 from wyner.verify import key_blocks
 from wyner.verify.capture import Seen
-from wyner.verify.clause import Judging, Place, Tally
-from wyner.verify.evidence import Evidence, Pair, Part
+from wyner.verify.clause import Place, Tally
+from wyner.verify.evidence import Pair, Part
 from wyner.verify.records import BlockStoredLine, Item, SessionLine, Told, TracedTransition, Walked
 
 A, B = "a" * 16, "b" * 16
-SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
-"""Blocks of 4, 8, 8, ... transitions; a weak claim, so that so few make keys."""
-
-Judge = Callable[[Evidence, Tally], Judging]
-
-
-def evidence(
-    folder: Path = Path(), /, *, schedule: Schedule | None = SCHEDULE, **other: Any
-) -> Evidence:
-    cut = other.pop("cut", None)
-    readers = [(side, SimpleNamespace(cut=cut)) for side in ("plant", "controller")]
-    there = {"wire": 1, "plant": 1, "controller": 1, "manifest": {}, "keys": 1, **other}
-    return cast(
-        Evidence,
-        SimpleNamespace(
-            run_dir=folder,
-            rules=SimpleNamespace(schedule=schedule),
-            scenario=SimpleNamespace(keys=there.pop("keys")),
-            readers=lambda: iter(readers),
-            before=lambda seen: seen.part == "too-old.jsonl",
-            **there,
-        ),
-    )
-
-
-def judge(clause: Judge, e: Evidence, *parts: Part) -> Tally:
-    """A clause that has begun to look goes on until there are no more parts."""
-    tally = Tally()
-    judging = clause(e, tally)
-    if next(judging, "over") == "over":
-        return tally
-    for part in parts:
-        judging.send(part)
-    with suppress(StopIteration):
-        judging.send(None)
-    return tally
 
 
 def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -> Seen:
     return Seen("capture.jsonl", number, b"", topic, session, k, message)
-
-
-def heard(*seen: Seen) -> Part:
-    return Part([], [], [], list(seen))
 
 
 def walked(j: int, counts: int, k: int | None = None, session: str = A) -> Walked:
