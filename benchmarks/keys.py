@@ -4,7 +4,9 @@ Rounds alternate in one run, because machines are noisy: the scenario `keys` wit
 ``keys``, then as it is; in lock-step, for the speed, then at a pace, for the offers. The tap hears
 everything here, so that each message's time is on record. An offer falls *into a distillation* when
 the controller's trace shows it between the transition that closed a block and the line that the
-block is stored; the plant distils at the same time.
+block is stored; the plant distils at the same time. How much later such an offer comes is the mean
+over rounds of the difference of two medians, with an interval: a delay longer than the interval is
+wide would have been seen.
 """
 
 import json
@@ -15,6 +17,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from benchmarks.loop import PATIENCE_S, STEP_LIMIT_S, WARM_UP, running
 from protocol.messages import Measurement, Offer
@@ -105,6 +109,47 @@ def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
     return KeyRound((end - begin) / seconds, offers)
 
 
+ENOUGH: Final = 20
+"""Offers of each case without which a round says nothing of a delay."""
+
+DRAWS: Final = 2000
+
+
+def delay(rounds: Sequence[KeyRound]) -> dict[str, float] | None:
+    """How much later offers come while a block is distilled, us; None where no round tells.
+
+    Parameters
+    ----------
+    rounds : sequence of KeyRound
+        At one pace.
+
+    Returns
+    -------
+    dict
+        ``mean`` over rounds of the difference of the two medians; ``low`` and ``high``, its 95 %
+        interval by a bootstrap that draws rounds, and offers within each; ``rounds``, how many.
+    """
+    both = [
+        (np.array(r.offers_us["distilling"]), np.array(r.offers_us["on"]))
+        for r in rounds
+        if min(len(r.offers_us["distilling"]), len(r.offers_us["on"])) >= ENOUGH
+    ]
+    if not both:
+        return None
+    generator = np.random.default_rng(1)
+
+    def median(values: np.ndarray) -> float:
+        return float(np.median(generator.choice(values, len(values))))
+
+    drawn = [
+        statistics.mean(median(a) - median(b) for a, b in (both[i] for i in chosen))
+        for chosen in generator.integers(0, len(both), (DRAWS, len(both)))
+    ]
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    mean = statistics.mean(float(np.median(a) - np.median(b)) for a, b in both)
+    return {"mean": mean, "low": float(low), "high": float(high), "rounds": len(both)}
+
+
 QUANTILES: Final = {"p50": 0.5, "p90": 0.9, "p99": 0.99}
 
 
@@ -135,7 +180,8 @@ def measure(
     dict
         ``steps_per_second`` (``off``, ``on``: medians over rounds in lock-step), ``ratio`` (of the
         two), ``rounds`` (each round's two figures), ``offers_us`` (for each of `PACES` and `CASES`:
-        how many, quantiles, ``longest``), ``steps``.
+        how many, quantiles, ``longest``), ``delay_us`` (for each of `PACES` what :func:`delay`
+        says), ``steps``.
 
     Raises
     ------
@@ -168,6 +214,7 @@ def measure(
             }
             for pace, pairs in runs.items()
         },
+        "delay_us": {pace: delay([on for _, on in pairs]) for pace, pairs in runs.items()},
         "steps": steps,
     }
 
@@ -195,4 +242,13 @@ def render(result: dict[str, Any]) -> str:
                 for name in columns
             )
             lines.append(f"{f'{pace}: {words[case]}':<38}{figures['offers']:>8}{shown}")
+    lines.append("")
+    for pace, found in result["delay_us"].items():
+        told = "not seen: too few offers fell into a distillation"
+        if found is not None:
+            told = (
+                f"{found['mean']:+.0f} us ({found['low']:+.0f} to {found['high']:+.0f}, 95 %, "
+                f"{found['rounds']} rounds)"
+            )
+        lines.append(f"{pace}: an offer while a block is distilled, later by: {told}")
     return "\n".join(lines)

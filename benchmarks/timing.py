@@ -105,6 +105,7 @@ class TimingPorts:
 
     def __init__(self, files: "Files") -> None:
         self.files = files
+        self.keeper = None if files.keeper is None else files.keeper.open()
         self.left_ns = 0
         self.mail: list[tuple[type[Message], bytes]] = []
         self.kept: list[Done] = []
@@ -122,11 +123,11 @@ class TimingPorts:
         self.mail.append((kind, payload))
 
     def keep(self, task: "Task") -> None:
-        """Make and store keys, which the services leave to a thread."""
-        from protocol.secret.worker import work
+        """Make and store keys, which the services leave to a process of its own."""
+        from protocol.secret.keeper import work
 
-        assert self.files.keeper is not None
-        self.kept.append(work(self.files.keeper, task))
+        assert self.keeper is not None
+        self.kept.append(work(self.keeper, task))
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
@@ -219,8 +220,8 @@ class _End:
     def close(self) -> None:
         """Close its files."""
         self.ports.files.close()
-        if self.ports.files.keeper is not None:
-            self.ports.files.keeper.store.close()
+        if self.ports.keeper is not None:
+            self.ports.keeper.store.close()
 
 
 def open_end(

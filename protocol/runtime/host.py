@@ -136,6 +136,7 @@ class Host:
         self._channels: dict[str, Channel] = {}
         self._heard_on_ops: set[str] = set()
         self._threads: list[threading.Thread] = []
+        self._worker: KeyWorker | None = None
         self._turns = Turns()
         self._sleeps_until = -inf
         self._dropped = 0
@@ -155,12 +156,16 @@ class Host:
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
             }
-            worker = None
+            keeper = None
             if files.keeper is not None:
-                worker = KeyWorker(
-                    files.keeper, lambda done: self._inbox.put(_Kept(loop, done), None)
+                if self._worker is None:
+                    self._worker = KeyWorker()
+                keeper = partial(
+                    self._worker.put,
+                    files.keeper,
+                    lambda done: self._inbox.put(_Kept(loop, done), None),
                 )
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, worker))
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, keeper))
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
@@ -335,8 +340,8 @@ class Host:
         except OSError as error:
             loop.ports.log.warning("the last status is lost: %s", error)
         finally:
-            if loop.ports.worker is not None:
-                loop.ports.worker.close()
+            if self._worker is not None and loop.ports.files.keeper is not None:
+                self._worker.leave(loop.ports.files.keeper)
             loop.ports.files.close()
         if not self._loops:
             self._inbox.put(None, None)
@@ -351,3 +356,5 @@ class Host:
         with self._turns.last():
             for name in self.loops:
                 self._end(name)
+        if self._worker is not None:
+            self._worker.close()

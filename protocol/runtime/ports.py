@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
@@ -14,9 +15,8 @@ from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
 from protocol.runtime.run_folder import HEALTH, StatusLine, write_status
 from protocol.runtime.trace import TraceWriter
-from protocol.secret.keeper import Keeper
+from protocol.secret.keeper import KeeperAt
 from protocol.secret.tasks import Task
-from protocol.secret.worker import KeyWorker
 
 
 class Journal(Protocol):
@@ -36,7 +36,7 @@ class Files:
     journal: Journal
     trace: TraceWriter
     health: Path
-    keeper: Keeper | None = None
+    keeper: KeeperAt | None = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -53,7 +53,7 @@ class LoopPorts:
     files: Files
     publishers: dict[type[Message], Publisher]
     log: logging.Logger
-    worker: KeyWorker | None = None
+    keeper: Callable[[Task], None] | None = None
     limited: dict[str, RateLimitedLog] = field(default_factory=dict)
     pulse: Pulse = field(default_factory=Pulse)
     space: Space | None = None
@@ -73,9 +73,9 @@ class LoopPorts:
         self.files.trace.write(event.as_event())
 
     def keep(self, task: Task) -> None:
-        """Hand it to the thread that keeps keys."""
-        assert self.worker is not None, "keys are made, and nobody keeps them"
-        self.worker.put(task)
+        """Hand it to whoever keeps keys."""
+        assert self.keeper is not None, "keys are made, and nobody keeps them"
+        self.keeper(task)
 
     def tell(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""

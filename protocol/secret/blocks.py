@@ -10,7 +10,7 @@ jammer chose. Block b is the N_b transitions after that, N_b = min(N, N_0 2^b), 
 about it follows from the transitions' numbers, which both ends count alike.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Final, Literal, NamedTuple
@@ -33,6 +33,11 @@ that is further on is judged. Each holds a pad; no more are spent on a partner t
 
 TAG_DIGITS: Final = 32
 NO_TAG: Final = "0" * TAG_DIGITS
+
+NO_PAD: Final = 0
+"""In place of a pad's number, where a tag has none."""
+
+NONE_ACCEPTED: Final[Mapping[str, int]] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +173,8 @@ def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) ->
 
 
 class Stored(NamedTuple):
-    """A block is on disk: its own tag, and those of the partner that would confirm it.
+    """A block is on disk: its own tag, and those of the partner that would confirm it, with the pad
+    that each was made with.
 
     No tag: the block made no key, and nobody announces it; ``exhausted`` says that no pad was left
     to sign it with. ``confirmed`` says that it was confirmed before this process began. ``keys``
@@ -178,18 +184,18 @@ class Stored(NamedTuple):
     session: str
     number: int
     tag: str
-    accepted: frozenset[str] = frozenset()
+    accepted: Mapping[str, int] = NONE_ACCEPTED
     confirmed: bool = False
     keys: int = 0
     exhausted: bool = False
 
 
 class Judgement(NamedTuple):
-    """What the partner's word says of a stored block."""
+    """What the partner's word says of a stored block, and the pad that its tag was made with."""
 
     number: int
     what: Literal["confirmed", "unequal"]
-    tag: str
+    pad: int = NO_PAD
 
 
 class Blocks:
@@ -263,7 +269,7 @@ class Blocks:
             self._confirmed = max(self._confirmed, block.number)
             self._settled.add(block.number)
         elif block.number <= self._confirmed:
-            return (Judgement(block.number, "confirmed", ""),)
+            return (Judgement(block.number, "confirmed"),)
         return ()
 
     def word(self) -> tuple[int, str]:
@@ -281,10 +287,11 @@ class Blocks:
             return ()
         if tag not in mine.accepted:
             self._unequal = True
-            return (Judgement(block, "unequal", tag),)
+            return (Judgement(block, "unequal"),)
         done = sorted(n for n in self._stored if self._confirmed < n <= block)
         self._confirmed = block
-        return tuple(Judgement(n, "confirmed", tag if n == block else "") for n in done)
+        pad = mine.accepted[tag]
+        return tuple(Judgement(n, "confirmed", pad if n == block else NO_PAD) for n in done)
 
     def judged(self, session: str, number: int) -> None:
         """A judgement of :meth:`heard` is on disk."""

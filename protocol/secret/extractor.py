@@ -10,7 +10,7 @@ of every row known. Where she may hear a part of what she misses, a column is a 
 a key is 16 rows: what counts are the words that she missed, wherever they are.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -22,7 +22,7 @@ WORDS: Final = NONCE_BYTES // 2
 """Of a nonce, and of a row of a block."""
 
 SLICE: Final = 1 << 15
-"""Products in a row, about 0.1 ms, before whoever extracts may rest."""
+"""Products at once: what they take is then a few hundred kilobytes, however large a block is."""
 
 
 def cauchy(rows: int, columns: int, first: int = 0) -> Words:
@@ -50,13 +50,7 @@ def words(nonces: Sequence[bytes]) -> Words:
     return joined.reshape(len(nonces), -1)
 
 
-def extract(
-    nonces: Sequence[bytes],
-    rows: int,
-    by_words: bool = False,
-    *,
-    rest: Callable[[], None] = lambda: None,
-) -> list[bytes]:
+def extract(nonces: Sequence[bytes], rows: int, by_words: bool = False) -> list[bytes]:
     """``rows`` rows, each as long as a nonce; column j is nonce, or word, number j.
 
     Parameters
@@ -66,8 +60,6 @@ def extract(
     rows : int
     by_words : bool
         A column is a word, and a row of the block as many rows of the matrix as a nonce has words.
-    rest : callable
-        Called after each slice of the work.
 
     Raises
     ------
@@ -85,5 +77,4 @@ def extract(
     for j in range(0, len(x), step):
         part = x[j : j + step]
         out ^= product(cauchy(len(out), len(part), j), part)
-        rest()
     return [row.tobytes() for row in out.reshape(shape).astype(">u2")]

@@ -1,16 +1,19 @@
 """From a closed block to stored keys: extract, tag, insert. The slow half, off the loop's path.
 
-A keeper belongs to one store. It may work in a thread of its own: whatever it is given again, after
-a death at any instant, it does again to the same rows, ids and tags.
+A keeper belongs to one store, and remembers nothing that is not in it. So it may work in a process
+of its own: what it is given again, after a death at any instant, it does again to the same rows,
+ids and tags.
 """
 
 import time
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
-from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.blocks import NO_PAD, Closed, Judgement, Stored
 from protocol.secret.ledger import Authentication, pads_of
-from protocol.secret.records import BlockRow
+from protocol.secret.records import BlockRow, Side, StoreError
 from protocol.secret.store import KeyStore
+from protocol.secret.tasks import Broken, Done, Judged, Task
 
 PUBLIC_TAG_BYTES: Final = 16
 """Of row 0 shown to the partner: chance faults pass with 2^-128, forgers are another matter."""
@@ -26,13 +29,9 @@ class Keeper:
         With it blocks carry secret tags; without, public ones that no forger need fear.
     """
 
-    rest_s = 0.0
-    """Seconds to pause between two slices of an extraction, where a thread of the loop waits."""
-
     def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
         self.store = store
         self.authentication = authentication
-        self._messages: dict[str, bytes] = {}
 
     def keep(self, closed: Closed) -> Stored:
         """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
@@ -45,11 +44,11 @@ class Keeper:
             confirmed = known.state == "confirmed"
             return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
         rows: list[bytes] = []
-        tag, accepted = "", frozenset[str]()
+        tag, accepted = "", dict[str, int]()
         if closed.makes_keys:
             from protocol.secret.extractor import extract
 
-            rows = extract(closed.nonces, closed.rows, closed.by_words, rest=self._rest)
+            rows = extract(closed.nonces, closed.rows, closed.by_words)
             tag, accepted = self._tags(closed, rows[0])
             if not tag:
                 rows = []
@@ -72,29 +71,55 @@ class Keeper:
             session, number, tag, accepted, keys=keys, exhausted=closed.makes_keys and not keys
         )
 
-    def _rest(self) -> None:
-        if self.rest_s:
-            time.sleep(self.rest_s)
-
-    def _tags(self, closed: Closed, row: bytes) -> tuple[str, frozenset[str]]:
+    def _tags(self, closed: Closed, row: bytes) -> tuple[str, dict[str, int]]:
         if self.authentication is None:
             tag = row[:PUBLIC_TAG_BYTES].hex()
-            return tag, frozenset((tag,))
-        message = self._messages[closed.name] = closed.message()
+            return tag, {tag: NO_PAD}
+        message = closed.message()
         own = self.authentication.tag(closed.name, message)
         if own is None:
-            return "", frozenset()
+            return "", {}
         return own, self.authentication.accepted(closed.name, message)
 
     def judge(self, session: str, judgement: Judgement) -> None:
         """Confirm a block or erase it, as the partner's word has it."""
         name = f"{session}/{judgement.number}"
-        message = self._messages.pop(name, None)
         if judgement.what == "unequal":
             self.store.drop(session, judgement.number)
             return
         self.store.confirm(session, judgement.number)
         if self.authentication is not None:
-            if message is not None and judgement.tag:
-                self.authentication.spend(name, message, judgement.tag)
+            if judgement.pad != NO_PAD:
+                self.authentication.spend(name, judgement.pad)
             self.authentication.settle(name)
+
+
+def work(keeper: Keeper, task: Task) -> Done:
+    """Do one task; whoever has no loop to spare calls this."""
+    try:
+        if isinstance(task, Closed):
+            return keeper.keep(task)
+        keeper.judge(task.session, task.judgement)
+        number = task.judgement.number
+        row = keeper.store.block_tag(task.session, number)
+        return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
+    except StoreError as error:
+        return Broken(str(error))
+
+
+class KeeperAt(NamedTuple):
+    """Where a keeper's store is, for whoever opens it."""
+
+    path: Path
+    side: Side
+
+    def open(self) -> Keeper:
+        """The keeper of that store.
+
+        Raises
+        ------
+        StoreError
+            When it cannot be opened.
+        """
+        store = KeyStore(self.path, self.side)
+        return Keeper(store, Authentication(store) if store.note("secret") is not None else None)

@@ -61,38 +61,30 @@ class Authentication:
             )
         return under(number(row[1]), self._value(self._own, message))
 
-    def accepted(self, block: str, message: bytes) -> frozenset[str]:
-        """Every tag that the partner may show for a block."""
+    def accepted(self, block: str, message: bytes) -> dict[str, int]:
+        """Every tag that the partner may show for a block, and the number of the pad under it."""
         with self._store.transaction() as db:
             rows = db.execute(
-                "SELECT body FROM pad WHERE side = ? AND body IS NOT NULL AND "
+                "SELECT place, body FROM pad WHERE side = ? AND body IS NOT NULL AND "
                 "(used_for = ? OR used_for IS NULL) AND origin != ?",
                 (self._partner, block, block),
             ).fetchall()
         value = self._value(self._partner, message)
-        return frozenset(under(number(body), value) for (body,) in rows)
+        return {under(number(body), value): place for place, body in rows}
 
-    def spend(self, block: str, message: bytes, shown: str) -> None:
-        """The partner has shown ``shown``: its pad, and those before it, are not taken again."""
-        value = self._value(self._partner, message)
+    def spend(self, block: str, pad: int) -> None:
+        """The partner has shown a tag under ``pad``: it, and those before, are not taken again."""
         with self._store.transaction() as db:
-            rows = db.execute(
-                "SELECT place, body FROM pad WHERE side = ? AND body IS NOT NULL "
-                "AND used_for IS NULL ORDER BY place",
-                (self._partner,),
-            ).fetchall()
-            for place, body in rows:
-                if under(number(body), value) == shown:
-                    db.execute(
-                        "UPDATE pad SET state = 'spent', used_for = 'passed over' "
-                        "WHERE side = ? AND used_for IS NULL AND place < ?",
-                        (self._partner, place),
-                    )
-                    db.execute(
-                        "UPDATE pad SET state = 'spent', used_for = ? WHERE place = ?",
-                        (block, place),
-                    )
-                    return
+            db.execute(
+                "UPDATE pad SET state = 'spent', used_for = 'passed over' "
+                "WHERE side = ? AND used_for IS NULL AND place < ?",
+                (self._partner, pad),
+            )
+            db.execute(
+                "UPDATE pad SET state = 'spent', used_for = ? WHERE place = ? AND side = ? AND "
+                "used_for IS NULL",
+                (block, pad, self._partner),
+            )
 
     def settle(self, block: str) -> None:
         """A block is confirmed for good: the pads that were spent on it are erased."""

@@ -5,8 +5,8 @@ from pathlib import Path
 from protocol.runtime.process import UsageError
 from protocol.scenario import Scenario
 from protocol.secret.authentication import SecretError
-from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import Authentication, take_secret
+from protocol.secret.keeper import KeeperAt
+from protocol.secret.ledger import take_secret
 from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
 
@@ -23,8 +23,8 @@ def refusal(scenario: Scenario, seed: int | None) -> str | None:
 
 def open_keeper(
     path: Path, side: Side, scenario: Scenario, seed: int | None, secret: Path | None
-) -> Keeper | None:
-    """The keeper of a side's keys; None where the scenario has no table ``keys``.
+) -> KeeperAt | None:
+    """Make a side's key store ready for its keeper; None where the scenario has no table ``keys``.
 
     A store is there also where no key will be: it says why.
 
@@ -48,12 +48,10 @@ def open_keeper(
         if reason is not None:
             store.refuse(reason)
         store.set_note("assumption", scenario.keys.assumption().sentence())
-        authentication: Authentication | None = None
         if secret is not None:
-            authentication = take_secret(store, secret)
-        elif store.note("secret") is not None:
-            authentication = Authentication(store)
+            take_secret(store, secret)
     except (StoreError, SecretError) as error:
-        store.close()
         raise UsageError(str(error)) from None
-    return Keeper(store, authentication)
+    finally:
+        store.close()
+    return KeeperAt(path, side)

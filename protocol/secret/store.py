@@ -37,8 +37,9 @@ from protocol.secret.records import (
 from protocol.secret.store_file import StoreFile
 
 MOST_KEYS: Final = 100_000
-"""Undelivered keys that a side keeps of its own half, the oldest dropped first. Of the partner's
-half it keeps twice as many, so that none the partner still gives out is missing here."""
+"""Undelivered keys that a side keeps of its own half: those among so many, the newest of the half.
+Of the partner's half it keeps twice as many, so that none the partner still gives out is missing
+here. Halves take turns, so that a key's place says how many are newer: no key is counted."""
 
 TOMBSTONES: Final = 1_000_000
 
@@ -137,14 +138,14 @@ class KeyStore(StoreFile):
 
     @staticmethod
     def _make_room(db: sqlite3.Connection) -> None:
+        (newest,) = db.execute("SELECT MAX(place) FROM key").fetchone()
         for own, most in ((1, MOST_KEYS), (0, 2 * MOST_KEYS)):
             db.execute(
-                "UPDATE key SET state = 'dropped', body = NULL WHERE place IN (SELECT place FROM "
-                "key WHERE own = ? AND state IN ('stored', 'confirmed') "
-                "ORDER BY place DESC LIMIT -1 OFFSET ?)",
-                (own, most),
+                "UPDATE key SET state = 'dropped', body = NULL WHERE own = ? "
+                "AND state IN ('stored', 'confirmed') AND place <= ?",
+                (own, (newest or 0) - 2 * most),
             )
-        db.execute("DELETE FROM key WHERE place <= (SELECT MAX(place) FROM key) - ?", (TOMBSTONES,))
+        db.execute("DELETE FROM key WHERE place <= ?", ((newest or 0) - TOMBSTONES,))
 
     def confirm(self, session: str, number: int) -> None:
         """The partner holds the same block: its keys may be delivered, its pads used."""

@@ -14,6 +14,9 @@ from protocol.secret.records import Side, StoreError
 
 STORE_VERSION: Final = 1
 
+BUSY_S: Final = 30.0
+"""How long another process may be at it: one that runs where a core is idle takes its time."""
+
 _TABLES: Final = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS block (
@@ -30,6 +33,8 @@ CREATE INDEX IF NOT EXISTS key_block ON key (block);
 CREATE TABLE IF NOT EXISTS pad (
     place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
     used_for TEXT, body BLOB, UNIQUE (side, origin));
+CREATE INDEX IF NOT EXISTS pad_use ON pad (used_for, side);
+CREATE INDEX IF NOT EXISTS pad_origin ON pad (origin);
 CREATE TABLE IF NOT EXISTS sealed (
     number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, digest BLOB NOT NULL, state TEXT NOT NULL,
     payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT);
@@ -71,7 +76,7 @@ class StoreFile:
                 raise StoreError(f"{path}: no key store is there: no key was ever made here")
             # autocommit: transactions are begun by hand
             self._db = sqlite3.connect(
-                path or ":memory:", isolation_level=None, timeout=10.0, check_same_thread=False
+                path or ":memory:", isolation_level=None, timeout=BUSY_S, check_same_thread=False
             )
             weakref.finalize(self, self._db.close)  # whoever drops a store has closed it
         except (OSError, sqlite3.Error) as error:

@@ -1,68 +1,130 @@
-"""A thread that makes and keeps keys, so that the loop never waits for a disk or a matrix."""
+"""Makes and keeps keys beside a service, so that the loop never waits for a disk or a matrix."""
 
+import os
+import pickle
 import queue
+import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
-from typing import Final
+from contextlib import suppress
+from typing import Final, NamedTuple
 
-from protocol.secret.blocks import Closed
-from protocol.secret.keeper import Keeper
-from protocol.secret.records import StoreError
-from protocol.secret.tasks import Broken, Done, Judged, Task
+from protocol.secret.keeper import KeeperAt
+from protocol.secret.tasks import Broken, Done, Task
 
+TRIES: Final = 5
+"""Deaths over one task after which it is given up, and with it all keys from here on."""
 
-def work(keeper: Keeper, task: Task) -> Done:
-    """Do one task; whoever has no thread to spare calls this."""
-    try:
-        if isinstance(task, Closed):
-            return keeper.keep(task)
-        keeper.judge(task.session, task.judgement)
-        number = task.judgement.number
-        row = keeper.store.block_tag(task.session, number)
-        return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
-    except StoreError as error:
-        return Broken(str(error))
+AGAIN_S: Final = 0.05
+"""Before a process is started anew; twice as long after each death."""
+
+FINISH_S: Final = 20.0
+"""How long a service that ends waits for what is under way; what is left is asked for again."""
 
 
-SWITCH_S: Final = 2e-4
-"""How long the loop's thread may wait for this one to let go of the interpreter; Python's own five
-milliseconds would be ten steps in lock-step."""
-
-REST_S: Final = 2.5e-4
-"""Pause after each slice of an extraction, of about 0.1 ms: most of the time the loop finds the
-interpreter free."""
+class _Asked(NamedTuple):
+    at: KeeperAt
+    task: Task | None
+    done: Callable[[Done], None]
 
 
 class KeyWorker:
-    """Works off tasks in order in a thread of its own.
+    """Has tasks done in order in a process of its own, :mod:`protocol.secret.apart`.
 
-    Parameters
-    ----------
-    keeper : Keeper
-    done : callable
-        Told of each task's end, from that thread.
+    The process is started at once, one for all loops of a host, and has its libraries before there
+    is a loop to disturb. Where it dies it is started again and asked again: a keeper does what it
+    is given twice to the same rows, ids and tags. A thread waits for it, and does nothing else.
     """
 
-    def __init__(self, keeper: Keeper, done: Callable[[Done], None]) -> None:
-        self._keeper = keeper
-        keeper.rest_s = REST_S
-        self._done = done
-        self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
-        sys.setswitchinterval(SWITCH_S)
+    def __init__(self) -> None:
+        self._asked: queue.SimpleQueue[_Asked | None] = queue.SimpleQueue()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._late = False
         self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._thread.start()
 
-    def put(self, task: Task) -> None:
-        """Hand over a task; returns at once."""
-        self._tasks.put(task)
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None where there is none."""
+        return None if self._process is None else self._process.pid
+
+    def put(self, at: KeeperAt, done: Callable[[Done], None], task: Task) -> None:
+        """Hand over a task for a store; returns at once.
+
+        Parameters
+        ----------
+        at : KeeperAt
+        done : callable
+            Told of the task's end, from the worker's thread.
+        task : Task
+        """
+        self._asked.put(_Asked(at, task, done))
+
+    def leave(self, at: KeeperAt) -> None:
+        """Close a store once all that was handed over for it is done; returns at once."""
+        self._asked.put(_Asked(at, None, lambda _done: None))
 
     def close(self) -> None:
-        """Finish what was handed over, and close the store."""
-        self._tasks.put(None)
-        self._thread.join()
-        self._keeper.store.close()
+        """Finish what was handed over, and end the process."""
+        self._asked.put(None)
+        self._thread.join(FINISH_S)
+        self._late = self._thread.is_alive()
+        process = self._process
+        if self._late and process is not None:
+            process.kill()
+            self._thread.join(FINISH_S)
 
     def _run(self) -> None:
-        while (task := self._tasks.get()) is not None:
-            self._done(work(self._keeper, task))
+        with suppress(OSError):  # then it is tried again with the first task
+            self._process = _start()
+        while (asked := self._asked.get()) is not None:
+            if asked.task is not None:
+                asked.done(self._do(asked))
+            elif self._process is not None:
+                with suppress(OSError):
+                    self._tell(self._process, asked)
+        self._end()
+
+    def _do(self, asked: _Asked) -> Done:
+        for deaths in range(TRIES):
+            try:
+                if self._process is None:
+                    self._process = _start()
+                self._tell(self._process, asked)
+                assert self._process.stdout is not None
+                done: Done = pickle.load(self._process.stdout)
+                return done
+            except (OSError, EOFError, pickle.UnpicklingError):
+                self._end()
+                if self._late:
+                    break
+                time.sleep(AGAIN_S * 2**deaths)
+        return Broken(f"the process that makes keys ended {TRIES} times over one task")
+
+    @staticmethod
+    def _tell(process: "subprocess.Popen[bytes]", asked: _Asked) -> None:
+        assert process.stdin is not None
+        pickle.dump((asked.at, asked.task), process.stdin)
+        process.stdin.flush()
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        process.wait()  # without its pipe it ends
+
+
+def _start() -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "protocol.secret.apart", str(os.getpid())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )

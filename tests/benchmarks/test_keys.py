@@ -1,8 +1,10 @@
 """The benchmark of keys: the shape and the arithmetic of its result, never its speed."""
 
+import random
+
 import pytest
 
-from benchmarks.keys import CASES, KeyRound, in_distillation, key_round, measure, render
+from benchmarks.keys import CASES, KeyRound, delay, in_distillation, key_round, measure, render
 
 
 def test_offers_between_a_blocks_end_and_its_storing_are_those_of_a_distillation() -> None:
@@ -37,3 +39,21 @@ def test_the_result_is_of_medians_and_of_all_rounds(monkeypatch: pytest.MonkeyPa
     }  # fmt: skip
     assert result["offers_us"]["x50"]["distilling"] == {"offers": 0}
     assert "keys, a block is distilled" in render(result)
+    assert "x50: an offer while a block is distilled, later by: not seen" in render(result)
+
+
+@pytest.mark.parametrize("added", [0.0, 30.0])
+def test_a_delay_of_thirty_microseconds_is_seen_and_none_is_not(added: float) -> None:
+    draw = random.Random(5)
+    rounds = []
+    for _ in range(4):
+        base = draw.gauss(300, 40)  # rounds differ more than the two cases
+        one, two = ([draw.gauss(base, 60) for _ in range(n)] for n in (1000, 150))
+        rounds.append(KeyRound(1.0, {"off": [], "on": one, "distilling": [t + added for t in two]}))
+    found = delay(rounds)
+    assert found is not None
+    assert found["low"] < found["mean"] < found["high"]
+    assert abs(found["mean"] - added) < 15
+    assert (found["low"] > 0) == (added > 0)
+    few = KeyRound(1.0, {"off": [], "on": [1.0] * 100, "distilling": [1.0]})
+    assert delay([few]) is None

@@ -3,11 +3,10 @@
 import hashlib
 import zlib
 
-from protocol.secret.keeper import Keeper
+from protocol.secret.keeper import Keeper, work
 from protocol.secret.records import Side
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
-from protocol.secret.worker import work
 
 
 class Stores:

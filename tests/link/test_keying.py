@@ -46,7 +46,7 @@ def stored(keying: Keying, number: int = 0) -> Stored:
     (closed,) = keying.tasks()
     assert isinstance(closed, Closed)
     assert (closed.session, closed.number) == (S, number)
-    done = Stored(S, number, TAG, frozenset({THEIRS}), keys=5)
+    done = Stored(S, number, TAG, {THEIRS: 4}, keys=5)
     keying.done(done)
     return done
 
@@ -64,7 +64,7 @@ def test_without_keys_everything_is_constant() -> None:
     assert keying.again(sent) is sent
     assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
     assert keying.heard(said(0, THEIRS)) == ()
-    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    assert keying.tasks([Judgement(0, "confirmed")]) == ()
     assert keying.done(Judged(S, 0, "confirmed", 5)) == ()
     assert keying.settled() == ()
     assert keying.told("") == {
@@ -152,7 +152,7 @@ def test_a_session_that_is_over_leaves_nothing() -> None:
     keying.end()
     assert keying.blocks is None
     assert keying.word() == (-1, NO_TAG)
-    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    assert keying.tasks([Judgement(0, "confirmed")]) == ()
     keying.begin(OTHER)
     assert keying.tasks() == ()
 
@@ -205,10 +205,10 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
     first, second = keying.tasks()
     assert isinstance(first, Closed)
     assert isinstance(second, Closed)
-    keying.done(Stored(S, 1, TAG, frozenset({THEIRS}), keys=5))
+    keying.done(Stored(S, 1, TAG, {THEIRS: 4}, keys=5))
     keying.heard(said(1, THEIRS))
-    late = Stored(S, 0, TAG, frozenset({THEIRS}), keys=5)
-    assert keying.done(late) == (BlockVerdict(S, Judgement(0, "confirmed", "")),)
+    late = Stored(S, 0, TAG, {THEIRS: 4}, keys=5)
+    assert keying.done(late) == (BlockVerdict(S, Judgement(0, "confirmed")),)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +231,7 @@ def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:
 def test_a_broken_store_is_asked_for_nothing_more() -> None:
     keying = counting(3)
     assert keying.done(Broken("disk full")) == ()
-    assert keying.tasks([Judgement(0, "confirmed", "")]) == ()
+    assert keying.tasks([Judgement(0, "confirmed")]) == ()
     assert keying.told("why")["keys_refused"] == "disk full"
 
 

@@ -20,7 +20,7 @@ from tools.rehearsal import Rehearsal
 
 STEP = Append(b"heard", b"said")
 RECORD = Keep(SenderRecord(), later=True)
-VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed", ""))
+VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed"))
 WELL = next(
     arrival.message
     for arrival in next(Rehearsal().arrivals(10))

@@ -12,6 +12,7 @@ import pytest
 
 from protocol.secret.authentication import RESERVE, SecretError, make_secret
 from protocol.secret.blocks import (
+    NO_PAD,
     NO_TAG,
     Blocks,
     Judgement,
@@ -84,32 +85,32 @@ def test_what_does_not_count_leaves_no_nonce() -> None:
 def test_a_later_block_that_holds_confirms_the_one_before() -> None:
     blocks = Blocks(SMALL, SESSION)
     assert blocks.word() == (-1, NO_TAG)
-    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
-    blocks.stored(Stored(SESSION, 2, "c", frozenset("z")))  # block 1 made no key
+    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
+    blocks.stored(Stored(SESSION, 2, "c", {"z": 7}))  # block 1 made no key
     assert blocks.word() == (0, "a")
     assert blocks.word() == (0, "a")  # not before block 0 is confirmed
-    assert blocks.heard(2, "z") == (Judgement(0, "confirmed", ""), Judgement(2, "confirmed", "z"))
+    assert blocks.heard(2, "z") == (Judgement(0, "confirmed"), Judgement(2, "confirmed", 7))
     assert blocks.heard(0, "never looked at") == ()
     assert blocks.word() == (2, "c")
 
 
 def test_a_tag_that_differs_is_told_once() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
-    assert blocks.heard(0, "y") == (Judgement(0, "unequal", "y"),)
+    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
+    assert blocks.heard(0, "y") == (Judgement(0, "unequal"),)
     assert blocks.heard(0, "y") == ()
     assert blocks.heard(0, "x") == ()
 
 
 def test_another_sessions_blocks_are_of_no_concern() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored("f" * 16, 0, "a", frozenset("x")))
+    blocks.stored(Stored("f" * 16, 0, "a", {"x": NO_PAD}))
     assert blocks.word() == (-1, NO_TAG)
 
 
 def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored(SESSION, 0, "a", frozenset("x")))
+    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
     blocks.heard(0, "x")
     blocks.judged(SESSION, 0)
     assert blocks.settled() == ()  # the partner has not been told

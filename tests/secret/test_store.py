@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.authentication import make_secret
+from protocol.secret.ledger import take_secret
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -159,6 +161,32 @@ def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
         assert [states[key_id(SESSION, 4, r)] for r in (1, 3)] == ["confirmed"] * 2
         partners = [states[key_id(SESSION, b, r)] for b in range(5) for r in (2, 4)]
         assert partners == ["dropped"] * 4 + ["confirmed"] * 6
+
+
+def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counted in steps of SQLite's machine, a thousand at a time."""
+    monkeypatch.setattr("protocol.secret.store.MOST_KEYS", 2000)
+    monkeypatch.setattr("protocol.secret.store.TOMBSTONES", 9000)
+    make_secret(tmp_path / "secret")
+    with store(tmp_path) as keys:
+        authentication = take_secret(keys, tmp_path / "secret")
+        steps: list[int] = []
+        for number in range(160):
+            at, pads = f"{SESSION}/{number}", (("controller", bytes(16)), ("plant", bytes(16)))
+            spent = [0]
+            keys._db.set_progress_handler(lambda spent=spent: spent.append(1), 100)
+            assert authentication.tag(at, b"message") is not None
+            shown = authentication.accepted(at, b"message")
+            keys.add(row(number, 84), bodies(0, 84), pads=pads)
+            keys.confirm(SESSION, number)
+            authentication.spend(at, min(shown.values()))
+            authentication.settle(at)
+            steps.append(len(spent))
+        assert keys.counts().dropped == 3000
+        assert len(keys.ids()) == 9000
+        assert max(steps[-20:]) < 2 * steps[4]
 
 
 def test_what_is_no_store_is_said_in_one_line(tmp_path: Path) -> None:

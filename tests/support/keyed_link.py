@@ -17,11 +17,10 @@ from protocol.link.perform import Ports as AnyPorts
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from protocol.secret.keeper import Keeper
+from protocol.secret.keeper import Keeper, work
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
-from protocol.secret.worker import work
 from tests.support.copies import Copies
 from tests.support.line_ends import line_controller, line_plant
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal

@@ -24,8 +24,8 @@ from protocol.runtime.ports import Files, LoopPorts
 from protocol.runtime.process import Pace
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from protocol.runtime.trace import TraceWriter, read_trace
+from protocol.secret.keeper import Keeper, work
 from protocol.secret.tasks import Task
-from protocol.secret.worker import work
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
 from wyner.verify import check
@@ -52,16 +52,6 @@ class _Publisher:
         self.loop.said(self.side, Outgoing(self.kind, payload))
 
 
-class _Keeper:
-    """Takes tasks and lets them wait, as the keeper's thread does."""
-
-    def __init__(self) -> None:
-        self.tasks: deque[Task] = deque()
-
-    def put(self, task: Task) -> None:
-        self.tasks.append(task)
-
-
 class _Ports(Mortal):
     """Ports of a process that dies so many things after an event's turn has come."""
 
@@ -81,7 +71,9 @@ class _End:
     endpoint: Endpoint
     files: Files
     ports: _Ports
-    keeper: _Keeper
+    keeper: Keeper | None
+    tasks: deque[Task]
+    """They wait for the keeper, as they do in a service."""
 
 
 class RecordedLoop:
@@ -125,9 +117,10 @@ class RecordedLoop:
             made = ControllerConfig(self._scenario, self._law, self.folder, "loop", self._message)
             endpoint, files = open_controller(made)  # type: ignore[assignment]
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
-        keeper = _Keeper()
-        ports = LoopPorts(files, publishers, log, keeper)  # type: ignore[arg-type]
-        self._ends[side] = _End(endpoint, files, _Ports(ports), keeper)
+        tasks: deque[Task] = deque()
+        keeper = None if files.keeper is None else files.keeper.open()
+        ports = LoopPorts(files, publishers, log, tasks.append)
+        self._ends[side] = _End(endpoint, files, _Ports(ports), keeper, tasks)
         self._do(side, endpoint.start)
 
     def kill(self, side: Side) -> None:
@@ -135,8 +128,8 @@ class RecordedLoop:
         end = self._ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
-        if end.files.keeper is not None:
-            end.files.keeper.store.close()
+        if end.keeper is not None:
+            end.keeper.store.close()
         self._mail[side].clear()
 
     def stop(self) -> None:
@@ -144,8 +137,8 @@ class RecordedLoop:
         for side, end in tuple(self._ends.items()):
             self._do(side, end.endpoint.stop)
             end.files.close()
-            if end.files.keeper is not None:
-                end.files.keeper.store.close()
+            if end.keeper is not None:
+                end.keeper.store.close()
         self._capture.close()
 
     def queue(self, identifier: str, payload: bytes) -> None:
@@ -204,8 +197,8 @@ class RecordedLoop:
         quiet = True
         for side in SIDES:
             end = self._ends[side]
-            if end.keeper.tasks and end.files.keeper is not None:
-                done = work(end.files.keeper, end.keeper.tasks.popleft())
+            if end.tasks and end.keeper is not None:
+                done = work(end.keeper, end.tasks.popleft())
                 self._do(side, lambda now, e=end, d=done: e.endpoint.kept(d, now))  # type: ignore[misc]
                 quiet = False
             elif self._mail[side]:

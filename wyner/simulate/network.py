@@ -29,10 +29,9 @@ from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.scenario import Scenario
-from protocol.secret.keeper import Keeper
+from protocol.secret.keeper import Keeper, work
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
-from protocol.secret.worker import work
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 from wyner.simulate.single import Law
 
