@@ -467,6 +467,8 @@ def _settings(
         "transport/link/rx/max_message_size": 2**24,
         # Express messages fill a batch each, and with the usual 2 batches a burst is dropped.
         "transport/link/tx/queue/size/data": 16,
+        # Messages over 3 kB, statuses among them, would go through 16 MiB of it in each process.
+        "transport/shared_memory/enabled": False,
         "transport/unicast/open_timeout": OPEN_MS,
         "transport/unicast/accept_timeout": 2000,
     }

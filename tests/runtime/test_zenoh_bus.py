@@ -372,6 +372,23 @@ def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc here")
+def test_no_message_goes_through_a_segment_of_shared_memory() -> None:
+    """Statuses do, with Zenoh's own settings, and touch 16 MiB of it little by little."""
+    heard: queue.Queue[bytes] = queue.Queue()
+    (endpoint,) = free_endpoints(1)
+    with ZenohBus(listen=[endpoint]) as speaker, ZenohBus(connect=[endpoint]) as listener:
+        listener.subscribe("wyner/test/large", lambda _key, body, _t: heard.put(body))
+        put = speaker.publisher("wyner/test/large").put
+        until = time.monotonic() + 10
+        while heard.empty():
+            assert time.monotonic() < until
+            put(bytes(10_000))
+            time.sleep(0.02)
+        assert ".zenoh" not in Path("/proc/self/maps").read_text()
+
+
+@pytest.mark.integration
 def test_an_address_in_use_is_one_line_that_names_it() -> None:
     endpoints = free_endpoints(1)
     with ZenohBus(listen=endpoints), pytest.raises(TransportError) as caught:
