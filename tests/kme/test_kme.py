@@ -4,13 +4,14 @@ import base64
 import http.client
 import json
 import re
+import select
 import signal
 import socket
 import ssl
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import pytest
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main
 from wyner.kme.identity import common_name
-from wyner.kme.server import Allowance
+from wyner.kme.server import IDLE_S, Allowance
 
 pytest.importorskip("aiohttp")
 
@@ -208,6 +209,70 @@ def test_slow_and_silent_clients_hold_nobody_up(sites: Sites) -> None:
     assert time.monotonic() - begin > 4
     for connection in (slow, silent):
         connection.close()
+
+
+def connected(sites: Sites, name: str) -> ssl.SSLSocket:
+    plain = socket.socket()
+    plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    plain.connect(("127.0.0.1", sites.ports["controller"]))
+    return sites.tls(name).wrap_socket(plain, server_hostname="localhost")
+
+
+def seconds_for_a_status(sites: Sites) -> float:
+    begin = time.monotonic()
+    assert sites.ask("controller", "carol", "/api/v1/keys/dave/status")[0] == 200
+    return time.monotonic() - begin
+
+
+def closed_within(line: ssl.SSLSocket, seconds: float) -> bool:
+    """Whether the other end lets go of a connection from which nothing is read."""
+    watched = select.poll()
+    watched.register(line.fileno(), 0)
+    return bool(watched.poll(1000 * seconds))
+
+
+REQUEST = b"GET /api/v1/keys/bob/status HTTP/1.1\r\nHost: x\r\n\r\n"
+
+
+def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -> None:
+    """Tens of thousands of requests in one connection: the server reads no more than it answers."""
+    process = Path(f"/proc/{sites.processes['controller'].pid}/status")
+
+    def resident_kib() -> int:
+        lines = process.read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
+
+    before = resident_kib()
+    with connected(sites, "alice") as line:
+        line.settimeout(1.0)
+        sent = 0
+        with pytest.raises(TimeoutError):
+            while sent < 2**30:
+                line.sendall(100 * REQUEST)
+                sent += 100 * len(REQUEST)
+        assert seconds_for_a_status(sites) < 3
+        assert resident_kib() - before < 16 * 1024
+        assert closed_within(line, IDLE_S + 15)
+    assert seconds_for_a_status(sites) < 3
+
+
+def test_a_byte_at_a_time_is_served_in_time_and_let_go_of_after_it(sites: Sites) -> None:
+    with connected(sites, "alice") as slow, connected(sites, "alice") as slower:
+        slow.settimeout(10)
+        slower.settimeout(1)
+        begin = time.monotonic()
+        for place in range(len(REQUEST)):
+            slow.sendall(REQUEST[place : place + 1])
+            slower.sendall(REQUEST[place // 10 : place // 10 + 1] if place % 10 == 0 else b"")
+            time.sleep(0.04)
+        assert seconds_for_a_status(sites) < 3
+        assert slow.recv(65536).startswith(b"HTTP/1.1 200 ")
+        with suppress(OSError):
+            for place in range(6, len(REQUEST)):
+                slower.sendall(REQUEST[place : place + 1])
+                if closed_within(slower, 1.0):
+                    break
+        assert IDLE_S - 1 < time.monotonic() - begin < IDLE_S + 15
 
 
 def test_two_masters_at_once_never_get_one_key_twice(sites: Sites) -> None:
