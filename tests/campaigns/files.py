@@ -91,9 +91,7 @@ def _secret(run: Path) -> None:
 
     keys = load_scenario(ROOT / "wyner/scenarios/keys.toml")
     (run / "k.sqlite3").unlink(missing_ok=True)
-    keeper = open_keeper(run / "k.sqlite3", "plant", keys, None, run / "secret")
-    assert keeper is not None
-    keeper.store.close()
+    open_keeper(run / "k.sqlite3", "plant", keys, None, run / "secret")
 
 
 def _knowledge(run: Path) -> None:

@@ -5,12 +5,13 @@ import random
 import sqlite3
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from protocol.secret.authentication import make_secret
-from protocol.secret.ledger import take_secret
+from protocol.secret.ledger import pads_of, take_secret
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -166,7 +167,7 @@ def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
 def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Counted in steps of SQLite's machine, a thousand at a time."""
+    """Counted in steps of SQLite's machine, a hundred at a time."""
     monkeypatch.setattr("protocol.secret.store.MOST_KEYS", 2000)
     monkeypatch.setattr("protocol.secret.store.TOMBSTONES", 9000)
     make_secret(tmp_path / "secret")
@@ -174,9 +175,9 @@ def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
         authentication = take_secret(keys, tmp_path / "secret")
         steps: list[int] = []
         for number in range(160):
-            at, pads = f"{SESSION}/{number}", (("controller", bytes(16)), ("plant", bytes(16)))
-            spent = [0]
-            keys._db.set_progress_handler(lambda spent=spent: spent.append(1), 100)
+            at, pads = f"{SESSION}/{number}", pads_of(bytes(32))
+            spent: list[int] = []
+            keys._db.set_progress_handler(partial(spent.append, 0), 100)
             assert authentication.tag(at, b"message") is not None
             shown = authentication.accepted(at, b"message")
             keys.add(row(number, 84), bodies(0, 84), pads=pads)

@@ -119,7 +119,7 @@ class RecordedLoop:
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
         tasks: deque[Task] = deque()
         keeper = None if files.keeper is None else files.keeper.open()
-        ports = LoopPorts(files, publishers, log, tasks.append)
+        ports = LoopPorts(files, publishers, log, tasks.append)  # type: ignore[arg-type]
         self._ends[side] = _End(endpoint, files, _Ports(ports), keeper, tasks)
         self._do(side, endpoint.start)
 

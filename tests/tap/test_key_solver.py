@@ -17,6 +17,7 @@ from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.status import Listener
+from tests.support.kept import kept
 from tests.support.keyed_link import Side, World
 from tests.support.line_plant import line_rules
 
@@ -115,6 +116,37 @@ def test_who_misses_as_much_as_is_claimed_holds_nothing(seed: int) -> None:
     assert 0.4 < keys.missed / keys.copies < 0.6
     (read,) = keys.sealed
     assert (read.known_bits, read.text) == (0, "·" * len(text))
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.6])
+def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
+    loss: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tap_service.eavesdroppers.key_solver.KEPT_BLOCKS", 4)
+    claim = Assumption(0.95, eps_sec=1e-2)
+    schedule = schedule_of(claim)
+    assert schedule is not None
+    world = Recorded(claim, lambda _: False)
+    listener = Listener.of(named("key-solver"), KNOWLEDGE.model_copy(update={"keys": claim}))
+    transcript = Transcript()
+    most = list[tuple[int, int]]()
+    for blocks in (10, 11, 40):
+        while world.journals["plant"].load().transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
+            world.well(20)
+        for message in without(world.field, loss, blocks):
+            listener.hear(message)
+            for transition in transcript.hear(message):
+                listener.observe(transition)
+        world.field.clear()
+        keys = listener.belief().keys
+        assert not listener.failed
+        most.append(kept([listener, transcript]))
+    world.close()
+    assert keys is not None
+    assert keys.blocks >= 38
+    assert keys.bits > 0
+    for now, before in zip(most[-1], map(max, zip(*most[:-1], strict=True)), strict=True):
+        assert now < 1.15 * before
 
 
 def missing(messages: list[FieldMessage], ks: range, count: int) -> list[FieldMessage]:
