@@ -7,7 +7,8 @@ it may read that user's files: a bound for mistakes, and no wall against malice.
 
 Two processes stand behind it. The guest runs the code. Its *warden* runs none: every process that
 the guest started comes to be its child sooner or later, also one that called ``setsid`` (it is
-their subreaper), and it kills them all once the guest or whoever asks is gone.
+their subreaper), and it kills them all once the guest or whoever asks is gone. It watches their
+processor time as well: threads and children that go on between two answers are not for ever.
 """
 
 import ctypes
@@ -24,10 +25,10 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.runtime.process import Failure
+from protocol.runtime.processor_time import PROCESSOR_S, Meter, processes, used_s
 
 START_S: Final = 20.0
 """Seconds that a guest has to be loaded and made."""
@@ -40,6 +41,12 @@ ANSWER: Final = 8 * 2**20
 
 FORKS: Final = 64
 """Processes that a guest may start beside those of its user; root is not held to it."""
+
+LOOK_S: Final = 1.0
+"""Seconds after which the warden looks at the processor time again."""
+
+OVERSPENT: Final = 3
+"""The warden's exit code where a guest has used too much processor time."""
 
 SLICE_S: Final = 0.2
 """Seconds of waiting after which the clock is looked at."""
@@ -117,13 +124,16 @@ class GuestProcess:
             raise GuestError("the process ended")
         patience = _Patience(within_s)
         try:
-            self._send(pickle.dumps((what, argument)), patience)
+            self._send(pickle.dumps((what, argument, within_s)), patience)
             answer = json.loads(self._receive(patience))
             kind, value = answer["kind"], answer["value"]
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             self.close()
             known = isinstance(error, _Ended | TimeoutError)
             text = f"{error} within {within_s:g} s" if isinstance(error, TimeoutError) else error
+            if self._child.returncode == OVERSPENT:
+                text = f"more than {PROCESSOR_S:g} s of processor time beside its answers"
+                known = True
             raise GuestError(str(text) if known else "an answer that is none") from None
         if kind != "value":
             raise GuestError(str(value), str(kind))
@@ -239,12 +249,12 @@ def serve(
         signal.signal(number, signal.SIG_IGN)
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    meter = Meter()
     warden = os.getpid()
     guest = os.fork()
     if guest:
         os.close(1)  # so that its end is seen when the guest closes its own
-        _guard(guest)
-        os._exit(0)
+        os._exit(_guard(guest, meter))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != warden:
@@ -255,7 +265,7 @@ def serve(
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
     try:
-        _answer_all(answer, known, to, out)
+        _answer_all(answer, known, to, out, meter)
     finally:
         os._exit(0)  # threads and atexit functions of the user's code end here as well
 
@@ -272,14 +282,21 @@ def _bound(memory: int) -> None:
 
 def _tasks_of(user: int) -> Iterator[int]:
     """Threads of each process of a user."""
-    for process in _processes():
+    for process in processes():
         with suppress(OSError):
             if process.stat().st_uid == user:
                 yield len(list((process / "task").iterdir()))
 
 
-def _guard(guest: int) -> None:
-    """Wait until the guest is gone or whoever asks it, and leave no process behind."""
+def _guard(guest: int, meter: Meter) -> int:
+    """Wait until the guest is gone or whoever asks it, and leave no process behind.
+
+    Returns
+    -------
+    int
+        The exit code: :data:`OVERSPENT`, or 0.
+    """
+    code = 0
     told, tell = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     signal.set_wakeup_fd(tell)
     signal.signal(signal.SIGCHLD, lambda *_: None)
@@ -287,9 +304,12 @@ def _guard(guest: int) -> None:
     watched.register(0, 0)  # the pipe of the questions: its other end closes with the asker
     watched.register(told, select.POLLIN)
     with suppress(ChildProcessError):
-        while guest not in _dead() and all(fd == told for fd, _ in watched.poll()):
+        while guest not in _dead() and all(fd == told for fd, _ in watched.poll(LOOK_S * 1000)):
             with suppress(BlockingIOError):
                 os.read(told, 4096)
+            if meter.overspent(used_s(), time.monotonic()):
+                code = OVERSPENT
+                break
         # Whatever is left has an ancestor that is a child: without a child nothing is left.
         while True:
             for pid in _children():
@@ -297,6 +317,7 @@ def _guard(guest: int) -> None:
                     os.kill(pid, signal.SIGKILL)
             _dead()
             time.sleep(0.001)
+    return code
 
 
 def _dead() -> list[int]:
@@ -316,7 +337,7 @@ def _dead() -> list[int]:
 def _children() -> Iterator[int]:
     """Processes whose parent this one is, but for those that are dead already."""
     me = str(os.getpid())
-    for process in _processes():
+    for process in processes():
         with suppress(OSError):
             told = (process / "stat").read_bytes().decode(errors="replace")
             state, parent = told.rpartition(")")[2].split()[:2]
@@ -324,18 +345,16 @@ def _children() -> Iterator[int]:
                 yield int(process.name)
 
 
-def _processes() -> list[Path]:
-    return [path for path in Path("/proc").iterdir() if path.name.isdigit()]
-
-
 def _answer_all(
     answer: Callable[[str, Any], object],
     known: tuple[tuple[type[Exception], str], ...],
     to: IO[bytes],
     out: IO[bytes],
+    meter: Meter,
 ) -> None:
     while (head := to.read(_LENGTH.size)) and len(head) == _LENGTH.size:
-        what, argument = pickle.loads(to.read(*_LENGTH.unpack(head)))
+        what, argument, within_s = pickle.loads(to.read(*_LENGTH.unpack(head)))
+        meter.ask(within_s, time.monotonic(), time.process_time())
         try:
             told = {"kind": "value", "value": answer(what, argument)}
             body = json.dumps(told, default=float).encode()
@@ -347,3 +366,4 @@ def _answer_all(
             body = json.dumps({"kind": found, "value": text[:2000]}).encode()
         out.write(_LENGTH.pack(len(body)) + body)
         out.flush()
+        meter.answer(time.monotonic())

@@ -1,0 +1,77 @@
+"""How much processor time a guest may use, and that what goes on between its answers ends."""
+
+import pickle
+import time
+from pathlib import Path
+
+import pytest
+
+from protocol.runtime.guest import OVERSPENT, GuestError, GuestProcess, _Patience
+from protocol.runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
+
+
+def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
+    meter = Meter(now=100.0)
+    assert not meter.overspent(LOADING_S, 100.0)
+    meter.ask(2.0, 110.0, 1.5)  # it took 1.5 s of processor time to be loaded
+    beside = 1.5 + PROCESSOR_S + PROCESSOR_SHARE * 11
+    assert not meter.overspent(beside + 0.9, 111.0)
+    assert meter.overspent(beside + 1.1, 111.0)
+    # not more for an answer than it may take, whenever whoever asks looks at it again
+    beside = 1.5 + PROCESSOR_S + PROCESSOR_SHARE * 100
+    assert not meter.overspent(beside + 1.9, 200.0)
+    assert meter.overspent(beside + 2.1, 200.0)
+    meter.answer(111.0)
+    assert not meter.overspent(beside + 0.9, 200.0)
+    assert meter.overspent(beside + 1.1, 200.0)
+    meter.ask(2.0, 200.0, 50.0)  # what it used since is not what it took to be loaded
+    assert meter.overspent(beside + 1.1, 200.0)
+
+
+GUEST = """
+import os, sys, threading
+from protocol.runtime.guest import serve
+
+def spin():
+    while True:
+        pass
+
+def answer(what, argument):
+    if what == "thread":
+        threading.Thread(target=spin).start()
+    elif what == "child" and os.fork() == 0:
+        os.setsid()
+        spin()
+    elif what == "loop":
+        spin()
+    return "fine"
+
+serve(answer)
+"""
+
+
+@pytest.fixture
+def guest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> GuestProcess:
+    (tmp_path / "looping_guest.py").write_text(GUEST)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).resolve().parents[2]}")
+    return GuestProcess("looping_guest")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["thread", "child"])
+def test_what_loops_between_the_answers_is_ended(guest: GuestProcess, what: str) -> None:
+    assert guest.ask(what, None, 2.0) == "fine"
+    began, until = time.monotonic(), time.monotonic() + 120
+    with pytest.raises(GuestError) as error:
+        while time.monotonic() < until:
+            time.sleep(0.2)
+            assert guest.ask("is it there?", None, 2.0) == "fine"
+    assert str(error.value) == f"more than {PROCESSOR_S:g} s of processor time beside its answers"
+    assert time.monotonic() - began > 0.9 * PROCESSOR_S / 2
+
+
+@pytest.mark.slow
+def test_a_loop_ends_though_whoever_asked_does_not_look(guest: GuestProcess) -> None:
+    """Nobody waits for the answer: the asker may be stopped."""
+    guest._send(pickle.dumps(("loop", None, 0.5)), _Patience(5.0))
+    assert guest._child.wait(120) == OVERSPENT
