@@ -5,7 +5,8 @@ the way, journal included, must not depend on the automaton's state. Both ends r
 open them. What each hears and draws is recorded once; then each lives it again alone, since in one
 process what the partner did just before would be in the caches. The two states' times are compared
 by Yuen's test (trimmed means), and the same is measured again with a wait of one microsecond added
-in one state: a test that does not see that has no power, and says so.
+in one state: a test that does not see that has no power, and says so. :mod:`benchmarks.work`
+counts the bytecodes up to the answer instead, which no other program disturbs.
 """
 
 import argparse
@@ -158,7 +159,7 @@ class Life:
     said: bytes = b""
 
 
-class _End:
+class LivingEnd:
     """One end as the services open it; ``life`` grows with it, or is lived again."""
 
     def __init__(self, side: str, scenario: str, folder: Path, life: Life, *, again: bool) -> None:
@@ -257,7 +258,7 @@ def open_end(
 def recorded(steps: int, scenario: str, folder: Path) -> dict[str, Life]:
     """Both ends in lock-step, side by side: what each of them heard and drew."""
     lives = {side: Life(time.monotonic()) for side in SIDES}
-    ends = {side: _End(side, scenario, folder, lives[side], again=False) for side in SIDES}
+    ends = {side: LivingEnd(side, scenario, folder, lives[side], again=False) for side in SIDES}
     while ends["plant"].end.record.k < steps:
         for side, other in zip(SIDES, reversed(SIDES), strict=True):
             end, now = ends[side], time.monotonic()
@@ -301,7 +302,7 @@ def response_times(side: str, scenario: str, life: Life, added_ns: int = 0) -> S
     """
     times: Samples = {False: [], True: []}
     with tempfile.TemporaryDirectory() as folder:
-        end = _End(side, scenario, Path(folder), life, again=True)
+        end = LivingEnd(side, scenario, Path(folder), life, again=True)
         for number, heard in enumerate(life.heard):
             carries = end.carries
             answered = end.take(heard, added_ns)

@@ -120,6 +120,7 @@ class Receiver:
         self.instance = instance
         self.record = record._replace(state=rules.scheme.restore(record.state))
         self.deframer = Deframer(rules.size)
+        self._covers = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
         kept = chunks + record.partial
         for i in range(0, len(kept), self._digits):
@@ -298,6 +299,8 @@ class Receiver:
         """Count the transition of the ``current`` offer, of which candidate ``coin`` was applied.
 
         The key is what the test returns, as for the controller; ``coin`` is only compared with it.
+        A cover symbol is worked on as a message symbol is, and thrown away: what comes after a step
+        delays the next one, and would show.
         """
         record = self.record
         report = self.moved(offer, x_next)
@@ -305,20 +308,17 @@ class Receiver:
         scheme = self.rules.scheme
         verdict = self.rules.judge(record.x, offer.candidates, offer.centres, x_next)
         after, (agreed, pad) = scheme.follow(record.state, verdict.symbol)
-        recovered = decrypt(offer.cipher, pad, scheme.alphabet)
+        symbol = decrypt(offer.cipher, pad, scheme.alphabet)
         carried = pad != NO_SYMBOL
-        if not carried:
-            recovered = NO_SYMBOL
-        frame = None
-        partial, chunk = record.partial, ""
-        if carried:
-            frame = self.deframer.push(recovered)
-            if not self.deframer.symbols:
-                partial = ""
-            else:
-                partial += f"{recovered:0{self._digits}x}"
-                if len(partial) >= CHUNK * self._digits:
-                    partial, chunk = "", partial
+        deframer = (self._covers, self.deframer)[carried]
+        ended = deframer.push(symbol)
+        kept, full = f"{record.partial}{symbol:0{self._digits}x}", ""
+        if not deframer.symbols:
+            kept = ""
+        if len(kept) >= CHUNK * self._digits:
+            kept, full = "", kept
+        both = (NO_SYMBOL, None, record.partial, ""), (symbol, ended, kept, full)
+        recovered, frame, partial, chunk = both[carried]
         p = record.p + (1 if carried else 0)
         steps = record.k - record.applied_k
         raw = self.keying.count(record.transitions, steps, offer, offer.copy_number, record.nonce)

@@ -438,7 +438,7 @@ class Sender:
     ) -> Decision:
         """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
 
-        Both symbols are made in both states, so that neither takes longer.
+        Both decisions are made in both states, and one is taken, so that neither takes longer.
         """
         fresh = self._fresh.symbol(transitions, self.rules.size) if decided is None else decided
         symbols = self._symbols(message)
@@ -446,9 +446,11 @@ class Sender:
         message_symbol = symbols[offset] if framed else IDLE
         pad = self.rules.scheme.pad(state)
         cipher = encrypt(message_symbol, pad, self.rules.size)
-        if pad == NO_SYMBOL:
-            return Decision(fresh, NO_SYMBOL, False, offset)
-        return Decision(cipher, message_symbol, framed, offset + framed)
+        both = (
+            Decision(cipher, message_symbol, framed, offset + framed),
+            Decision(fresh, NO_SYMBOL, False, offset),
+        )
+        return both[pad == NO_SYMBOL]
 
     def _symbols(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""

@@ -2,10 +2,13 @@
 
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from benchmarks.timing import SIDES, difference, measure, recorded, render, response_times
+from benchmarks.work import work
+from protocol.link.sender import Sender
 
 
 def times(seed: int, count: int, longer: float = 0.0) -> list[float]:
@@ -43,6 +46,35 @@ def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Pat
         found = response_times(side, scenario, lives[side], added_ns=300_000)
         assert min(found[True]) >= 300_000 > sorted(found[False])[len(found[False]) // 2]
         assert len(found[False]) + len(found[True]) >= 150
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_an_answer_takes_the_same_bytecodes_in_both_states(side: str, tmp_path: Path) -> None:
+    """What the two ends do before a message is on its way does not hang on the state."""
+    found = work(side, "sustained", recorded(200, "sustained", tmp_path)[side])
+    assert min(map(sum, (found[carried].values() for carried in (False, True)))) > 20
+    assert set(found[False]) == set(found[True])
+    assert len(found[True]) == 1
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_with_keys_too(side: str, tmp_path: Path) -> None:
+    """Here an answer's work hangs on the key block, whose place everybody knows."""
+    found = work(side, "keys", recorded(200, "keys", tmp_path)[side])
+    assert found[False].most_common(1)[0][0] == found[True].most_common(1)[0][0]
+
+
+def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decide = Sender._decide
+
+    def longer(self: Sender, state: tuple[int, ...], *of: Any) -> Any:
+        if state[0] == 2:
+            self.rules.size  # noqa: B018
+        return decide(self, state, *of)
+
+    monkeypatch.setattr(Sender, "_decide", longer)
+    found = work("controller", "sustained", recorded(200, "sustained", tmp_path)["controller"])
+    assert len(found[False]) > 1
 
 
 def test_a_life_that_went_otherwise_is_refused(tmp_path: Path) -> None:
