@@ -358,6 +358,7 @@ class ControllerJournal(_Journal):
                 self.enqueue(*write.queued)
         elif not write.later:
             self._keep()
+        self._steps.make_ready()
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
@@ -474,6 +475,7 @@ class PlantJournal(_Journal):
                     self._add("inbox", "payload", write.received)
         elif not write.later:
             self._keep()
+        self._steps.make_ready()
 
     def _add(self, table: str, name: str, value: object) -> None:
         row = (value, _check(value))

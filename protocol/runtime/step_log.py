@@ -7,6 +7,7 @@ process that is killed leaves whole steps and at most one torn one, the last, wh
 import errno
 import os
 import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 from zlib import crc32
@@ -23,6 +24,9 @@ STEPS: Final = "-steps"
 
 LARGEST: Final = 1 << 20
 """Bytes of steps after which the journal's next write should be a rare one."""
+
+READY: Final = bytes(1 << 16)
+"""What is written ahead of the steps: zeros, which are no step."""
 
 _CHECK: Final = struct.Struct("<I")
 _HEAD: Final = struct.Struct("<QhIII?QIBB")
@@ -80,7 +84,7 @@ class StepLog:
         self._path = path
         self._tag = tag
         self._file = open_private(path, os.O_RDWR | os.O_CREAT)
-        self.size = 0
+        self.size = self._ready = 0
 
     def read(self, after: int) -> list[Step]:
         """The whole steps that follow write ``after``, in order; all else goes.
@@ -110,7 +114,7 @@ class StepLog:
             steps, end = [], 0
         if end < len(data):
             os.ftruncate(self._file, end)
-        self.size = end
+        self.size = self._ready = end
         return [step for step in steps if step.number > after]
 
     def _whole(self, data: bytes, at: int) -> tuple[Step, int] | None:
@@ -146,12 +150,26 @@ class StepLog:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))
         self.size += len(data)
 
+    def make_ready(self) -> None:
+        """Have the file's pages for the steps to come: to be called when nobody waits.
+
+        A write that begins a page takes a microsecond longer, and which do hangs on the lengths of
+        the steps before: steps of 1024 bytes begin every fourth one, in the same automaton state.
+        """
+        if self._ready - self.size < len(READY) // 4:
+            start = max(self.size, self._ready)
+            with suppress(OSError):  # where there is no room left, a step will say so
+                self._ready = start + os.pwrite(self._file, READY, start)
+
     def clear(self) -> None:
         """Forget all steps: a rare write has what they came to."""
-        if self.size:
+        if self.size or self._ready:
             os.ftruncate(self._file, 0)
-            self.size = 0
+            self.size = self._ready = 0
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; what was made ready goes."""
+        with suppress(OSError):
+            if self.size < self._ready:
+                os.ftruncate(self._file, self.size)
         os.close(self._file)

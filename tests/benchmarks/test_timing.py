@@ -6,37 +6,44 @@ from typing import Any
 
 import pytest
 
-from benchmarks.timing import SIDES, difference, measure, recorded, render, response_times
+from benchmarks.timing import SIDES, Answers, difference, measure, recorded, render, response_times
 from benchmarks.work import work
 from protocol.link.sender import Sender
 
 
-def times(seed: int, count: int, longer: float = 0.0) -> list[float]:
-    """A service's times: about 80 us, now and then much longer."""
+def times(seed: int, count: int, longer: float = 0.0) -> Answers:
+    """A service's answers: about 80 us, now and then much longer, and slower from time to time."""
     draw = random.Random(seed)
     return [
-        80_000 + draw.gauss(0, 4000) + longer + (1e6 if draw.random() < 0.02 else 0)
-        for _ in range(count)
+        (
+            i % 2 == 1,
+            (1.5 if i // 500 % 2 else 1.0) * (80_000 + draw.gauss(0, 4000))
+            + (longer if i % 2 else 0.0)
+            + (1e6 if draw.random() < 0.02 else 0),
+        )
+        for i in range(count)
     ]
 
 
 def test_a_microsecond_is_seen_and_noise_is_not() -> None:
-    assert not any(difference(times(s, 2000), times(s + 100, 2000)).seen for s in range(20))
-    found = [difference(times(s, 2000), times(s + 100, 2000, 1000.0)) for s in range(20)]
+    assert not any(difference(times(s, 6000)).seen for s in range(20))
+    found = [difference(times(s, 6000, 1000.0)) for s in range(20)]
     assert all(one.seen for one in found)
     assert sum(one.ns for one in found) / 20 == pytest.approx(1000, abs=100)
 
 
 def test_the_standard_error_is_the_differences_own_spread() -> None:
-    found = [difference(times(s, 500), times(s + 1000, 500)) for s in range(200)]
+    found = [difference(times(s, 1000)) for s in range(200)]
     spread = (sum(one.ns**2 for one in found) / 200) ** 0.5
     mean_error = sum(one.error_ns for one in found) / 200
     assert spread == pytest.approx(mean_error, rel=0.15)
 
 
 def test_too_few_values_are_refused() -> None:
-    with pytest.raises(ValueError, match="ten values"):
-        difference([1.0] * 9, [1.0] * 20)
+    with pytest.raises(ValueError, match="ten blocks"):
+        difference(times(1, 399 - 40))
+    with pytest.raises(ValueError, match="got 0"):
+        difference([(False, 1.0)] * 1000)
 
 
 @pytest.mark.parametrize("scenario", ["sustained", "keys"])
@@ -44,17 +51,19 @@ def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Pat
     lives = recorded(200, scenario, tmp_path)
     for side in SIDES:
         found = response_times(side, scenario, lives[side], added_ns=300_000)
-        assert min(found[True]) >= 300_000 > sorted(found[False])[len(found[False]) // 2]
-        assert len(found[False]) + len(found[True]) >= 150
+        times_of = [sorted(ns for c, ns in found if c == carries) for carries in (False, True)]
+        assert times_of[1][0] >= 300_000 > times_of[0][len(times_of[0]) // 2]
+        assert len(found) >= 150
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_an_answer_takes_the_same_bytecodes_in_both_states(side: str, tmp_path: Path) -> None:
     """What the two ends do before a message is on its way does not hang on the state."""
     found = work(side, "sustained", recorded(200, "sustained", tmp_path)[side])
-    assert min(map(sum, (found[carried].values() for carried in (False, True)))) > 20
-    assert set(found[False]) == set(found[True])
-    assert len(found[True]) == 1
+    most = [found[carried].most_common(1)[0] for carried in (False, True)]
+    assert most[0][0] == most[1][0]
+    for (_, alike), carried in zip(most, (False, True), strict=True):
+        assert alike >= 0.9 * found[carried].total() > 20  # a late tick of a busy machine is seen
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -74,7 +83,7 @@ def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Sender, "_decide", longer)
     found = work("controller", "sustained", recorded(200, "sustained", tmp_path)["controller"])
-    assert len(found[False]) > 1
+    assert found[False].most_common(1)[0][1] < 0.9 * found[False].total()
 
 
 def test_a_life_that_went_otherwise_is_refused(tmp_path: Path) -> None:
@@ -85,6 +94,6 @@ def test_a_life_that_went_otherwise_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_is_told() -> None:
-    text = render(measure(300))
+    text = render(measure(700))
     assert text.count("control") == 3
     assert "plant: median" in text
