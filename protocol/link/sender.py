@@ -189,6 +189,7 @@ class Sender:
             word = self.record if step is None else step[1]
             self.keying.begin(self.record.session, word.block, word.tag, raws)
         self._answer: Answer | None = None
+        self._aim()
         if step is not None:
             measurement, offer = step
             self._answer = Answer(measurement, self._count(measurement, offer.cipher), offer)
@@ -342,7 +343,7 @@ class Sender:
             nonce = "" if measurement.copy_number else measurement.nonce
             said = before._replace(nonce=nonce, block=offer.block, tag=offer.tag)
         judged = self.keying.heard(measurement)
-        if counted is None:
+        if counted is None:  # no transition: the state, and the arrows from it, stay
             self.record = said._replace(k=measurement.k, x=measurement.x, offer=offer)
             return SenderEffects(judged=judged)
         following = counted.following
@@ -392,6 +393,7 @@ class Sender:
             x=measurement.x,
             offer=offer,
         )
+        self._aim()
         return SenderEffects(
             save=counted.delivered is not None,
             transition=transition,
@@ -418,7 +420,7 @@ class Sender:
         if offer is None or measurement.applied_k == record.applied_k:
             return None
         verdict = self.rules.judge(record.x, offer.candidates, offer.centres, measurement.x_after)
-        after, carry = self.rules.scheme.follow(record.state, verdict.symbol)
+        after, carry = self._arrows[verdict.symbol]
         delivered = None
         message, offset = record.message, record.offset
         whole = offset == len(self._symbols(message))  # looked at in every state, as in `_decide`
@@ -452,6 +454,14 @@ class Sender:
         )
         return both[pad == NO_SYMBOL]
 
+    def _aim(self) -> None:
+        """Have the arrows from the present state at hand, once a message is on its way.
+
+        Those of a rare state would else be looked for, far from the processor, before the next one.
+        """
+        verdicts = (*range(self.rules.size), NO_SYMBOL)
+        self._arrows = [self.rules.scheme.follow(self.record.state, v) for v in verdicts]
+
     def _symbols(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""
         number, symbols = self._frame
@@ -475,6 +485,7 @@ class Sender:
         )
         first = self._decide(fresh.state, 0, fresh.message, 0)
         self.record = fresh._replace(cipher=first.cipher)
+        self._aim()
         self.keying.begin(hello.session)
         self._plant = hello.instance
         self._stale = 0
@@ -496,6 +507,7 @@ class Sender:
             message=self.record.message,
             life=self.record.life,
         )
+        self._aim()
         self.keying.end()
         return True
 
