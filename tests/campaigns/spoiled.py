@@ -4,7 +4,9 @@ Each seed runs a loop, kills an end, and then deletes, truncates, flips, empties
 from an older copy what its journal consists of. The end must either say in one line that it
 cannot use its journal, and begin anew once that is removed; or go on. In both cases no cipher
 symbol may meet a second key, every message that arrives is one that was sent, and the last one
-arrives. What may arrive twice is what a controller was handed again. Goes on where it stopped.
+arrives. What may arrive twice is what a controller was handed again. Where both journals are put
+back to one moment neither end can tell: the session goes on from there under new keys, messages
+come again, and the check must see it. Goes on where it stopped.
 """
 
 import argparse
@@ -25,7 +27,10 @@ from wyner.studies.grid import code_version
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
 
-KINDS: Final = ("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "garbage")
+KINDS: Final = (
+    *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "garbage"),
+    "both restored",
+)
 SCENARIOS: Final = ("sustained", "keys")
 LAST: Final = b"last"
 
@@ -38,11 +43,19 @@ def files_of(loop: RecordedLoop, side: Side) -> list[Path]:
     return sorted((loop.folder / side).glob("journal*"))
 
 
+def put_back(loop: RecordedLoop, side: Side, copy: Path) -> None:
+    """An end's whole journal as it was."""
+    for one in files_of(loop, side):
+        one.unlink()
+    for one in (copy / side).glob("journal*"):
+        shutil.copy(one, loop.folder / side)
+
+
 def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Random) -> str:
     """Do it, and say what was done."""
-    files = [f for f in files_of(loop, side) if f.stat().st_size]
+    files = [f for f in files_of(loop, side) if f.read_bytes().strip(b"\0")]
     file = draw.choice(files)
-    data = bytearray(file.read_bytes())
+    data = bytearray(file.read_bytes().rstrip(b"\0"))  # zeros are written ahead, and mean nothing
     place = draw.randrange(len(data))
     if kind == "flipped":
         data[place] ^= 1 << draw.randrange(8)
@@ -57,13 +70,10 @@ def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Ra
         for one in files if draw.random() < 0.5 else [file]:
             one.unlink()
     elif kind == "restored":
-        for one in files_of(loop, side):
-            one.unlink()
-        for one in copy.glob("journal*"):
-            shutil.copy(one, loop.folder / side)
+        put_back(loop, side, copy)
     elif kind == "one restored":
-        if (copy / file.name).exists():
-            shutil.copy(copy / file.name, file)
+        if (copy / side / file.name).exists():
+            shutil.copy(copy / side / file.name, file)
     else:
         file.write_bytes(data)
     return f"{side}: {file.name} {kind} at {place} of {len(data)}"
@@ -86,17 +96,34 @@ class Spoiled:
         """Run, spoil, go on, judge."""
         loop, draw, side = self.loop, self.draw, self.side
         self._advance(draw.randrange(1, 120))
-        self.copy.mkdir()
-        for file in files_of(loop, side):
-            shutil.copy(file, self.copy)
+        for one in SIDES:
+            (self.copy / one).mkdir(parents=True)
+            for file in files_of(loop, one):
+                shutil.copy(file, self.copy / one)
         loop.queue("second", self.sent[1])
         self._advance(draw.randrange(1, 120))
-        loop.kill(side)
-        self.done = spoil(loop, side, self.kind, self.copy, draw)
-        self._start()
+        if self.kind == "both restored":
+            for one in SIDES:
+                loop.kill(one)
+            for one in SIDES:
+                put_back(loop, one, self.copy)
+                loop.start(one)
+            self._rewound()
+            self.done = "both restored"
+        else:
+            loop.kill(side)
+            self.done = spoil(loop, side, self.kind, self.copy, draw)
+            self._start()
         self._last()
         loop.stop()
         self._judge()
+
+    def _rewound(self) -> None:
+        """The next transition's symbol is the one decided before; all later ones are new."""
+        record = self.loop.sender.record
+        for session, j in list(self.loop.ciphers):
+            if session == record.session and j > record.transitions:
+                del self.loop.ciphers[session, j]
 
     def _advance(self, transitions: int) -> None:
         target = self.loop.transitions + transitions
@@ -133,7 +160,8 @@ class Spoiled:
 
     def _judge(self) -> None:
         got = Counter(self.loop.recovered)
-        again = self.side == "controller"
+        back = self.kind == "both restored"
+        again = self.side == "controller" or back
         for payload, times in got.items():
             if payload not in self.sent:
                 self.wrong.append(f"{payload!r} was never sent")
@@ -143,8 +171,10 @@ class Spoiled:
         for name, finding in findings.items():
             if finding.result == "FAIL":
                 self.counts[f"check: {name}"] += 1
-                if name not in FORGOTTEN or self.side == "plant":
+                if not back and (name not in FORGOTTEN or self.side == "plant"):
                     self.wrong.append(f"{name}: {finding.tally.first}")
+        if back and findings["wire"].result != "FAIL":
+            self.wrong.append("the check does not see that both ends went back")
 
 
 def one_run(seed: int, folder: Path) -> tuple[Counter[str], list[str]]:

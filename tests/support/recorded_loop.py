@@ -171,9 +171,15 @@ class RecordedLoop:
         if end is not None and message.kind in end.endpoint.hears:
             self._mail[partner].append(message)
 
+    @property
+    def sender(self) -> Sender:
+        """The controller's end of the link."""
+        found: Sender = self._ends["controller"].endpoint.sender  # type: ignore[attr-defined]
+        return found
+
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
-        sender: Sender = self._ends["controller"].endpoint.sender  # type: ignore[attr-defined]
+        sender = self.sender
         answer = sender._answer
         counts = answer is not None and answer.offer == offer and answer.counted is not None
         at = offer.session, sender.record.transitions + counts
@@ -239,7 +245,7 @@ class RecordedLoop:
     @property
     def delivered(self) -> int:
         """Messages that the controller knows to be delivered."""
-        return self._ends["controller"].endpoint.sender.record.message  # type: ignore[attr-defined,no-any-return]
+        return self.sender.record.message
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
