@@ -178,12 +178,10 @@ class ControllerEndpoint:
         sender = self.sender
         effects = sender.settle()
         actions = self._actions(effects)
-        write = Keep(
-            sender.record,
-            later=not effects.save,
-            raw=effects.raw,
-            settled=sender.keying.settled(),
-        )
+        settled = sender.keying.settled()
+        # Rows that go cost a rare write: now, and not when a step hangs on it.
+        later = not (effects.save or settled)
+        write = Keep(sender.record, later=later, raw=effects.raw, settled=settled)
         actions = actions._replace(write=write, keys=sender.keying.tasks(effects.judged))
         if any(judgement.what == "unequal" for judgement in effects.judged):
             self._later.append(self._unequal)

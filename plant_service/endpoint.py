@@ -263,7 +263,10 @@ class PlantEndpoint:
         tasks = keying.tasks(effects.judged)
         if all(judgement.what != "unequal" for judgement in effects.judged):
             assert isinstance(actions.write, Keep)
-            write = actions.write._replace(raw=effects.raw, settled=keying.settled())
+            settled = keying.settled()
+            # Rows that go cost a rare write: now, and not when a step hangs on it.
+            later = actions.write.later and not settled
+            write = actions.write._replace(raw=effects.raw, settled=settled, later=later)
             return actions._replace(write=write, keys=tasks)
         receiver.end_session(self._new_id())
         self._phase("greeting")
