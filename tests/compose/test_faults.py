@@ -16,7 +16,16 @@ SYMBOLS_BEFORE = 20
 
 
 def under_way(system: Composition, text: str) -> None:
-    """Send a message and return when its first symbols have crossed, and the last have not."""
+    """Send a message and return when its first symbols have crossed, and the last have not.
+
+    What an earlier test has sent comes first, and is waited for.
+    """
+
+    def idle() -> bool:
+        told = system.status("controller", "controller")
+        return not told["queue"] and told["frame_symbols"] == told["frame_length"]
+
+    wait_for(idle, 60, "all that was sent before, delivered")
     system.send(text)
     begun = wait_for(
         lambda: (
