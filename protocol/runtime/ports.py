@@ -13,7 +13,7 @@ from protocol.messages import Message, PlantStatus, Status
 from protocol.runtime.bus import Publisher
 from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import HEALTH, StatusLine, write_status
+from protocol.runtime.run_folder import HEALTH, write_status
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import KeeperAt
 from protocol.secret.tasks import Task
@@ -57,7 +57,6 @@ class LoopPorts:
     limited: dict[str, RateLimitedLog] = field(default_factory=dict)
     pulse: Pulse = field(default_factory=Pulse)
     space: Space | None = None
-    line: StatusLine | None = None
     burst: Burst = field(default_factory=Burst)
 
     def write(self, write: Write) -> None:
@@ -101,9 +100,7 @@ class LoopPorts:
         write_status(path, status.on_file())
         missed = status.missed if isinstance(status, PlantStatus) else 0
         beat = self.pulse.beat(time.monotonic(), status.transitions, missed)
-        if self.line is None:
-            self.line = StatusLine(path.with_name(HEALTH))
-        self.line.say(beat.line)
+        write_status(path.with_name(HEALTH), f"{beat.line}\n".encode())
         if self.space is None:
             self.space = Space(path.parent)
         for line in (beat.notice, self.space.look()):

@@ -210,39 +210,6 @@ def _young(spare: Path) -> bool:
     return time.time() - exchanged_s < READ_S
 
 
-class StatusLine:
-    """A file of one line that is said again and again, for `deploy/healthy` and the like.
-
-    Its age is new each time; it is written where it says something else than before.
-
-    Parameters
-    ----------
-    path : Path
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._written: str | None = None
-
-    def say(self, line: str) -> None:
-        """Write the line, or the time at which it was said again.
-
-        Raises
-        ------
-        NotRegular
-            When something else stands there; it is left as it is.
-        OSError
-        """
-        if line == self._written:
-            try:
-                os.utime(self._path, follow_symlinks=False)
-            except FileNotFoundError:  # somebody took it away
-                self._written = None
-        if line != self._written:
-            write_status(self._path, f"{line}\n".encode())
-            self._written = line
-
-
 def _exchange(one: Path, other: Path) -> bool:
     """Exchange the names of two regular files at once; tells whether that could be done."""
     return _renameat2 is not None and (
