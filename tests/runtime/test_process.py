@@ -254,6 +254,32 @@ def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
         assert child.returncode == 0
 
 
+HANDED_TO_ANOTHER_THREAD = """
+import os, signal, threading
+from protocol.runtime.process import stop_on_signals
+with stop_on_signals() as stopping:
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])  # the other thread takes it
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    stopping.wait()
+"""
+
+
+def test_a_signal_that_another_thread_takes_ends_the_wait() -> None:
+    command = [sys.executable, "-c", HANDED_TO_ANOTHER_THREAD]
+    assert subprocess.run(command, timeout=20, check=False).returncode == 0
+
+
+def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
+    with stop_on_signals() as stopping:
+        began = time.monotonic()
+        assert not stopping.wait(0.05)
+        assert 0.05 <= time.monotonic() - began < 5.0
+        threading.Timer(0.01, stopping.set).start()
+        assert stopping.wait()
+        assert stopping.wait(0.0)
+
+
 def test_a_usage_error_has_a_line_a_field() -> None:
     assert UsageError("one").lines == ("one",)
     assert UsageError(["a: x", "b: y"]).lines == ("a: x", "b: y")
