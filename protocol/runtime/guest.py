@@ -25,6 +25,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.runtime.process import Failure
@@ -245,6 +246,7 @@ def serve(
         What is told under a kind of its own, with its text alone.
     """
     memory = int(sys.argv.pop(1))
+    _weigh_as_nice()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     libc = ctypes.CDLL(None)
@@ -268,6 +270,18 @@ def serve(
         _answer_all(answer, known, to, out, meter)
     finally:
         os._exit(0)  # threads and atexit functions of the user's code end here as well
+
+
+def _weigh_as_nice() -> None:
+    """Give this session the niceness that its first process was given.
+
+    Linux divides the processors among sessions first, and a new one begins as nice as any: a guest
+    of a tap that gives way to the loop would get as much as the plant.
+    """
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    if niceness > 0:
+        with suppress(OSError):  # a kernel without autogroup
+            Path("/proc/self/autogroup").write_text(str(niceness))
 
 
 def _bound(memory: int) -> None:

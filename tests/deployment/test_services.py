@@ -1,6 +1,7 @@
 """A service of one's own is a row: command, access control, certificates, health, child process."""
 
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -128,6 +129,10 @@ def test_it_is_supervised_and_its_health_is_told(
             assert child.poll(time.monotonic()) is None, child.last_line()
             assert time.monotonic() < until
             time.sleep(0.02)
+        assert child.process is not None
+        # niceness counts within a session: the services share one, and Ctrl-C passes them by
+        assert os.getsid(child.process.pid) == os.getsid(0)
+        assert os.getpgid(child.process.pid) == child.process.pid
         arguments = ["--service", "counting", "--run-dir", str(tmp_path)]
         assert main(["health", *arguments]) == 0
         assert capsys.readouterr().out.startswith("counting advances: ")

@@ -1,6 +1,8 @@
 """How much processor time a guest may use, and that what goes on between its answers ends."""
 
 import pickle
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -44,6 +46,9 @@ def answer(what, argument):
         spin()
     elif what == "loop":
         spin()
+    elif what == "weight":
+        with open("/proc/self/autogroup") as file:
+            return file.read().split()[1:]
     return "fine"
 
 serve(answer)
@@ -55,6 +60,16 @@ def guest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> GuestProcess:
     (tmp_path / "looping_guest.py").write_text(GUEST)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).resolve().parents[2]}")
     return GuestProcess("looping_guest")
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no autogroup here")
+def test_a_nice_programs_guest_is_as_nice_as_a_session(guest: GuestProcess, tmp_path: Path) -> None:
+    assert guest.ask("weight", None, 20.0) == ["nice", "0"]
+    guest.close()
+    asks = "from protocol.runtime.guest import GuestProcess\nimport os\nos.nice(7)\n"
+    asks += "print(GuestProcess('looping_guest').ask('weight', None, 20.0))"
+    told = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
+    assert told.stdout == "['nice', '7']\n"
 
 
 @pytest.mark.slow

@@ -75,6 +75,9 @@ def test_it_makes_what_a_keeper_makes_and_shows_nothing(tmp_path: Path) -> None:
         worker.put(other, told.put, closed(2))
         assert isinstance(told.get(timeout=PATIENCE_S), Stored)
         assert worker.pid == pid  # one for all stores
+        # in this session, within which alone Linux looks at policies, and out of Ctrl-C's reach
+        assert os.getsid(pid) == os.getsid(0)
+        assert os.getpgid(pid) == pid
         process = Path(f"/proc/{pid}")
         assert process.joinpath("cmdline").read_bytes().split(b"\0")[1:3] == [
             b"-m",

@@ -52,7 +52,11 @@ class Child:
     returned: int | None = None
 
     def start(self) -> None:
-        """Start the process, in a session of its own, so that Ctrl-C reaches the parent only."""
+        """Start the process, in a process group of its own: Ctrl-C reaches the parent only.
+
+        Not in a session of its own. Linux divides the processors among sessions first (autogroup)
+        and looks at niceness within each: a tap that gives way would get as much as the plant.
+        """
         make_folder(self.log.parent)
         log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         try:
@@ -62,7 +66,7 @@ class Child:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, STOP_WITH_STDIN: "1"},
-                start_new_session=True,
+                process_group=0,
             )
         finally:
             os.close(log)
