@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from benchmarks.loop import EAVESDROPPERS, ServiceProcess
 from protocol.messages import LATENCY_BOUNDS_S
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE, write_atomically
-from protocol.runtime.zenoh_bus import free_endpoints
 
 SETTLE_S: Final = 3.0
 """From when every loop has moved to the beginning of the window."""

@@ -25,9 +25,10 @@ from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
 from protocol.runtime.bus import ChannelClosed
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.process import Failure, freeze_startup
 from protocol.runtime.run_folder import CAPTURE
-from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
+from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
 
 TARGET_RATIO: Final = 0.65

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocol.runtime.endpoints import (
+from protocol.runtime.bus_options import (
     add_endpoint_arguments,
     add_metrics_argument,
     buses_of,

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
-    from protocol.runtime.endpoints import add_endpoint_arguments, add_metrics_argument
+    from protocol.runtime.bus_options import add_endpoint_arguments, add_metrics_argument
     from protocol.runtime.options import (
         add_bounds_arguments,
         add_check_argument,
@@ -198,7 +198,7 @@ def run_told(
     from pathlib import Path
 
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.endpoints import endpoints_of, fleet_of, loop_of, noted
+    from protocol.runtime.bus_options import endpoints_of, fleet_of, loop_of, noted
     from protocol.runtime.options import alone_in, checked, run_dir_of
     from protocol.runtime.process import DONE, UsageError
     from tap_service.capture.recording import Limits

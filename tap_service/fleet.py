@@ -27,7 +27,7 @@ from tap_service.service import NICENESS, Note, TapConfig, TapService
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
-    from protocol.runtime.zenoh_bus import Endpoints
+    from protocol.runtime.endpoints import Endpoints
 
 TELL_S: Final = 2.0
 """Between two statuses of one loop's tap, and between two writings of its beliefs."""

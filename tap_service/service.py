@@ -55,7 +55,7 @@ from tap_service.status import belief_record, beliefs_json, status_of
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
-    from protocol.runtime.zenoh_bus import Endpoints
+    from protocol.runtime.endpoints import Endpoints
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -162,7 +162,7 @@ def run_tap(
     ------
     KnowledgeError
         When an eavesdropper cannot be made.
-    protocol.runtime.zenoh_bus.TransportError
+    protocol.runtime.bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
     from protocol.runtime.zenoh_bus import open_bus

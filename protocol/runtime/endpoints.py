@@ -1,176 +1,75 @@
-"""Endpoints of the buses: defaults for one machine, options for several."""
+"""Where a bus listens and connects: endpoints as Zenoh writes them, and the files of TLS."""
 
-import argparse
-import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import re
+import socket
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Final, Self
 
-from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
-from protocol.runtime.services import SERVICES
-from protocol.topics import DEFAULT_LOOP, check_loop
+from protocol.runtime.bus import TransportError
 
-if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
-    from protocol.runtime.fleet import Fleet
-    from protocol.runtime.zenoh_bus import Endpoints
+_ENDPOINT: Final = re.compile(
+    r"(tcp|tls|udp)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?"
+)
 
 
-def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> None:
-    """Add ``--loop``, ``--listen``, ``--connect``, ``--client``, ``--tls``, ``--scouting``."""
-    buses = ", ".join(SERVICES[service].ends)
-    group = parser.add_argument_group(
-        "endpoints", f"BUS is one of: {buses}; an option replaces that bus's default"
-    )
-    group.add_argument("--loop", default=DEFAULT_LOOP, metavar="ID", help="id of the control loop")
-    for option, what in (("--listen", "listen at"), ("--connect", "connect to")):
-        group.add_argument(
-            option,
-            action="append",
-            default=[],
-            metavar="BUS=ENDPOINT",
-            help=f"{what} an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        )
-    group.add_argument(
-        "--client",
-        action="append",
-        default=[],
-        metavar="BUS",
-        help="open this bus as a client of the router it connects to",
-    )
-    group.add_argument(
-        "--tls",
-        action="append",
-        default=[],
-        metavar="BUS=FOLDER",
-        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder",
-    )
-    group.add_argument(
-        "--scouting", action="store_true", help="let peers find one another by multicast"
-    )
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """PEM files of one service: the authority it trusts, its own certificate and private key."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> Self:
+        """The files ``ca.pem``, ``cert.pem`` and ``key.pem`` of a folder.
+
+        Raises
+        ------
+        TransportError
+            When one of them is not there.
+        """
+        files = cls(folder / "ca.pem", folder / "cert.pem", folder / "key.pem")
+        for path in (files.ca, files.certificate, files.key):
+            if not path.is_file():
+                raise TransportError(f"{path}: no such file, expected ca.pem, cert.pem and key.pem")
+        return files
 
 
-def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--metrics``."""
-    parser.add_argument(
-        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/fleet.md)"
-    )
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where one bus listens and connects; the parameters of :class:`ZenohBus`."""
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    client: bool = False
+    tls: TlsFiles | None = None
+    scouting: bool = False
 
 
-def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
-    pairs = []
-    for value in values:
-        bus, _, rest = value.partition("=")
-        if bus not in allowed or not rest:
-            raise UsageError(
-                f"{option}: got {value!r}, expected BUS=VALUE with BUS one of {', '.join(allowed)}"
-            )
-        pairs.append((bus, rest))
-    return pairs
+def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
+    """Return ``endpoint`` when it reads ``tcp/HOST:PORT``, or ``tls/HOST:PORT`` with ``tls``.
 
-
-def loop_of(args: argparse.Namespace) -> str:
-    """The checked ``--loop``."""
-    try:
-        return check_loop(args.loop)
-    except ValueError as error:
-        raise UsageError(f"--{error}") from None
-
-
-def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints":
-    """The endpoints of one bus of a service, after the defaults and the options.
+    Without ``tls`` it may be ``udp/HOST:PORT`` too: there a lost datagram stays lost.
 
     Raises
     ------
-    UsageError
-        When an option names a bus that the service does not have.
+    TransportError
+        When it does not.
     """
-    from protocol.runtime.zenoh_bus import Endpoints, TlsFiles
-
-    defaults = SERVICES[service].ends
-    listens = _split("--listen", args.listen, defaults)
-    connects = _split("--connect", args.connect, defaults)
-    folders = dict(_split("--tls", args.tls, defaults))
-    for name in args.client:
-        if name not in defaults:
-            raise UsageError(f"--client: got {name!r}, expected one of {', '.join(defaults)}")
-    listen, connect = defaults[bus]
-    if any(name == bus for name, _ in (*listens, *connects)):
-        listen = tuple(endpoint for name, endpoint in listens if name == bus)
-        connect = tuple(endpoint for name, endpoint in connects if name == bus)
-    return Endpoints(
-        listen=listen,
-        connect=connect,
-        client=bus in args.client,
-        tls=TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None,
-        scouting=args.scouting,
-    )
+    protocols = ("tls",) if tls else ("tcp", "udp")
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or int(found[3]) > 65535 or found[1] not in protocols:
+        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocols[0]}/HOST:PORT")
+    return endpoint
 
 
-@contextmanager
-def noted(args: argparse.Namespace, bus: "Bus") -> "Iterator[Bus]":
-    """The bus on which statuses are published; with ``--metrics`` Prometheus is answered too.
-
-    Raises
-    ------
-    UsageError
-        When it cannot be.
-    """
-    if args.metrics is None:
-        yield bus
-        return
-    from protocol.runtime.metrics import Board, NotedBus, served
-
-    board: Board = {}
-    with served(args.metrics, board):
-        yield NotedBus(bus, board)
-
-
-@contextmanager
-def buses_of(
-    args: argparse.Namespace, service: str
-) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
-    """The event that signals set, and the open buses field and ops of a service.
-
-    Raises
-    ------
-    UsageError
-        When a bus cannot be opened.
-    """
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import open_bus
-
-    many = args.fleet is not None or args.loops is not None
-    try:
-        with (
-            stop_on_signals() as stopping,
-            open_bus(endpoints_of(args, service, "field"), many=many) as field,
-            open_bus(endpoints_of(args, service, "ops"), many=many) as ops,
-        ):
-            freeze_startup()
-            with noted(args, ops) as ops_or_noted:
-                yield stopping, field, ops_or_noted
-    except TransportError as error:
-        raise UsageError(str(error)) from None
-
-
-def fleet_of(args: argparse.Namespace, message: bytes | None = None) -> "Fleet | None":
-    """The fleet of ``--fleet`` or ``--loops``, if any; ``message`` is for each loop of ``--loops``.
-
-    Raises
-    ------
-    UsageError
-        When it is not one, or an option beside it is for a single loop.
-    """
-    from protocol.runtime.fleet import Fleet, numbered
-
-    if args.fleet is None and args.loops is None:
-        return None
-    if args.loop != DEFAULT_LOOP:
-        raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
-    if args.fleet is not None:
-        return Fleet.of_file(Path(args.fleet))
-    scenario = getattr(args, "scenario", None) or ""
-    text = (message or b"").decode("utf-8", errors="surrogateescape")
-    return numbered(args.loops, scenario, text, args.seed)
+def free_endpoints(count: int) -> list[str]:
+    """``count`` distinct loopback endpoints, free a moment ago."""
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [f"tcp/127.0.0.1:{one.getsockname()[1]}" for one in sockets]

@@ -1,23 +1,22 @@
 """The bus that carries messages between processes, over Zenoh.
 
 This is the only file that imports zenoh, and it does so when a session is opened, so that
-importing :mod:`protocol` stays cheap. ``docs/transport.md`` gives the reason for each setting.
+importing :mod:`protocol` stays cheap.
 """
 
 import json
 import os
 import re
-import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from contextlib import suppress
 from functools import partial
 from math import inf
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.runtime.bus import Bus, ChannelClosed, Deliver, TransportError
+from protocol.runtime.endpoints import Endpoints, TlsFiles, check_endpoint
+from protocol.runtime.zenoh_settings import ONE_THREAD, settings_of
 
 if TYPE_CHECKING:
     import zenoh
@@ -28,16 +27,6 @@ LARGEST_MESSAGE: Final = 2**18
 SHOWN: Final = 64
 """Bytes of a longer one that are delivered."""
 
-LEASE_MS: Final = 2000
-"""A partner silent for so long counts as gone: the loop freezes no longer than this."""
-
-CONNECT_ATTEMPT_MS: Final = 500
-"""Length of one attempt of a client to open; between attempts a signal can end the wait."""
-
-OPEN_MS: Final = 1000
-"""Longest attempt to reach a partner. A session that is closed waits for the one under way, and a
-stopped container's address answers nothing."""
-
 NAP_S: Final = 0.01
 """A nap of a patient subscriber; the kernel's buffer of a connection holds what comes meanwhile."""
 
@@ -47,81 +36,7 @@ YOUNG_NS: Final = 1_000_000
 AGES: Final = 4096
 """Messages over which the youngest is remembered, and over as many again."""
 
-ONE_THREAD: Final = (
-    "(acc: (handover: rx), net: (handover: rx), tx: (handover: rx), rx: (worker_threads: 1))"
-)
-"""Zenoh's setting by which accepting, sending and keeping alive are done where it receives."""
-
 _JSON: Final = "application/json"
-
-_ENDPOINT = re.compile(r"(tcp|tls|udp)/(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})(#.+)?")
-
-
-# --- endpoints -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class TlsFiles:
-    """PEM files of one service: the authority it trusts, its own certificate and private key."""
-
-    ca: Path
-    certificate: Path
-    key: Path
-
-    @classmethod
-    def in_folder(cls, folder: Path) -> Self:
-        """The files ``ca.pem``, ``cert.pem`` and ``key.pem`` of a folder.
-
-        Raises
-        ------
-        TransportError
-            When one of them is not there.
-        """
-        files = cls(folder / "ca.pem", folder / "cert.pem", folder / "key.pem")
-        for path in (files.ca, files.certificate, files.key):
-            if not path.is_file():
-                raise TransportError(f"{path}: no such file, expected ca.pem, cert.pem and key.pem")
-        return files
-
-
-@dataclass(frozen=True, slots=True)
-class Endpoints:
-    """Where one bus listens and connects; the parameters of :class:`ZenohBus`."""
-
-    listen: tuple[str, ...] = ()
-    connect: tuple[str, ...] = ()
-    client: bool = False
-    tls: TlsFiles | None = None
-    scouting: bool = False
-
-
-def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
-    """Return ``endpoint`` when it reads ``tcp/HOST:PORT``, or ``tls/HOST:PORT`` with ``tls``.
-
-    Without ``tls`` it may be ``udp/HOST:PORT`` too: there a lost datagram stays lost.
-
-    Raises
-    ------
-    TransportError
-        When it does not.
-    """
-    protocols = ("tls",) if tls else ("tcp", "udp")
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or int(found[3]) > 65535 or found[1] not in protocols:
-        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocols[0]}/HOST:PORT")
-    return endpoint
-
-
-def free_endpoints(count: int) -> list[str]:
-    """``count`` distinct loopback endpoints, free a moment ago."""
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [f"tcp/127.0.0.1:{one.getsockname()[1]}" for one in sockets]
-
-
-# --- Zenoh ---------------------------------------------------------------------------------------
 
 
 class _Nap:
@@ -290,7 +205,8 @@ class ZenohBus(Bus):
             raise TransportError("client: expected endpoints to connect to, and none to listen on")
         for endpoint in (*listen, *connect):
             check_endpoint(endpoint, tls=tls is not None)
-        settings = _settings(listen, connect, client, tls, scouting) | dict(extra or {})
+        endpoints = Endpoints(tuple(listen), tuple(connect), client, tls, scouting)
+        settings = settings_of(endpoints) | dict(extra or {})
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(settings, (*listen, *connect), retry_until=until)
 
@@ -436,56 +352,6 @@ def log_access() -> None:
     import zenoh
 
     zenoh.init_log_from_env_or("zenoh::net::routing::interceptor::access_control=trace")
-
-
-def _settings(
-    listen: Sequence[str],
-    connect: Sequence[str],
-    client: bool,
-    tls: TlsFiles | None,
-    scouting: bool,
-) -> dict[str, Any]:
-    settings: dict[str, Any] = {
-        "mode": "client" if client else "peer",
-        "connect/endpoints": list(connect),
-        # A peer tries for ever in the background. With a time-out of 0 it would try once.
-        "connect/timeout_ms": CONNECT_ATTEMPT_MS if client else -1,
-        "connect/exit_on_failure": client,
-        "connect/retry": {
-            "period_init_ms": 50,
-            "period_max_ms": 500,
-            "period_increase_factor": 2,
-        },
-        "listen/timeout_ms": 0,
-        "listen/exit_on_failure": True,
-        "scouting/delay": 0,
-        "scouting/multicast/enabled": scouting,
-        "scouting/gossip/enabled": False,
-        "timestamping/enabled": True,
-        "transport/link/tx/lease": LEASE_MS,
-        # What a peer or a router puts together of fragments; larger messages are lost there.
-        "transport/link/rx/max_message_size": 2**24,
-        # Express messages fill a batch each, and with the usual 2 batches a burst is dropped.
-        "transport/link/tx/queue/size/data": 16,
-        # Messages over 3 kB, statuses among them, would go through 16 MiB of it in each process.
-        "transport/shared_memory/enabled": False,
-        "transport/unicast/open_timeout": OPEN_MS,
-        "transport/unicast/accept_timeout": 2000,
-    }
-    if listen or not scouting:
-        # Without this a peer listens on every address of the machine.
-        settings["listen/endpoints"] = list(listen)
-    if tls is not None:
-        settings["transport/link/protocols"] = ["tls"]
-        settings["transport/link/tls"] = {
-            "root_ca_certificate": str(tls.ca),
-            "enable_mtls": True,
-            "listen_certificate": str(tls.certificate),
-            "listen_private_key": str(tls.key),
-            "connect_certificate": str(tls.certificate),
-            "connect_private_key": str(tls.key),
-        }
-    return settings
 
 
 def _open(

@@ -32,8 +32,9 @@ from protocol.messages import (
     SendCommand,
     TapStatus,
 )
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, write_atomically
-from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
+from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
 from tests.campaigns.fuzz import LARGEST, payloads
 from tools.rehearsal import Rehearsal

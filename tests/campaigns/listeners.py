@@ -17,8 +17,8 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.runtime.bus import Deliver
+from protocol.runtime.endpoints import Endpoints
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.zenoh_bus import Endpoints
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.topics import DEFAULT_LOOP, key_of

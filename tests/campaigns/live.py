@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.run_folder import CONTROLLER_STATUS, SCENARIO
-from protocol.runtime.zenoh_bus import free_endpoints
 from protocol.scenario.files import scenario_of
 from protocol.secret.authentication import make_secret
 from protocol.shipped import scenario_file_of

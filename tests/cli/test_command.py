@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.process import UsageError
 from protocol.runtime.services import BUSES, SERVICES
-from protocol.runtime.zenoh_bus import free_endpoints
 from protocol.scenario.files import keep_scenario
 from wyner.cli.main import commands, main
 

@@ -14,10 +14,11 @@ import pytest
 
 from protocol.messages import FIELD, INTEL, OPS, Measurement, Offer, TapStatus
 from protocol.runtime.bus import Deliver
+from protocol.runtime.endpoints import TlsFiles, free_endpoints
 from protocol.runtime.run_folder import PLANT_TRACE
 from protocol.runtime.services import BUSES, SERVICES, on_bus
 from protocol.runtime.trace import read_trace
-from protocol.runtime.zenoh_bus import TlsFiles, ZenohBus, free_endpoints, open_router
+from protocol.runtime.zenoh_bus import ZenohBus, open_router
 from protocol.topics import key_of
 from wyner.cli.main import main
 from wyner.deployment.access import access_control

@@ -26,7 +26,7 @@ import json, sys, threading, time
 from pathlib import Path
 
 def add_arguments(parser):
-    from protocol.runtime.endpoints import add_endpoint_arguments
+    from protocol.runtime.bus_options import add_endpoint_arguments
     parser.add_argument("--run-dir", type=Path, required=True)
     add_endpoint_arguments(parser, "counting")
 

@@ -16,7 +16,7 @@ from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.runtime import host
-from protocol.runtime.endpoints import fleet_of
+from protocol.runtime.bus_options import fleet_of
 from protocol.runtime.fleet import Fleet, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.options import add_fleet_arguments, add_message_arguments, message_of

@@ -16,18 +16,10 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.bus import Bus, ChannelClosed, TransportError
+from protocol.runtime.endpoints import Endpoints, TlsFiles, check_endpoint, free_endpoints
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.zenoh_bus import (
-    LARGEST_MESSAGE,
-    OPEN_MS,
-    Endpoints,
-    TlsFiles,
-    ZenohBus,
-    check_endpoint,
-    free_endpoints,
-    open_bus,
-    open_router,
-)
+from protocol.runtime.zenoh_bus import LARGEST_MESSAGE, ZenohBus, open_bus, open_router
+from protocol.runtime.zenoh_settings import OPEN_MS
 
 PATIENCE_S = 20.0
 KEY = "wyner/v1/loop/offer"

@@ -17,9 +17,9 @@ from controller_service.laws.base import CandidateLaw
 from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from protocol.registry import UnknownError
+from protocol.runtime.endpoints import Endpoints
 from protocol.runtime.memory_bus import MemoryBus
 from protocol.runtime.run_folder import BELIEFS, SCENARIO
-from protocol.runtime.zenoh_bus import Endpoints
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme

@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from protocol.messages import Measurement, Offer, PlantHello, SendCommand
+from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.run_folder import PLANT_TRACE
 from protocol.runtime.trace import read_trace
-from protocol.runtime.zenoh_bus import ZenohBus, free_endpoints
+from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
 
 pytestmark = pytest.mark.integration

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.zenoh_bus import free_endpoints
+from protocol.runtime.endpoints import free_endpoints
 from protocol.shipped import SCENARIOS
 from wyner.cli.main import main
 from wyner.scoring.summary import summarise

@@ -10,7 +10,7 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import store_law
-from protocol.runtime.zenoh_bus import free_endpoints
+from protocol.runtime.endpoints import free_endpoints
 from protocol.scenario import Scenario
 
 HEAVY = {"scipy", "osqp", "daqp", "rich", "matplotlib", "IPython", "asyncio"}

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from protocol.messages import Measurement, Offer, TapStatus
+from protocol.runtime.endpoints import Endpoints
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import CAPTURE
-from protocol.runtime.zenoh_bus import Endpoints
 from protocol.scenario import Scenario
 from protocol.topics import key_of
 from tap_service.fleet import TapFleet

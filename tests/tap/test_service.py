@@ -23,9 +23,10 @@ from protocol.messages import (
     Sealed,
     TapStatus,
 )
+from protocol.runtime.endpoints import Endpoints, free_endpoints
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES
-from protocol.runtime.zenoh_bus import Endpoints, ZenohBus, free_endpoints
+from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
 from tap_service import service as tap
 from tap_service.capture.channel import View

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS
 from wyner.cli.options import add_run_argument, joined
 

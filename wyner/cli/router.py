@@ -106,7 +106,8 @@ def check_guards(
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import TlsFiles, log_access, open_router
+    from protocol.runtime.endpoints import TlsFiles
+    from protocol.runtime.zenoh_bus import log_access, open_router
     from wyner.deployment.access import access_control
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
-from protocol.runtime.endpoints import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.options import message_of
 from protocol.runtime.process import DONE, Failure, UsageError, new_id

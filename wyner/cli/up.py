@@ -264,7 +264,7 @@ def _children(
     """Lay out the run's folder and name its processes; nothing is started yet."""
     from importlib.metadata import version
 
-    from protocol.runtime.zenoh_bus import free_endpoints
+    from protocol.runtime.endpoints import free_endpoints
     from wyner.deployment.running import RunningLoop
     from wyner.deployment.supervisor import Child, Supervisor
 

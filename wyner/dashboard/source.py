@@ -50,7 +50,7 @@ class BusSource:
 
     Parameters
     ----------
-    ops_bus, intel_bus : protocol.runtime.zenoh_bus.Bus
+    ops_bus, intel_bus : protocol.runtime.bus.Bus
         Open buses.
     loop : str
         The loop's id.
