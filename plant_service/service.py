@@ -20,7 +20,8 @@ from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
-from protocol.runtime.journal import JournalError, PlantJournal
+from protocol.runtime.journal import PlantJournal
+from protocol.runtime.journal_files import JournalError
 from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
 from protocol.runtime.process import Pace, UsageError, logger, new_id, proquint

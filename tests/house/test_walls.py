@@ -182,6 +182,7 @@ SECRETS = {
     "protocol.link.sender",
     "protocol.link.receiver",
     "protocol.runtime.journal",  # both, and the message
+    "protocol.runtime.journal_files",
     "protocol.streams",  # the coins
 }
 """What holds alpha, D_c, coins, keys, journals or the truth. Schemes are algorithms, and public."""

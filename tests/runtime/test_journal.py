@@ -13,7 +13,8 @@ from protocol.link.endpoint import Append, Keep
 from protocol.link.receiver import ReceiverRecord
 from protocol.link.sender import SenderRecord
 from protocol.messages import Measurement, Message, Offer
-from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
+from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.journal_files import JournalError
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"

@@ -12,13 +12,9 @@ import pytest
 from protocol.link.endpoint import Append, Keep
 from protocol.link.receiver import ReceiverRecord
 from protocol.messages import Measurement, Offer
-from protocol.runtime import journal as journal_module
-from protocol.runtime.journal import (
-    JOURNAL_VERSION,
-    ControllerJournal,
-    JournalError,
-    PlantJournal,
-)
+from protocol.runtime import journal_files
+from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.journal_files import JOURNAL_VERSION, JournalError
 from protocol.runtime.step_log import Step, StepLog
 from protocol.secret.nonces import Raw
 from tests.support.twin_journals import SCENARIO, copied
@@ -218,7 +214,7 @@ def test_steps_of_another_journal_or_that_do_not_follow_are_left_out(tmp_path: P
 def test_a_long_run_of_steps_is_put_into_the_database(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(journal_module, "LARGEST", 5000)
+    monkeypatch.setattr(journal_files, "LARGEST", 5000)
     path = tmp_path / NAME
     with PlantJournal(path, SCENARIO) as journal:
         steps(journal, 0, 60)

@@ -15,7 +15,8 @@ from protocol.link.events import Applied
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
-from protocol.runtime.journal import ControllerJournal, JournalError, PlantJournal
+from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.journal_files import JournalError
 from protocol.runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
 from protocol.runtime.step_log import STEPS
 from protocol.streams import SystemSymbols
