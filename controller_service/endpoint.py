@@ -12,7 +12,8 @@ from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice,
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
 from protocol.link.key_events import key_events, key_notices
 from protocol.link.pacing import next_turn, phase_of
-from protocol.link.sender import Sender, SenderEffects
+from protocol.link.sender import Sender
+from protocol.link.sender_session import SenderEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
     ControllerHello,

@@ -4,7 +4,8 @@ import time
 from typing import Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
-from protocol.link.sender import Outbox, Sender
+from protocol.link.ciphering import Outbox
+from protocol.link.sender import Sender
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown

@@ -15,7 +15,7 @@ from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Outgoing
 from protocol.link.events import Interrupted
 from protocol.link.pacing import Pacing
-from protocol.link.receiver import ReceiverRecord
+from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.journal import BegunStep
 from protocol.scenario import Scenario

@@ -11,7 +11,7 @@ from plant_service.endpoint import STATUS_S, PlantEndpoint
 from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import Pacing
-from protocol.link.receiver import ReceiverRecord
+from protocol.link.records import ReceiverRecord
 from protocol.runtime.journal import BegunStep, ReceiverStep
 from protocol.runtime.process import UsageError
 from protocol.scenario import Scenario

@@ -13,7 +13,8 @@ from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
 from protocol.link.fallback import Fallback
-from protocol.link.receiver import Receiver, ReceiverEffects, ReceiverRecord
+from protocol.link.receiver import Receiver, ReceiverEffects
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
 from protocol.runtime.process import Failure

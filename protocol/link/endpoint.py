@@ -9,8 +9,7 @@ from typing import Final, Literal, NamedTuple, Protocol
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Message, Status
 from protocol.secret.nonces import Raw
 from protocol.secret.tasks import Done, Task

@@ -6,12 +6,13 @@ from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.keying import Keying
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
 from protocol.secret.blocks import Judgement
-from protocol.secret.nonces import Copy, NonceSource, Raw, fresh_nonce
+from protocol.secret.nonces import NonceSource, Raw, fresh_nonce
 from protocol.vectors import Vector
 
 CHUNK: Final = 64
@@ -22,46 +23,6 @@ Within a chunk a save is one statement in every state of the scheme, so that non
 def hex_digits(size: int) -> int:
     """Hexadecimal digits of a symbol kept: one up to M = 16, else two."""
     return 1 if size <= 16 else 2
-
-
-class ReceiverRecord(NamedTuple):
-    """All that the plant must not forget, as its journal keeps it.
-
-    ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it;
-    ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
-    the frame under way, :func:`hex_digits` of each. Counters run over all sessions but
-    ``transitions`` and ``p``, which begin with the session. ``controller`` is the process that was
-    asked last to take the session up, ``life`` the one of its journal's that it was. ``nonce``
-    belongs to copy 0 of Measurement(k); the three fields behind it are those of that message.
-    """
-
-    session: str
-    k: int
-    x: Vector
-    u: Vector
-    applied_k: int = -1
-    x_after: Vector = ()
-    partial: str = ""
-    state: tuple[int, ...] = ()
-    transitions: int = 0
-    p: int = 0
-    sessions: int = 1
-    agreements: int = 0
-    symbol_errors: int = 0
-    missed: int = 0
-    messages: int = 0
-    frames_refused: int = 0
-    controller: str = ""
-    nonce: str = ""
-    applied_copy: Copy = 0
-    block: int = -1
-    tag: str = ""
-    life: int = 0
-
-    @property
-    def s(self) -> int:
-        """What the automaton is doing, by number."""
-        return self.state[0]
 
 
 class ReceiverEffects(NamedTuple):
@@ -307,7 +268,8 @@ class Receiver:
         self._anyone = False
         scheme = self.rules.scheme
         verdict = self.rules.judge(record.x, offer.candidates, offer.centres, x_next)
-        after, (agreed, pad) = scheme.follow(record.state, verdict.symbol)
+        after, carry = scheme.follow(record.state, verdict.symbol)
+        agreed, pad = carry
         symbol = decrypt(offer.cipher, pad, scheme.alphabet)
         carried = pad != NO_SYMBOL
         deframer = (self._covers, self.deframer)[carried]
@@ -319,27 +281,10 @@ class Receiver:
             kept, full = "", kept
         both = (NO_SYMBOL, None, record.partial, ""), (symbol, ended, kept, full)
         recovered, frame, partial, chunk = both[carried]
-        p = record.p + (1 if carried else 0)
         steps = record.k - record.applied_k
         raw = self.keying.count(record.transitions, steps, offer, offer.copy_number, record.nonce)
-        transition = CountedTransition(
-            session=record.session,
-            j=record.transitions,
-            k=record.k,
-            x=record.x,
-            candidates=offer.candidates,
-            cipher=offer.cipher,
-            x_next=x_next,
-            role="message" if carried else "test",
-            verdict=verdict,
-            symbol=agreed,
-            key=pad,
-            message_symbol=recovered,
-            p=p,
-            s=after[0],
-            tested=scheme.tests(record.state),
-            counts=0 if raw is None else raw.counts,
-            centres=offer.centres,
+        transition = CountedTransition.of(
+            scheme, record, offer, x_next, verdict, after, carry, recovered, raw
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -350,7 +295,7 @@ class Receiver:
             partial=partial,
             state=after,
             transitions=record.transitions + 1,
-            p=p,
+            p=transition.p,
             agreements=record.agreements + (1 if agreed != NO_SYMBOL else 0),
             symbol_errors=record.symbol_errors + (1 if agreed not in (NO_SYMBOL, coin) else 0),
             messages=record.messages + (1 if frame is not None and frame.intact else 0),

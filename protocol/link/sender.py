@@ -1,22 +1,19 @@
 """The controller's end of the link, sans I/O, by the rules of :mod:`protocol.link.session`."""
 
 from collections.abc import Callable, Iterable
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.link.ciphering import Ciphering, Decision, Outbox
 from protocol.link.keying import Keying
+from protocol.link.records import SenderRecord
+from protocol.link.sender_session import NOTHING, SenderEffects, SenderSession
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
-from protocol.schemes.base import Carry, encrypt
-from protocol.schemes.framing import IDLE, encode_frame
-from protocol.secret.blocks import Judgement
+from protocol.messages import Measurement, Offer
+from protocol.schemes.base import Carry
 from protocol.secret.nonces import NonceSource, Raw, fresh_nonce
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
-
-REMEMBERED_SESSIONS: Final = 16
-"""Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
-
 
 LARGEST: Final = 1e150
 """No number of a state is larger: sums and quotients of larger ones need not be finite."""
@@ -29,60 +26,6 @@ back fewer."""
 
 Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
-
-
-class Outbox(Protocol):
-    """The queue of messages to deliver, in order, numbered from 0."""
-
-    def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
-
-
-class SenderRecord(NamedTuple):
-    """All that the controller must not forget, as its journal keeps it.
-
-    ``state`` is the scheme's. ``cipher`` is the decided symbol of the next transition and
-    ``message_symbol`` the m[p] inside it (-1 in a cover); ``message`` and ``offset`` say where in
-    which queued frame the next message symbol comes from, and ``framed`` whether the pending one
-    came from there or is idle.
-    ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
-    answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
-    ``life`` counts the processes that had this journal.
-    """
-
-    session: str | None = None
-    ended: tuple[str, ...] = ()
-    state: tuple[int, ...] = ()
-    k: int = -1
-    applied_k: int = -1
-    transitions: int = 0
-    agreements: int = 0
-    p: int = 0
-    cipher: int = 0
-    message_symbol: int = NO_SYMBOL
-    framed: bool = False
-    message: int = 0
-    offset: int = 0
-    x: Vector = ()
-    offer: Offer | None = None
-    nonce: str = ""
-    block: int = -1
-    tag: str = ""
-    life: int = 0
-
-    @property
-    def s(self) -> int:
-        """What the automaton is doing, by number."""
-        return self.state[0]
-
-
-class Decision(NamedTuple):
-    """The decided symbol of the next transition; the fields are those of :class:`SenderRecord`."""
-
-    cipher: int
-    message_symbol: int
-    framed: bool
-    offset: int
 
 
 class Counted(NamedTuple):
@@ -104,36 +47,7 @@ class Answer(NamedTuple):
     offer: Offer | None
 
 
-class SenderEffects(NamedTuple):
-    """What the controller's shell must do, in this order: trace, save, publish.
-
-    ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
-    the record before them, and then for :meth:`Sender.settle`, once the offer is on its way.
-    ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
-    session that is not this process's. ``raw`` is what the transition contributes to its key block,
-    ``judged`` what the measurement's word says of blocks.
-    """
-
-    save: bool = False
-    append: bool = False
-    transition: CountedTransition | None = None
-    delivered: int | None = None
-    offer: Offer | None = None
-    reply: ControllerHello | None = None
-    refusal: str = ""
-    greet: bool = False
-    raw: Raw | None = None
-    judged: tuple[Judgement, ...] = ()
-
-
-NOTHING: Final = SenderEffects()
-
-
-def _after(life: int) -> int:
-    return min(life + 1, LARGEST_COUNT)
-
-
-class Sender:
+class Sender(SenderSession):
     """The controller's end of the link.
 
     Parameters
@@ -170,21 +84,16 @@ class Sender:
         nonces: NonceSource = fresh_nonce,
         predict: Predict | None = None,
     ) -> None:
-        self.rules = rules
-        record = record or SenderRecord()
-        state = rules.scheme.restore(record.state)
-        self.record = record._replace(state=state, life=_after(record.life))
-        self.instance = instance
+        super().__init__(
+            rules,
+            instance,
+            record or SenderRecord(),
+            Ciphering(rules.scheme, outbox, fresh),
+            Keying(rules.schedule, nonces),
+        )
         self._propose = propose
         self._predict = predict
-        self._outbox = outbox
-        self._fresh = fresh
-        self._plant: str | None = None
-        self._elsewhere: str | None = None
-        self._refused = False
         self._stale = 0
-        self._frame: tuple[int, bytes] = (-1, b"")
-        self.keying = Keying(rules.schedule, nonces)
         if self.record.session is not None:
             word = self.record if step is None else step[1]
             self.keying.begin(self.record.session, word.block, word.tag, raws)
@@ -195,72 +104,9 @@ class Sender:
             self._answer = Answer(measurement, self._count(measurement, offer.cipher), offer)
 
     @property
-    def plant(self) -> str | None:
-        """The plant process whose session is taken up, if any."""
-        return self._plant
-
-    @property
     def carries(self) -> bool:
         """Whether the transition to come carries a message symbol."""
         return self.rules.scheme.pad(self.record.state) != NO_SYMBOL
-
-    @property
-    def refused(self) -> bool:
-        """Whether the only plant there shares another model: there is nothing to go on with."""
-        return self._refused
-
-    def greeting(self) -> ControllerHello:
-        """The first word after a start: asks the plant to say which session it is in.
-
-        The record must have been saved before: no other process may greet as this life.
-        """
-        return self._hello("greeting")
-
-    def heard_plant(self, hello: PlantHello, *, running: bool = False) -> SenderEffects:
-        """The plant asks to take up a session (rule 6).
-
-        ``running`` says that the plant whose session is taken up was heard just now: another one
-        then has to wait.
-        """
-        record = self.record
-        if hello.fingerprint != self.rules.fingerprint:
-            self._refused = record.session is None and not record.ended
-            return SenderEffects(
-                reply=self._hello("other-model", hello),
-                refusal=f"plant {hello.instance} shares another model",
-            )
-        ours = hello.session == record.session
-        if running and not ours and self._plant not in (None, hello.instance):
-            return SenderEffects(
-                refusal=f"plant {hello.instance} speaks up while plant {self._plant} runs: "
-                "two plants on one loop?"
-            )
-        if hello.controller is None:
-            self._elsewhere = None
-            behind = ours and hello.life > record.life
-            if behind:  # the plant knows lives of this journal which it does not know itself
-                self.record = record._replace(life=_after(hello.life))
-            return SenderEffects(save=behind, reply=self.greeting())
-        asked = hello.controller == self.instance
-        late = ours and hello.applied_k < record.applied_k
-        if late and (hello.instance == self._plant or not asked):
-            return NOTHING  # it was overtaken
-        if not asked and ours and hello.life < record.life:
-            self._elsewhere = None
-            return SenderEffects(greet=True)  # it asks a former life of this controller
-        if not asked:
-            return self._step_back(hello)
-        self._elsewhere = None
-        if ours:
-            outstanding = record.offer.k if record.offer is not None else record.applied_k
-            if hello.applied_k in (record.applied_k, outstanding):
-                self._plant = hello.instance
-                return SenderEffects(reply=self._hello("accepted", hello))
-            return self._refuse(hello, "the journals do not fit together")
-        if hello.transitions or hello.session in record.ended:
-            return self._refuse(hello, "the plant is in a session this journal does not know")
-        self._adopt(hello)
-        return SenderEffects(save=True, reply=self._hello("accepted", hello))
 
     def measured(self, measurement: Measurement) -> SenderEffects:
         """A measurement arrived: count what it reports, decide, offer (rules 2 and 3).
@@ -347,11 +193,8 @@ class Sender:
             self.record = said._replace(k=measurement.k, x=measurement.x, offer=offer)
             return SenderEffects(judged=judged)
         following = counted.following
-        agreed, pad = counted.carry
         applied = before.offer
         assert applied is not None
-        carried = pad != NO_SYMBOL
-        p = before.p + (1 if carried else 0)
         raw = self.keying.count(
             before.transitions,
             applied.k - before.applied_k,
@@ -359,32 +202,24 @@ class Sender:
             measurement.applied_copy,
             before.nonce,
         )
-        transition = CountedTransition(
-            session=applied.session,
-            j=before.transitions,
-            k=applied.k,
-            x=before.x,
-            candidates=applied.candidates,
-            cipher=applied.cipher,
-            x_next=measurement.x_after,
-            role="message" if carried else "test",
-            verdict=counted.verdict,
-            symbol=agreed,
-            key=pad,
-            message_symbol=before.message_symbol,
-            p=p,
-            s=counted.after[0],
-            tested=self.rules.scheme.tests(before.state),
-            counts=0 if raw is None else raw.counts,
-            centres=applied.centres,
+        transition = CountedTransition.of(
+            self.rules.scheme,
+            before,
+            applied,
+            measurement.x_after,
+            counted.verdict,
+            counted.after,
+            counted.carry,
+            before.message_symbol,
+            raw,
         )
         self.record = said._replace(
             state=counted.after,
             k=measurement.k,
             applied_k=applied.k,
             transitions=before.transitions + 1,
-            agreements=before.agreements + (1 if agreed != NO_SYMBOL else 0),
-            p=p,
+            agreements=before.agreements + (1 if transition.symbol != NO_SYMBOL else 0),
+            p=transition.p,
             cipher=following.cipher,
             message_symbol=following.message_symbol,
             framed=following.framed,
@@ -402,13 +237,6 @@ class Sender:
             judged=judged,
         )
 
-    def unequal(self) -> SenderEffects:
-        """The two ends hold different key blocks: end the session."""
-        self._drop_session()
-        return SenderEffects(
-            save=True, greet=True, refusal="a key block differs from the plant's; session ended"
-        )
-
     def _count(self, measurement: Measurement, decided: int | None = None) -> Counted | None:
         """Advance over the offer that ``measurement`` reports as applied; decide the next symbol.
 
@@ -423,36 +251,12 @@ class Sender:
         after, carry = self._arrows[verdict.symbol]
         delivered = None
         message, offset = record.message, record.offset
-        whole = offset == len(self._symbols(message))  # looked at in every state, as in `_decide`
-        if whole and record.framed:
+        frame = self._ciphering.frame(message)  # looked at in every state, as in `decide`
+        if offset == len(frame) and record.framed:
             delivered = message
             message, offset = message + 1, 0
-        following = self._decide(after, record.transitions + 1, message, offset, decided)
+        following = self._ciphering.decide(after, record.transitions + 1, message, offset, decided)
         return Counted(verdict, after, carry, message, delivered, following)
-
-    def _decide(
-        self,
-        state: tuple[int, ...],
-        transitions: int,
-        message: int,
-        offset: int,
-        decided: int | None = None,
-    ) -> Decision:
-        """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
-
-        Both decisions are made in both states, and one is taken, so that neither takes longer.
-        """
-        fresh = self._fresh.symbol(transitions, self.rules.size) if decided is None else decided
-        symbols = self._symbols(message)
-        framed = bool(symbols)
-        message_symbol = symbols[offset] if framed else IDLE
-        pad = self.rules.scheme.pad(state)
-        cipher = encrypt(message_symbol, pad, self.rules.size)
-        both = (
-            Decision(cipher, message_symbol, framed, offset + framed),
-            Decision(fresh, NO_SYMBOL, False, offset),
-        )
-        return both[pad == NO_SYMBOL]
 
     def _aim(self) -> None:
         """Have the arrows from the present state at hand, once a message is on its way.
@@ -462,97 +266,6 @@ class Sender:
         verdicts = (*range(self.rules.size), NO_SYMBOL)
         self._arrows = [self.rules.scheme.follow(self.record.state, v) for v in verdicts]
 
-    def _symbols(self, message: int) -> bytes:
-        """The frame of a queued message, or nothing while there is none."""
-        number, symbols = self._frame
-        if number != message:
-            payload = self._outbox.payload(message)
-            if payload is None:
-                return b""
-            symbols = encode_frame(payload, self.rules.size)
-            self._frame = (message, symbols)
-        return symbols
-
-    def _adopt(self, hello: PlantHello) -> None:
-        """Begin a session; the frame under way starts again."""
-        fresh = SenderRecord(
-            session=hello.session,
-            state=self.rules.scheme.initial,
-            ended=self._ended_now(),
-            message=self.record.message,
-            k=-1,
-            life=self.record.life,
-        )
-        first = self._decide(fresh.state, 0, fresh.message, 0)
-        self.record = fresh._replace(cipher=first.cipher)
-        self._aim()
-        self.keying.begin(hello.session)
-        self._plant = hello.instance
+    def _rewind(self) -> None:
         self._stale = 0
-
-    def _ended_now(self) -> tuple[str, ...]:
-        if self.record.session is None:
-            return self.record.ended
-        return (*self.record.ended, self.record.session)[-REMEMBERED_SESSIONS:]
-
-    def _drop_session(self) -> bool:
-        """Forget the session and its half-agreed key; False when there is none to forget."""
-        self._plant = None
-        self._stale = 0
-        if self.record.session is None:
-            return False
-        self.record = SenderRecord(
-            ended=self._ended_now(),
-            state=self.rules.scheme.initial,
-            message=self.record.message,
-            life=self.record.life,
-        )
         self._aim()
-        self.keying.end()
-        return True
-
-    def _refuse(self, hello: PlantHello, why: str) -> SenderEffects:
-        """Have the plant begin another session; the one here is over once it does.
-
-        Whoever asks may be gone for long: its hello may come late, and end nothing.
-        """
-        return SenderEffects(reply=self._hello("unknown-session", hello), refusal=why)
-
-    def _step_back(self, hello: PlantHello) -> SenderEffects:
-        """The plant asks another controller, or is with one: offer nothing in that session.
-
-        Who worked in that very session until now drops it: the other one has its journal.
-        """
-        overtaken = self._plant is not None and hello.session == self.record.session
-        if overtaken:
-            self._drop_session()
-        self._plant = None
-        self._elsewhere = hello.session
-        return SenderEffects(
-            save=overtaken,
-            refusal=f"plant {hello.instance} is with controller {hello.controller}, and not with "
-            f"this one, {self.instance}",
-        )
-
-    def _diverged(self, measurement: Measurement) -> SenderEffects:
-        """The plant reports what this journal rules out: one of the two went back in time."""
-        self._drop_session()
-        return SenderEffects(
-            save=True,
-            greet=True,
-            refusal=f"measurement {measurement.k} does not follow from the journal; session ended",
-        )
-
-    def _hello(
-        self,
-        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
-        hello: PlantHello | None = None,
-    ) -> ControllerHello:
-        return ControllerHello(
-            instance=self.instance,
-            life=self.record.life,
-            fingerprint=self.rules.fingerprint,
-            verdict=verdict,
-            session=hello.session if hello else self.record.session,
-            answers=hello.instance if hello else None,
-        )

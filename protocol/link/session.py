@@ -29,13 +29,16 @@ automata agree on every transition both have counted; no key symbol serves two m
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, Self
 
-from protocol.agreement import INSIDE, AgreementRule, Gauge, Verdict
+from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, Verdict
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Offer
 from protocol.scenario import Scenario
-from protocol.schemes.base import Scheme
+from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
+from protocol.secret.nonces import Raw
 from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
@@ -146,6 +149,41 @@ class CountedTransition(NamedTuple):
     tested: bool
     counts: int = 0
     centres: tuple[Vector, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        scheme: Scheme[Any],
+        record: SenderRecord | ReceiverRecord,
+        offer: Offer,
+        x_next: Vector,
+        verdict: Verdict,
+        after: tuple[int, ...],
+        carry: Carry,
+        message_symbol: int,
+        raw: Raw | None,
+    ) -> Self:
+        """The transition that an applied offer made of ``record``, which came before it."""
+        carried = carry.pad != NO_SYMBOL
+        return cls(
+            session=offer.session,
+            j=record.transitions,
+            k=offer.k,
+            x=record.x,
+            candidates=offer.candidates,
+            cipher=offer.cipher,
+            x_next=x_next,
+            role="message" if carried else "test",
+            verdict=verdict,
+            symbol=carry.agreed,
+            key=carry.pad,
+            message_symbol=message_symbol,
+            p=record.p + carried,
+            s=after[0],
+            tested=scheme.tests(record.state),
+            counts=0 if raw is None else raw.counts,
+            centres=offer.centres,
+        )
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""

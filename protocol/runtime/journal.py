@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter
 
 from protocol.link.endpoint import Append, Write
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.journal_files import JournalError, JournalFiles, check_of
 

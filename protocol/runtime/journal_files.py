@@ -23,8 +23,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.endpoint import Keep
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.runtime.process import Failure
 from protocol.runtime.run_folder import make_folder, open_private
 from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
@@ -35,7 +34,7 @@ JOURNAL_VERSION: Final = 8
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)
 
-R = TypeVar("R", SenderRecord, ReceiverRecord)
+R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
 
 _RAW: Final = (
     "CREATE TABLE IF NOT EXISTS raw (session TEXT, j INTEGER, steps INTEGER, offer BLOB, "

@@ -4,16 +4,14 @@ Like a file they outlive the endpoint that writes them, and like a file they nev
 that was only staged: who dies comes back with the record before the step, and the step.
 """
 
-from typing import Generic, TypeVar
+from typing import Generic
 
 from protocol.link.endpoint import Append, Keep, Write
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.journal import BegunStep, ReceiverStep, SenderStep
+from protocol.runtime.journal_files import R
 from protocol.secret.nonces import Raw
-
-R = TypeVar("R", SenderRecord, ReceiverRecord)
 
 
 class _MemoryJournal(Generic[R]):

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.timing import SIDES, Answers, difference, measure, recorded, render, response_times
 from benchmarks.work import work
-from protocol.link.sender import Sender
+from protocol.link.ciphering import Ciphering
 
 
 def times(seed: int, count: int, longer: float = 0.0) -> Answers:
@@ -74,14 +74,14 @@ def test_with_keys_too(side: str, tmp_path: Path) -> None:
 
 
 def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    decide = Sender._decide
+    decide = Ciphering.decide
 
-    def longer(self: Sender, state: tuple[int, ...], *of: Any) -> Any:
+    def longer(self: Ciphering, state: tuple[int, ...], *of: Any) -> Any:
         if state[0] == 2:
-            self.rules.size  # noqa: B018
+            self.frame  # noqa: B018
         return decide(self, state, *of)
 
-    monkeypatch.setattr(Sender, "_decide", longer)
+    monkeypatch.setattr(Ciphering, "decide", longer)
     found = work("controller", "sustained", recorded(200, "sustained", tmp_path)["controller"])
     assert found[False].most_common(1)[0][1] < 0.9 * found[False].total()
 

@@ -178,7 +178,8 @@ def test_starting_the_command_loads_nothing_heavy() -> None:
 
 SECRETS = {
     "protocol.scenario",  # D_c and alpha
-    "protocol.link.session",  # keys and automata's states
+    "protocol.link.records",  # keys and automata's states
+    "protocol.link.session",
     "protocol.link.sender",
     "protocol.link.receiver",
     "protocol.runtime.journal",  # both, and the message

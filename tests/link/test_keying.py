@@ -6,8 +6,9 @@ from dataclasses import replace
 import pytest
 
 from protocol.link.keying import Keying
-from protocol.link.receiver import Receiver, ReceiverRecord
-from protocol.link.sender import Sender, SenderRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import Sender
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, Closed, Judgement, Schedule, Stored
 from protocol.secret.bound import Assumption

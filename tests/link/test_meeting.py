@@ -3,8 +3,10 @@
 import pytest
 from pydantic import ValidationError
 
-from protocol.link.receiver import Receiver, ReceiverRecord
-from protocol.link.sender import STALE, Sender, SenderEffects, SenderRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import STALE, Sender
+from protocol.link.sender_session import SenderEffects
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.line_plant import line_rules
 

@@ -8,7 +8,7 @@ import pytest
 from protocol.link.endpoint import Actions, Append, Endpoint, Keep, Notice, Outgoing, Write
 from protocol.link.events import Applied, Event, Missed, Recovered
 from protocol.link.perform import Killed, Mortal, perform
-from protocol.link.sender import SenderRecord
+from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
 from protocol.scenario import Scenario

@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from protocol.agreement import INSIDE, AgreementRule, Gauge
-from protocol.link.receiver import Receiver, ReceiverRecord
-from protocol.link.sender import REMEMBERED_SESSIONS, STALE, Sender, SenderEffects, SenderRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import STALE, Sender
+from protocol.link.sender_session import REMEMBERED_SESSIONS, SenderEffects
 from protocol.link.session import Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import Frame, encode_frame

@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 
 from protocol.agreement import NO_SYMBOL, Verdict
-from protocol.link.receiver import CHUNK, Receiver, ReceiverEffects, ReceiverRecord
-from protocol.link.sender import Sender, SenderEffects, SenderRecord
+from protocol.link.receiver import CHUNK, Receiver, ReceiverEffects
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import Sender
+from protocol.link.sender_session import SenderEffects
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import Scheme

@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.receiver import Receiver, ReceiverRecord
-from protocol.link.sender import Sender, SenderEffects, SenderRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import Sender
+from protocol.link.sender_session import SenderEffects
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.line_plant import line_rules

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from protocol.link.endpoint import Append, Keep
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Message, Offer
 from protocol.runtime.journal import ControllerJournal, PlantJournal
 from protocol.runtime.journal_files import JournalError
@@ -254,7 +253,7 @@ from pathlib import Path
 from protocol.link.endpoint import Append, Keep
 from protocol.runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
-from protocol.link.receiver import ReceiverRecord
+from protocol.link.records import ReceiverRecord
 
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)

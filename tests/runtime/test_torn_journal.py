@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 
 from protocol.link.endpoint import Append, Keep
-from protocol.link.receiver import ReceiverRecord
+from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime import journal_files
 from protocol.runtime.journal import ControllerJournal, PlantJournal

@@ -8,7 +8,8 @@ from plant_service.plant import Move, PlantStep
 from protocol.link.endpoint import Notice, Outgoing, Write
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
-from protocol.link.receiver import Receiver, ReceiverRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.messages import Message, Offer, Status

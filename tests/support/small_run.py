@@ -14,8 +14,9 @@ from typing import Any, Final, Literal
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.plant import Move, Plant, first_record
-from protocol.link.receiver import Receiver, ReceiverRecord
-from protocol.link.sender import Sender, SenderRecord
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.runtime.parts import Bounds

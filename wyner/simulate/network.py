@@ -23,8 +23,8 @@ from protocol.link.events import Applied, Event, Missed
 from protocol.link.model import load_model
 from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
-from protocol.link.receiver import ReceiverRecord
-from protocol.link.sender import Sender, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.sender import Sender
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal

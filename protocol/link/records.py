@@ -1,0 +1,86 @@
+"""What each end must not forget, as its journal keeps it."""
+
+from typing import NamedTuple
+
+from protocol.agreement import NO_SYMBOL
+from protocol.messages import Offer
+from protocol.secret.nonces import Copy
+from protocol.vectors import Vector
+
+
+class SenderRecord(NamedTuple):
+    """All that the controller must not forget, as its journal keeps it.
+
+    ``state`` is the scheme's. ``cipher`` is the decided symbol of the next transition and
+    ``message_symbol`` the m[p] inside it (-1 in a cover); ``message`` and ``offset`` say where in
+    which queued frame the next message symbol comes from, and ``framed`` whether the pending one
+    came from there or is idle.
+    ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
+    answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
+    ``life`` counts the processes that had this journal.
+    """
+
+    session: str | None = None
+    ended: tuple[str, ...] = ()
+    state: tuple[int, ...] = ()
+    k: int = -1
+    applied_k: int = -1
+    transitions: int = 0
+    agreements: int = 0
+    p: int = 0
+    cipher: int = 0
+    message_symbol: int = NO_SYMBOL
+    framed: bool = False
+    message: int = 0
+    offset: int = 0
+    x: Vector = ()
+    offer: Offer | None = None
+    nonce: str = ""
+    block: int = -1
+    tag: str = ""
+    life: int = 0
+
+    @property
+    def s(self) -> int:
+        """What the automaton is doing, by number."""
+        return self.state[0]
+
+
+class ReceiverRecord(NamedTuple):
+    """All that the plant must not forget, as its journal keeps it.
+
+    ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it;
+    ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
+    the frame under way in hexadecimal digits. Counters run over all sessions but ``transitions``
+    and ``p``, which begin with the session. ``controller`` is the process that was asked last to
+    take the session up, ``life`` the one of its journal's that it was. ``nonce`` belongs to copy 0
+    of Measurement(k); the three fields behind it are those of that message.
+    """
+
+    session: str
+    k: int
+    x: Vector
+    u: Vector
+    applied_k: int = -1
+    x_after: Vector = ()
+    partial: str = ""
+    state: tuple[int, ...] = ()
+    transitions: int = 0
+    p: int = 0
+    sessions: int = 1
+    agreements: int = 0
+    symbol_errors: int = 0
+    missed: int = 0
+    messages: int = 0
+    frames_refused: int = 0
+    controller: str = ""
+    nonce: str = ""
+    applied_copy: Copy = 0
+    block: int = -1
+    tag: str = ""
+    life: int = 0
+
+    @property
+    def s(self) -> int:
+        """What the automaton is doing, by number."""
+        return self.state[0]
