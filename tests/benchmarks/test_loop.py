@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks.loop import ServiceProcess, bare_round, measure, render
+from benchmarks.bare import bare_round
+from benchmarks.loop import ServiceProcess, measure, render
 from benchmarks.loop_parts import Stopwatch
 from protocol.runtime.process import Failure
 from protocol.scenario import ScenarioError
