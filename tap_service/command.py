@@ -202,10 +202,11 @@ def run_told(
     from protocol.runtime.options import alone_in, checked, run_dir_of
     from protocol.runtime.process import DONE, UsageError
     from tap_service.capture.recording import Limits
+    from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
     from tap_service.guests import guarded
-    from tap_service.service import FINISH_S, TapConfig, run_tap
+    from tap_service.service import run_tap
 
     limits = checked(
         Limits,

@@ -23,7 +23,8 @@ from protocol.runtime.process import (
     stop_on_signals,
 )
 from protocol.topics import every_loop
-from tap_service.service import NICENESS, Note, TapConfig, TapService
+from tap_service.config import TapConfig
+from tap_service.service import NICENESS, Note, TapService
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus

@@ -6,26 +6,17 @@ a step; the heavy ones read the capture in a process of their own (:mod:`tap_ser
 """
 
 import logging
-import multiprocessing
 import os
 import queue
-import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass
-from dataclasses import field as default
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from protocol.knowledge import Knowledge
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import (
@@ -44,18 +35,18 @@ from protocol.runtime.run_folder import (
     TAP_STATUS,
     write_status,
 )
-from protocol.topics import DEFAULT_LOOP, key_of
-from tap_service.analysis import Assignment, Listeners, analyse, listeners_of
-from tap_service.capture.channel import View, WiretapChannel, told
-from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
+from protocol.topics import key_of
+from tap_service.analysis import Assignment, Listeners, listeners_of
+from tap_service.capture.channel import WiretapChannel
+from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
+from tap_service.config import TapConfig, eighth
 from tap_service.guests import guarded
+from tap_service.heavy import HeavyProcess
 from tap_service.status import belief_record, beliefs_json, status_of
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
-    from protocol.runtime.endpoints import Endpoints
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -78,76 +69,6 @@ QUEUE_BYTES: Final = 64 * 2**20
 
 BUSY_LENGTH: Final = 20_000
 """Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
-
-FINISH_S: Final = 20.0
-"""Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
-
-
-@dataclass(frozen=True, slots=True)
-class TapConfig:
-    """All that the tap is told.
-
-    Parameters
-    ----------
-    run_dir : Path
-        Everything is written below its folder ``tap``.
-    knowledge : Knowledge
-        What every eavesdropper but the oracle knows.
-    oracle_knowledge : Knowledge, optional
-        The oracle's; without it there can be none.
-    names : tuple of str
-        Eavesdroppers, by name or as ``FILE.py:NAME``.
-    view : View
-        What the tap sees, and how well.
-    loop : str
-    field, intel : Endpoints
-    limits : Limits
-        Of the capture; the logs of guesses get an eighth of it each.
-    finish_s : float
-        Seconds that the heavy eavesdroppers have for their last thoughts.
-    """
-
-    run_dir: Path
-    knowledge: Knowledge
-    field: "Endpoints"
-    intel: "Endpoints"
-    oracle_knowledge: Knowledge | None = None
-    names: tuple[str, ...] = DEFAULT
-    view: View = default(default_factory=View)
-    loop: str = DEFAULT_LOOP
-    limits: Limits = default(default_factory=Limits)
-    finish_s: float = FINISH_S
-
-    def knowledge_of(self, name: str) -> Knowledge:
-        """What the eavesdropper ``name`` is told; the oracle's model has no error."""
-        if name == ORACLE:
-            if self.oracle_knowledge is None:
-                raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
-            return self.oracle_knowledge
-        return told(self.knowledge, guarded(name), self.view)
-
-    def header(self) -> dict[str, Any]:
-        """The public part of what a recording's header says."""
-        from importlib.metadata import version
-
-        return {
-            "loop": self.loop,
-            "knowledge": self.knowledge.model_dump(mode="json"),
-            "view": self.view.model_dump(mode="json"),
-            "eavesdroppers": self.names,
-            "wyner_version": version("wyner"),
-        }
-
-
-def eighth(limits: Limits) -> Limits:
-    """Bounds of a log of guesses, from the capture's."""
-    return limits.model_copy(
-        update={
-            "part_bytes": max(limits.part_bytes // 8, 1024),
-            "total_bytes": max(limits.total_bytes // 8, 2048),
-        }
-    )
-
 
 Note = Callable[["Bus"], AbstractContextManager["Bus"]]
 """What else is done with the bus that statuses are published on, such as metrics."""
@@ -210,27 +131,11 @@ class TapService:
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
-        self._analysis: BaseProcess | None = None
-        self._pipe: Connection | None = None
-        self._analysis_status: dict[str, TapStatus] = {}
+        self._heavy_status: dict[str, TapStatus] = {}
+        self._heavy: HeavyProcess | None = None
         if heavy:
-            self._start_analysis(Assignment(config.run_dir, heavy, knowledge, guesses, header))
-
-    def _start_analysis(self, assignment: Assignment) -> None:
-        # one thread is all it may take of the processor
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._analysis = context.Process(target=analyse, args=(assignment, theirs), daemon=True)
-        # Ctrl-C in a terminal reaches both, and is not for the child, even before it runs. The
-        # tracker would be started here too, and unblock the signal.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            self._analysis.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        theirs.close()
+            assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
+            self._heavy = HeavyProcess(assignment, self.log)
 
     # --- the wire ---------------------------------------------------------------------------------
 
@@ -335,28 +240,11 @@ class TapService:
         self._guesses.flush()
         self.publish(last=True)
         self.write_beliefs()
-        if self._pipe is not None:
-            self._finish_analysis(self._pipe)
-            self.publish(last=True)
-
-    def _finish_analysis(self, pipe: Connection) -> None:
-        deadline = time.monotonic() + self._config.finish_s
-        try:
-            pipe.send("finish")
-            while (left := deadline - time.monotonic()) > 0:
-                if not pipe.poll(left):
-                    break
-                report = pipe.recv()
-                if report is None:
-                    return
+        if self._heavy is not None and not self._heavy.gone:
+            for report in self._heavy.finish(self._config.finish_s):
                 self._note(*report)
                 self.write_beliefs()
-        except (EOFError, OSError):
-            self.log.error("the heavy eavesdroppers' process is gone")
-            return
-        self.log.error("the heavy eavesdroppers did not finish within %g s", self._config.finish_s)
-        if self._analysis is not None:
-            self._analysis.terminate()
+            self.publish(last=True)
 
     # --- what is told -----------------------------------------------------------------------------
 
@@ -372,7 +260,7 @@ class TapService:
         }
 
     def _note(self, status: TapStatus, record: dict[str, Any]) -> None:
-        self._analysis_status[status.name] = status
+        self._heavy_status[status.name] = status
         self._records[status.name] = record
 
     def publish(self, *, last: bool = False) -> None:
@@ -384,16 +272,9 @@ class TapService:
             self._records[listener.name] = record
             counts = self._counts() | {"behind": len(self._queue)}
             statuses.append(status_of(listener, belief, counts))
-        try:
-            while self._pipe is not None and self._pipe.poll():
-                report = self._pipe.recv()
-                if report is None:
-                    break
-                self._note(*report)
-        except (EOFError, OSError):
-            self.log.error("the heavy eavesdroppers' process is gone")
-            self._pipe = None
-        for status in self._analysis_status.values():
+        for report in () if self._heavy is None else self._heavy.reports():
+            self._note(*report)
+        for status in self._heavy_status.values():
             counts = self._counts()
             counts["dropped"] += status.dropped
             statuses.append(status.model_copy(update=counts))
@@ -403,7 +284,7 @@ class TapService:
 
     def _health(self) -> str:
         """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
-        behind = max(len(self._queue), *(s.behind for s in self._analysis_status.values()), 0)
+        behind = max(len(self._queue), *(s.behind for s in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
         return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"
@@ -427,10 +308,5 @@ class TapService:
         """End the files and the analysis process."""
         self._capture.close()
         self._guesses.close()
-        if self._pipe is not None:
-            self._pipe.close()
-        if self._analysis is not None:
-            self._analysis.join(1.0)
-            if self._analysis.is_alive():
-                self._analysis.terminate()
-                self._analysis.join(1.0)
+        if self._heavy is not None:
+            self._heavy.close()

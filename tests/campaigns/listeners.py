@@ -23,7 +23,8 @@ from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.capture.recording import Limits
-from tap_service.service import TapConfig, TapService
+from tap_service.config import TapConfig
+from tap_service.service import TapService
 from tests.support.small_run import law_of
 from tools.rehearsal import Rehearsal
 from wyner.dashboard.app import Watch

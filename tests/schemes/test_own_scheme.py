@@ -25,10 +25,11 @@ from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.schemes.table import StateTable, advance_many
 from tap_service.capture.transcript import Transition
+from tap_service.config import TapConfig
 from tap_service.eavesdroppers import EAVESDROPPERS
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
 from tap_service.inference.list_decoding import ListDecoding
-from tap_service.service import TapConfig, TapService
+from tap_service.service import TapService
 from tests.support.safety import violations
 from tests.support.small_run import SCENARIOS, SmallRun
 from tests.system.test_services import System

@@ -14,8 +14,8 @@ from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import CAPTURE
 from protocol.scenario import Scenario
 from protocol.topics import key_of
+from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
-from tap_service.service import TapConfig
 
 
 def captured(folder: Path, loop: str) -> list[tuple[str, int]]:

@@ -32,8 +32,9 @@ from tap_service import service as tap
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits
+from tap_service.config import TapConfig
 from tap_service.eavesdroppers import KnowledgeError
-from tap_service.service import TapConfig, TapService
+from tap_service.service import TapService
 from wyner.scoring.replay import Replay
 from wyner.studies.secrecy.runs import Run, simulate
 
@@ -247,8 +248,8 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     run: Run, tmp_path: Path
 ) -> None:
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
-    child = wire.service._analysis
-    assert child is not None
+    assert wire.service._heavy is not None
+    child = wire.service._heavy.process
     assert child.pid is not None
     os.kill(child.pid, signal.SIGINT)  # while it is still being loaded
     wire.finish()

@@ -1,0 +1,83 @@
+"""All that a tap is told: what she knows, what she sees, where it is kept."""
+
+from dataclasses import dataclass
+from dataclasses import field as default
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.knowledge import Knowledge
+from protocol.runtime.endpoints import Endpoints
+from protocol.topics import DEFAULT_LOOP
+from tap_service.capture.channel import View, told
+from tap_service.capture.recording import Limits
+from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
+from tap_service.guests import guarded
+
+FINISH_S: Final = 20.0
+"""Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class TapConfig:
+    """All that the tap is told.
+
+    Parameters
+    ----------
+    run_dir : Path
+        Everything is written below its folder ``tap``.
+    knowledge : Knowledge
+        What every eavesdropper but the oracle knows.
+    oracle_knowledge : Knowledge, optional
+        The oracle's; without it there can be none.
+    names : tuple of str
+        Eavesdroppers, by name or as ``FILE.py:NAME``.
+    view : View
+        What the tap sees, and how well.
+    loop : str
+    field, intel : Endpoints
+    limits : Limits
+        Of the capture; the logs of guesses get an eighth of it each.
+    finish_s : float
+        Seconds that the heavy eavesdroppers have for their last thoughts.
+    """
+
+    run_dir: Path
+    knowledge: Knowledge
+    field: Endpoints
+    intel: Endpoints
+    oracle_knowledge: Knowledge | None = None
+    names: tuple[str, ...] = DEFAULT
+    view: View = default(default_factory=View)
+    loop: str = DEFAULT_LOOP
+    limits: Limits = default(default_factory=Limits)
+    finish_s: float = FINISH_S
+
+    def knowledge_of(self, name: str) -> Knowledge:
+        """What the eavesdropper ``name`` is told; the oracle's model has no error."""
+        if name == ORACLE:
+            if self.oracle_knowledge is None:
+                raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
+            return self.oracle_knowledge
+        return told(self.knowledge, guarded(name), self.view)
+
+    def header(self) -> dict[str, Any]:
+        """The public part of what a recording's header says."""
+        from importlib.metadata import version
+
+        return {
+            "loop": self.loop,
+            "knowledge": self.knowledge.model_dump(mode="json"),
+            "view": self.view.model_dump(mode="json"),
+            "eavesdroppers": self.names,
+            "wyner_version": version("wyner"),
+        }
+
+
+def eighth(limits: Limits) -> Limits:
+    """Bounds of a log of guesses, from the capture's."""
+    return limits.model_copy(
+        update={
+            "part_bytes": max(limits.part_bytes // 8, 1024),
+            "total_bytes": max(limits.total_bytes // 8, 2048),
+        }
+    )
