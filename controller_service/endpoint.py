@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from controller_service.telemetry import ControllerTelemetry, Messages, Phase
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
-from protocol.link.key_events import key_events, key_notices
-from protocol.link.pacing import next_turn, phase_of
+from protocol.link.key_events import key_actions
+from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
 from protocol.link.session import SILENCE_S
@@ -38,9 +38,6 @@ SILENT_PERIODS: Final = 3
 
 INITIAL_ID: Final = "initial"
 """Identifier of the message that a controller is started with; no command may take it."""
-
-STATUS_S: Final = 0.05
-HEALTH_S: Final = 1.0
 
 
 class ControllerEndpoint:
@@ -195,9 +192,7 @@ class ControllerEndpoint:
     def kept(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done a task."""
         self._now = now
-        keying = self.sender.keying
-        tasks = keying.done(done)
-        return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
+        return key_actions(self.sender.keying, done)
 
     def _actions(self, effects: SenderEffects, *events: Event) -> Actions:
         """What the sender asks for, beside the step itself."""

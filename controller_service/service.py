@@ -7,10 +7,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from controller_service.endpoint import STATUS_S, ControllerEndpoint
+from controller_service.endpoint import ControllerEndpoint
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.model import load_model
+from protocol.link.pacing import STATUS_S
 from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of

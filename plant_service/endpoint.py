@@ -1,19 +1,25 @@
-"""The plant's end of the link with its timers, sans I/O."""
+"""The plant's end of the link with its timers, sans I/O.
+
+What it says of itself is in :mod:`plant_service.telling`. The rest is one machine of messages and
+timers, whose parts share every field; that is why it is a little longer than other modules.
+"""
 
 from collections.abc import Callable
 from math import inf
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
-from plant_service.plant import Move, PlantStep
+from plant_service.plant import Move
 from plant_service.status import PlantTelemetry
+from plant_service.stepper import Stepper
+from plant_service.telling import Telling
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
-from protocol.link.key_events import key_events, key_notices
-from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.receiver import Receiver, ReceiverEffects
+from protocol.link.key_events import key_actions
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, STATUS_S, Pacing
+from protocol.link.receiver import ReceiverEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
     ControllerHello,
@@ -23,51 +29,16 @@ from protocol.messages import (
     PlantHello,
     PlantModel,
     PlantStatus,
-    Status,
 )
 from protocol.runtime.process import DONE, USAGE, proquint
 from protocol.schemes.framing import Frame
 from protocol.secret.tasks import Done
-from protocol.text import readable
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
 
-STATUS_S: Final = 0.05
-HEALTH_S: Final = 1.0
-
-MODEL_S: Final = 1.0
-"""Seconds between two words on the plant's model, where statuses come often."""
-
-MODEL_AFTER: Final = 4
-"""Where they come seldom: the model goes before every so manieth status."""
-
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
-
-
-class Stepper(Protocol):
-    """What is stepped: a plant with its coin and its receiver, as :class:`plant_service.plant`'s.
-
-    ``move`` must come to the same end when it is called again for a step that was not counted.
-    """
-
-    receiver: Receiver
-
-    def move(self, offer: Offer) -> Move:
-        """Choose one input of the current ``offer``, and apply it."""
-
-    def count(self, move: Move) -> PlantStep:
-        """Count the transition that ``move`` made."""
-
-    def miss(self) -> PlantStep:
-        """Apply the fallback input."""
-
-    def safe(self, why: str) -> None:
-        """Go to the safe state."""
-
-    def close(self) -> None:
-        """Let go of what is stepped."""
 
 
 class PlantEndpoint:
@@ -121,12 +92,8 @@ class PlantEndpoint:
         self._uncounted = pending
         self._fresh = fresh
         self._steps = steps
-        self._news = news
-        self._status_s = status_s
-        self._status_at = now if news is not None else inf
-        self._said = 0
-        self._model_every = max(MODEL_AFTER, round(MODEL_S / status_s))
-        self._health_at = self._hello_at = self._last_at = -inf
+        self._telling = Telling(news, status_s, now, plant.receiver.instance)
+        self._hello_at = self._last_at = -inf
         self._answered_at = now
         self._latest_late_k = self._measured_k = -1
         self._measured_at = now
@@ -180,7 +147,7 @@ class PlantEndpoint:
         if self._finished:
             return self._last_at
         due = min(
-            self._status_at,
+            self._telling.at,
             self._bites_at,
             pacing.due_at(running=self._running, measuring=receiver.accepted),
         )
@@ -214,17 +181,14 @@ class PlantEndpoint:
             publish.append(self._hello())
         actions = NOTHING_TO_DO
         over = pacing.tick(now, running=self._running)
-        if over != "nothing" and self._news is not None:
-            self._news.punctuality.ticked(pacing.late_s, pacing.overruns)
+        if over != "nothing":
+            self._telling.ticked(pacing.late_s, pacing.overruns)
         if over == "missed":
             actions = self._missed()
         elif over == "ended":
             actions = self._ended()
-        health: Status | None = None
-        if now >= self._status_at:
-            self._status_at = next_turn(now, self._status_s, phase_of(receiver.instance))
-            status, health = self._status(force=False)
-            publish += status
+        status, health = self._telling.due(receiver, self.garbage, now)
+        publish += status
         if receiver.accepted and not actions.settle and pacing.measurement_due(now):
             k = receiver.record.k
             if k != self._measured_k:
@@ -239,9 +203,7 @@ class PlantEndpoint:
         step = self.plant.count(move)
         assert step.effects is not None
         assert step.coin is not None
-        contradicted = None
-        if self._news is not None:
-            contradicted = self._news.counted(step)
+        contradicted = self._telling.counted(step)
         effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
         applied = Applied(effects.transition, step.coin, step.u)
         if frame is None:
@@ -269,41 +231,31 @@ class PlantEndpoint:
             write = actions.write._replace(raw=effects.raw, settled=settled, later=later)
             return actions._replace(write=write, keys=tasks)
         receiver.end_session(self._new_id())
-        self._phase("greeting")
-        record = receiver.record
         text = "a key block differs from the controller's"
-        assert isinstance(actions.write, Keep)
-        return actions._replace(
-            events=(*actions.events, SessionBegan(record.session, text)),
-            write=actions.write._replace(record=record, later=False, chunk="", drop_chunks=True),
-            publish=(*actions.publish, self._hello()),
-            notices=(*actions.notices, Notice(f"{text}; new session {record.session}", "error")),
-            keys=tasks,
-        )
+        notice = Notice(f"{text}; new session {receiver.record.session}", "error")
+        return self._anew(text, notice, actions)._replace(keys=tasks)
 
     def kept(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done a task."""
         self._now = now
-        keying = self.plant.receiver.keying
-        tasks = keying.done(done)
-        return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
+        return key_actions(self.plant.receiver.keying, done)
 
     def stop(self, now: float) -> Actions:
         """The last status."""
         self._now = now
-        if self._news is not None and self._news.phase != "refused":
-            self._news.phase = "stopped"
+        self._telling.stopped()
         self.plant.safe("the process ended")
         self.plant.close()
-        publish, health = self._status(force=True)
-        k = self.plant.receiver.record.k
-        timing = None if self._news is None else self._news.punctuality.as_event(k)
-        return Actions(() if timing is None else (timing,), publish=publish, health=health)
+        receiver = self.plant.receiver
+        publish, health = self._telling.status(receiver, self.garbage, now, force=True)
+        timing = self._telling.timing(receiver.record.k)
+        return Actions(timing, publish=publish, health=health)
 
     def status(self, now: float) -> PlantStatus:
         """What the dashboard is told; an endpoint without news has none."""
-        assert self._news is not None
-        return self._news.status(self.plant.receiver, self.garbage, now)
+        news = self._telling.news
+        assert news is not None
+        return news.status(self.plant.receiver, self.garbage, now)
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -327,18 +279,17 @@ class PlantEndpoint:
             # not late; nor is it late twice.)
             self._latest_late_k = offer.k
             pacing.answered_late()
-            if self._news is not None:
-                self._news.late += 1
+            self._telling.answered_late()
         if what != "current" or pacing.waiting:
             return NOTHING_TO_DO
-        if self._news is not None and self._measured_k == record.k:
-            self._news.answered(now - self._measured_at)
+        if self._measured_k == record.k:
+            self._telling.answered(now - self._measured_at)
         return self._apply(offer, payload, now)
 
     def _acted(self, now: float) -> None:
         """An offer was applied."""
-        if self._news is not None and self._pacing.timed:
-            self._news.punctuality.acted(self._pacing.since_tick_s(now))
+        if self._pacing.timed:
+            self._telling.acted(self._pacing.since_tick_s(now))
         self._pacing.applied()
         self._moved = True
         self._bites_at = now + self._watchdog_s
@@ -374,11 +325,12 @@ class PlantEndpoint:
             refused = FrameRefused(record.session, record.p)
             notice = Notice("a frame failed its check and was refused", "error")
             return Actions((applied, refused), write, notices=(notice,))
-        if self._news is not None:
-            self._news.last_message = readable(frame.payload)
-            self._news.message_k = k
+        self._telling.recovered(frame.payload, k)
         text = f"message recovered at step {k}: {len(frame.payload)} bytes"
-        publish, health = self._status(force=True)
+        if self._finished:
+            self._telling.stopped()
+        receiver = self.plant.receiver
+        publish, health = self._telling.status(receiver, self.garbage, self._now, force=True)
         events = (applied, Recovered(frame.payload))
         return Actions(events, write, publish, (Notice(text),), health)
 
@@ -414,7 +366,7 @@ class PlantEndpoint:
         if outcome == "nothing":
             return NOTHING_TO_DO
         greeted = outcome == "stranger" and hello.verdict == "greeting"
-        answers = outcome in ("greet", "ended", "rival") or greeted
+        answers = outcome in ("greet", "rival") or greeted
         publish = (self._hello(),) if answers else ()
         record = receiver.record
         if outcome == "refused":
@@ -422,62 +374,40 @@ class PlantEndpoint:
                 f"the controller's model is {proquint(hello.fingerprint)}, "
                 f"this plant's is {proquint(receiver.rules.fingerprint)}"
             )
-            self._phase("refused", detail)
+            self._telling.phase("refused", detail)
             return _told(f"{detail}: the two ends must share one scenario", "error")
-        if outcome == "stranger":
-            text = (
-                f"controller {hello.instance} has another model, "
-                f"{proquint(hello.fingerprint)}; ignored"
-            )
-            return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
-        if outcome == "rival":
-            text = (
-                f"controller {hello.instance} speaks up while controller {receiver.controller} "
-                "has the session: two controllers on one loop?"
-            )
+        if outcome in ("stranger", "rival"):
+            model = f"has another model, {proquint(hello.fingerprint)}; ignored"
+            rival = f"speaks up while controller {receiver.controller} has the session: "
+            rival += "two controllers on one loop?"
+            text = f"controller {hello.instance} {rival if outcome == 'rival' else model}"
             return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
         if outcome == "accepted":
-            self._phase("running")
+            self._telling.phase("running")
             taken_up = (hello.instance, record.session)
             if taken_up == self._taken_up:
                 return NOTHING_TO_DO
             self._taken_up = taken_up
             return _told(f"controller {hello.instance} took up session {record.session}")
         if outcome == "ended":
-            self._phase("greeting")
-            began = SessionBegan(record.session, "the controller does not know the session before")
-            text = f"session ended; new session {record.session}"
-            return Actions(
-                (began,), Keep(record, drop_chunks=True), publish, (Notice(text, "warning"),)
-            )
+            notice = Notice(f"session ended; new session {record.session}", "warning")
+            return self._anew("the controller does not know the session before", notice)
         return Actions(write=Keep(record), publish=publish)
+
+    def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
+        """A new session has begun, beside what is to be done ``before``."""
+        self._telling.phase("greeting")
+        record = self.plant.receiver.record
+        write = before.write if isinstance(before.write, Keep) else Keep(record)
+        return before._replace(
+            events=(*before.events, SessionBegan(record.session, why)),
+            write=write._replace(record=record, later=False, chunk="", drop_chunks=True),
+            publish=(*before.publish, self._hello()),
+            notices=(*before.notices, notice),
+        )
 
     def _hello(self) -> Outgoing:
         return Outgoing(PlantHello, self.plant.receiver.hello().wire())
-
-    # --- telling ----------------------------------------------------------------------------------
-
-    def _phase(self, phase: Literal["greeting", "running", "refused"], detail: str = "") -> None:
-        if self._news is not None:
-            self._news.phase = phase
-            self._news.detail = detail or self._news.detail
-
-    def _status(self, *, force: bool) -> tuple[tuple[Outgoing, ...], Status | None]:
-        """A status to publish, at times with the model, and once in :data:`HEALTH_S` to be kept."""
-        if self._news is None:
-            return (), None
-        if self._finished and self._news.phase != "refused":
-            self._news.phase = "stopped"
-        whole = self._said % self._model_every == 0
-        self._said += 1
-        status = self._news.status(self.plant.receiver, self.garbage, self._now, whole=whole)
-        publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
-        if whole:  # who hears this one lacks nothing
-            publish = (Outgoing(PlantModel, self._news.model), *publish)
-        keep = force or self._now >= self._health_at
-        if keep:
-            self._health_at = self._now + HEALTH_S
-        return publish, status if keep else None
 
     def _garbage(self, text: str) -> Actions:
         self.garbage += 1

@@ -7,10 +7,10 @@ from typing import Protocol
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import is_model, open_plant
 from plant_service.driven import DrivenEndpoint, DrivenPlant
-from plant_service.endpoint import STATUS_S, PlantEndpoint
+from plant_service.endpoint import PlantEndpoint
 from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
-from protocol.link.pacing import Pacing
+from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.runtime.journal import BegunStep, ReceiverStep
 from protocol.runtime.process import UsageError

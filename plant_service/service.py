@@ -9,10 +9,10 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
-from plant_service.endpoint import STATUS_S, PlantEndpoint
+from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import PlantTelemetry
-from protocol.link.pacing import Pacing
+from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.sealing import OpeningEnd
 from protocol.runtime.beside import Beside
 from protocol.runtime.bus import Bus

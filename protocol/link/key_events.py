@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from protocol.link.endpoint import Notice
+from protocol.link.endpoint import Actions, Notice
 from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.secret.blocks import Stored
@@ -31,6 +31,12 @@ class BlockJudged(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "judged", **self._asdict()}
+
+
+def key_actions(keying: Keying, done: Done) -> Actions:
+    """What an end does when the keeper of keys has done a task."""
+    tasks = keying.done(done)
+    return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
 
 def key_events(done: Done) -> tuple[Event, ...]:

@@ -8,6 +8,12 @@ from math import inf
 from typing import Final, Literal
 from zlib import crc32
 
+STATUS_S: Final = 0.05
+"""Seconds between two statuses of an end."""
+
+HEALTH_S: Final = 1.0
+"""Seconds between two statuses that are kept in the run's folder."""
+
 LOCKSTEP_REPEAT_S: Final = 0.05
 """Seconds between repeats of a measurement where no deadline says otherwise."""
 
