@@ -1,7 +1,7 @@
 """`smoother`: decodes like `list-decoder` what she heard badly or in part.
 
 She infers lost states and offers from later ones, by the law that she was told
-(:mod:`tap_service.inference.particle_smoother`, :mod:`tap_service.inference.from_measurements`) or
+(:mod:`tap_service.inference.offers_reader`, :mod:`tap_service.inference.from_measurements`) or
 by what she learns of it (:mod:`tap_service.inference.gap_smoother`), and follows every outcome that
 remains likely, beside every threshold. She has to hear what came after before she can infer what
 was lost, so she decodes all that she keeps anew each time she has heard twice as much as before.
@@ -27,7 +27,7 @@ from tap_service.eavesdroppers.list_decoder import belief_of, nearest
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.list_decoding import ListDecoding
-from tap_service.inference.particle_smoother import OffersReader
+from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.policy import KnownLaw
 
 KEPT: Final = 4096

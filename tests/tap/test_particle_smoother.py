@@ -12,7 +12,8 @@ from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
 from tap_service.inference.from_measurements import infer_from_measurements
-from tap_service.inference.particle_smoother import LEAST, SAMPLES, OffersReader
+from tap_service.inference.offers_reader import LEAST, OffersReader
+from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
 from wyner.scoring.score import EavesdropperScore, Said, score
 from wyner.studies.secrecy.runs import Run, law_of, scenario_at, simulate
