@@ -1,7 +1,8 @@
 """Exactly once over a network that loses, repeats and reorders, with processes that die."""
 
 from wyner import design
-from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 system = design("packed")
 faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.005, until_s=200.0)

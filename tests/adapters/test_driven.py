@@ -31,7 +31,8 @@ from protocol.streams import COIN, SeededSymbols, Stream
 from tests.adapters.plants import Device, PythonLine
 from tests.support.safety import violations
 from wyner.api import load, vary
-from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 OBJECT = "tests.adapters.plants:PythonLine"
 

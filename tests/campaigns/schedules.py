@@ -24,7 +24,8 @@ from protocol.secret.store import KeyStore
 from tests.support.copies import Copies
 from tests.support.safety import violations
 from tests.support.small_run import law_of
-from wyner.simulate.network import Faults, Side, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Side, Simulation
 from wyner.studies.grid import code_version
 
 EACH: Final = 5000

@@ -14,7 +14,8 @@ from protocol.scenario import Scenario
 from tests.support.safety import violations
 from wyner.api import System, design, eavesdrop, run, vary
 from wyner.simulate.engine import SimulationError, simulate_runs
-from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 MODEL = "wyner.scenarios.plants:predict_pendulum"
 FAR = {

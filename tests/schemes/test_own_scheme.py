@@ -36,7 +36,8 @@ from tests.system.test_services import System
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
-from wyner.simulate.network import Faults, simulate
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import simulate
 
 
 class Hoard(NamedTuple):

@@ -13,7 +13,8 @@ from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
 from tap_service.inference.key_solver import bits_held, held
-from wyner.simulate.network import Faults, Side, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Side, Simulation
 
 
 def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario:

@@ -26,7 +26,8 @@ from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE, TEST
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
-from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = b"Meet me where the river bends, at the second lamp after the bridge."

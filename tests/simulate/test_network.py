@@ -14,7 +14,8 @@ from protocol.link.endpoint import Append, Write
 from protocol.runtime.journal import PlantJournal
 from protocol.scenario import Scenario
 from tests.support.safety import violations
-from wyner.simulate.network import Faults, Simulation, simulate
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation, simulate
 
 PAYLOADS = (b"first", b"second message", b"3")
 

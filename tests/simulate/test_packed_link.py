@@ -19,7 +19,8 @@ from tests.support.safety import violations
 from wyner.scoring.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
-from wyner.simulate.network import Faults, Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 from wyner.studies.secrecy.runs import simulate as study_run
 from wyner.studies.secrecy.study import heard_by, knowledge_for, said_about
 

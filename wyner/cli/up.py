@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pydantic import ValidationError
@@ -18,23 +17,17 @@ from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageEr
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
-    KNOWLEDGE,
     MANIFEST,
-    MESSAGE,
     PLANT_JOURNAL,
-    SCENARIO,
     SUMMARY,
-    make_folder,
     write_atomically,
 )
 from protocol.scenario.files import scenario_of
-from protocol.shipped import scenario_file_of
 from protocol.topics import DEFAULT_LOOP, key_of
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
     from protocol.scenario import Scenario
-    from wyner.deployment.running import RunningLoop
     from wyner.deployment.supervisor import Supervisor
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
@@ -134,6 +127,7 @@ def conduct(
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
+    from wyner.deployment.one_machine import lay_out
     from wyner.deployment.running import announced
     from wyner.scoring.summary import summarise, verdict_lines
     from wyner.verify.seal import seal
@@ -153,7 +147,7 @@ def conduct(
     if any((run_dir / path).exists() for path in traces_of_a_run):
         raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
     try:
-        supervisor, loop = _children(args, scenario, eavesdroppers, run_dir, payload)
+        supervisor, loop = lay_out(args, scenario, eavesdroppers, run_dir, payload)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
@@ -252,117 +246,6 @@ def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str,
         raise UsageError(f"--eavesdropper: got {asked!r}, expected at least one name")
     find_each(names, guarded, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
     return names
-
-
-def _children(
-    args: argparse.Namespace,
-    scenario: "Scenario",
-    eavesdroppers: tuple[str, ...],
-    run_dir: Path,
-    payload: bytes,
-) -> "tuple[Supervisor, RunningLoop]":
-    """Lay out the run's folder and name its processes; nothing is started yet."""
-    from importlib.metadata import version
-
-    from protocol.runtime.endpoints import free_endpoints
-    from wyner.deployment.running import RunningLoop
-    from wyner.deployment.supervisor import Child, Supervisor
-
-    scenario_file = run_dir / SCENARIO
-    message_file = run_dir / MESSAGE
-    knowledge_file = run_dir / KNOWLEDGE
-    write_atomically(scenario_file, scenario_file_of(args.scenario).read_bytes())
-    write_atomically(message_file, payload)
-    knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
-    write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
-    manifest = {
-        "wyner": version("wyner"),
-        "zenoh": version("eclipse-zenoh"),
-        "numpy": version("numpy"),
-        "python": sys.version.split()[0],
-        "command": sys.argv[1:],
-        **scenario.identity(),
-        "seed": args.seed,
-        "pace": args.pace,
-        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }
-    write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
-    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
-    common = ["--run-dir", str(run_dir)]
-    seed = [] if args.seed is None else ["--seed", str(args.seed)]
-    steps = [] if args.steps is None else ["--steps", str(args.steps)]
-    secrets = _secrets(run_dir) if args.secret else {}
-    tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
-    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
-    for name, value in knobs.items():
-        tap += [f"--{name.replace('_', '-')}", str(value)]
-    children = [
-        Child(
-            "plant",
-            [
-                *common,
-                *seed,
-                *secrets.get("plant", ()),
-                *steps,
-                *("--scenario", str(scenario_file), "--pace", args.pace),
-                *("--plant-folder", str(scenario_file_of(args.scenario).parent.resolve())),
-                *("--listen", f"field={plant_field}", "--connect", f"field={tap_field}"),
-                *("--listen", f"ops={plant_ops}"),
-            ],
-            run_dir / "plant" / "log",
-        ),
-        Child(
-            "controller",
-            [
-                *common,
-                *seed,
-                *secrets.get("controller", ()),
-                *("--scenario", str(scenario_file), "--message-file", str(message_file)),
-                *("--model-folder", str(scenario_file_of(args.scenario).parent.resolve())),
-                *("--listen", f"field={controller_field}", "--connect", f"field={plant_field}"),
-                *("--connect", f"field={tap_field}"),
-                *("--listen", f"ops={controller_ops}", "--connect", f"ops={plant_ops}"),
-            ],
-            run_dir / "controller" / "log",
-        ),
-        Child(
-            "tap",
-            [
-                *common,
-                *tap,
-                *("--knowledge", str(knowledge_file), "--listen", f"intel={intel}"),
-                *("--listen", f"field={tap_field}"),
-            ],
-            run_dir / "tap" / "log",
-        ),
-    ]
-    return (
-        Supervisor(children, first="tap", first_endpoint=tap_field),
-        RunningLoop(
-            run_dir=str(run_dir.absolute()),
-            scenario=scenario.name,
-            loop=DEFAULT_LOOP,
-            plant_ops=plant_ops,
-            controller_ops=controller_ops,
-            intel=intel,
-        ),
-    )
-
-
-def _secrets(run_dir: Path) -> dict[str, list[str]]:
-    """A secret in each end's folder, and the option that names it."""
-    from protocol.secret.authentication import make_secret
-
-    options = {}
-    first = run_dir / "controller" / "secret"
-    make_folder(first.parent)
-    make_secret(first)
-    for side in ("controller", "plant"):
-        path = run_dir / side / "secret"
-        if path != first:
-            write_atomically(path, first.read_bytes())
-        options[side] = ["--secret", str(path)]
-    return options
 
 
 class _Progress:

@@ -1,0 +1,143 @@
+"""The three services of a run on this machine: its folder, and the processes with their options."""
+
+import argparse
+import json
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+from protocol.runtime.endpoints import free_endpoints
+from protocol.runtime.run_folder import (
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    SCENARIO,
+    make_folder,
+    write_atomically,
+)
+from protocol.scenario import Scenario
+from protocol.secret.authentication import make_secret
+from protocol.shipped import scenario_file_of
+from protocol.topics import DEFAULT_LOOP
+from wyner.deployment.running import RunningLoop
+from wyner.deployment.supervisor import Child, Supervisor
+
+
+def lay_out(
+    args: argparse.Namespace,
+    scenario: Scenario,
+    eavesdroppers: tuple[str, ...],
+    run_dir: Path,
+    payload: bytes,
+) -> tuple[Supervisor, RunningLoop]:
+    """Write what a run's folder begins with, and name its processes; nothing is started yet.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The options of ``wyner up``.
+    scenario : Scenario
+    eavesdroppers : tuple of str
+    run_dir : Path
+    payload : bytes
+        The message.
+
+    Raises
+    ------
+    OSError
+        When the folder cannot be written.
+    """
+    scenario_file = run_dir / SCENARIO
+    message_file = run_dir / MESSAGE
+    knowledge_file = run_dir / KNOWLEDGE
+    write_atomically(scenario_file, scenario_file_of(args.scenario).read_bytes())
+    write_atomically(message_file, payload)
+    knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
+    write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
+    manifest = {
+        "wyner": version("wyner"),
+        "zenoh": version("eclipse-zenoh"),
+        "numpy": version("numpy"),
+        "python": sys.version.split()[0],
+        "command": sys.argv[1:],
+        **scenario.identity(),
+        "seed": args.seed,
+        "pace": args.pace,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
+    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
+    common = ["--run-dir", str(run_dir)]
+    seed = [] if args.seed is None else ["--seed", str(args.seed)]
+    steps = [] if args.steps is None else ["--steps", str(args.steps)]
+    secrets = _secrets(run_dir) if args.secret else {}
+    tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
+    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
+    for name, value in knobs.items():
+        tap += [f"--{name.replace('_', '-')}", str(value)]
+    children = [
+        Child(
+            "plant",
+            [
+                *common,
+                *seed,
+                *secrets.get("plant", ()),
+                *steps,
+                *("--scenario", str(scenario_file), "--pace", args.pace),
+                *("--plant-folder", str(scenario_file_of(args.scenario).parent.resolve())),
+                *("--listen", f"field={plant_field}", "--connect", f"field={tap_field}"),
+                *("--listen", f"ops={plant_ops}"),
+            ],
+            run_dir / "plant" / "log",
+        ),
+        Child(
+            "controller",
+            [
+                *common,
+                *seed,
+                *secrets.get("controller", ()),
+                *("--scenario", str(scenario_file), "--message-file", str(message_file)),
+                *("--model-folder", str(scenario_file_of(args.scenario).parent.resolve())),
+                *("--listen", f"field={controller_field}", "--connect", f"field={plant_field}"),
+                *("--connect", f"field={tap_field}"),
+                *("--listen", f"ops={controller_ops}", "--connect", f"ops={plant_ops}"),
+            ],
+            run_dir / "controller" / "log",
+        ),
+        Child(
+            "tap",
+            [
+                *common,
+                *tap,
+                *("--knowledge", str(knowledge_file), "--listen", f"intel={intel}"),
+                *("--listen", f"field={tap_field}"),
+            ],
+            run_dir / "tap" / "log",
+        ),
+    ]
+    return (
+        Supervisor(children, first="tap", first_endpoint=tap_field),
+        RunningLoop(
+            run_dir=str(run_dir.absolute()),
+            scenario=scenario.name,
+            loop=DEFAULT_LOOP,
+            plant_ops=plant_ops,
+            controller_ops=controller_ops,
+            intel=intel,
+        ),
+    )
+
+
+def _secrets(run_dir: Path) -> dict[str, list[str]]:
+    """A secret in each end's folder, and the option that names it."""
+    options = {}
+    first = run_dir / "controller" / "secret"
+    make_folder(first.parent)
+    make_secret(first)
+    for side in ("controller", "plant"):
+        path = run_dir / side / "secret"
+        if path != first:
+            write_atomically(path, first.read_bytes())
+        options[side] = ["--secret", str(path)]
+    return options
