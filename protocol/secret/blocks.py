@@ -10,7 +10,7 @@ jammer chose. Block b is the N_b transitions after that, N_b = min(N, N_0 2^b), 
 about it follows from the transitions' numbers, which both ends count alike.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Final, Literal, NamedTuple
@@ -144,32 +144,41 @@ class Closed(NamedTuple):
         return head.encode() + b"".join(self.nonces)
 
 
-def close(schedule: Schedule, session: str, number: int, raws: Sequence[Raw]) -> Closed:
-    """The block ``number`` from the rows of all its transitions, in order."""
-    a = schedule.assumption
-    nonces: list[bytes] = []
-    pattern = []
-    for raw in raws:
-        counts = a.counting(raw.counts)
+class OpenBlock:
+    """A block under way. Each row is taken in as it comes: the step that closes it does no more."""
+
+    def __init__(self, assumption: Assumption) -> None:
+        self._assumption = assumption
+        self._transitions = self._steps = 0
+        self._nonces: list[bytes] = []
+        self._pattern: list[str] = []
+
+    def add(self, raw: Raw) -> None:
+        """Take the row of the next transition."""
+        counts = self._assumption.counting(raw.counts)
         if counts & 1 and raw.offer is not None:
-            nonces.append(raw.offer)
+            self._nonces.append(raw.offer)
         if counts & 2 and raw.measurement is not None:
-            nonces.append(raw.measurement)
-        pattern.append(str(counts))
-    steps = sum(raw.steps for raw in raws)
-    rows = a.rows(len(raws), steps, len(nonces))
-    return Closed(
-        session,
-        number,
-        len(raws),
-        steps,
-        len(nonces),
-        rows,
-        "".join(pattern),
-        tuple(nonces),
-        raws[-1].j,
-        a.by_words,
-    )
+            self._nonces.append(raw.measurement)
+        self._pattern.append(str(counts))
+        self._transitions += 1
+        self._steps += raw.steps
+
+    def close(self, session: str, number: int, last: int) -> Closed:
+        """The block ``number`` once the row of transition ``last`` has been taken."""
+        n, steps, counted = self._transitions, self._steps, len(self._nonces)
+        return Closed(
+            session,
+            number,
+            n,
+            steps,
+            counted,
+            self._assumption.rows(n, steps, counted),
+            "".join(self._pattern),
+            tuple(self._nonces),
+            last,
+            self._assumption.by_words,
+        )
 
 
 class Stored(NamedTuple):
@@ -223,7 +232,7 @@ class Blocks:
         self.session = session
         self.block = block
         self.tag = tag or NO_TAG
-        self._open: list[Raw] = []
+        self._open = OpenBlock(schedule.assumption)
         self._stored: dict[int, Stored] = {}
         self._settled: set[int] = set()
         self._confirmed = block
@@ -238,12 +247,13 @@ class Blocks:
 
     def count(self, raw: Raw) -> None:
         """Take the row of the next transition."""
-        self._open.append(raw)
+        self._open.add(raw)
         number = self.schedule.block_of(raw.j)
         if raw.j + 1 == self.schedule.begins(number + 1):
-            raws, self._open = self._open, []
-            assert len(raws) == self.schedule.length(number), "a row of the block is missing"
-            self._closed.append(close(self.schedule, self.session, number, raws))
+            closed = self._open.close(self.session, number, raw.j)
+            self._open = OpenBlock(self.schedule.assumption)
+            assert closed.transitions == self.schedule.length(number), "a row is missing"
+            self._closed.append(closed)
 
     def to_keep(self) -> Closed | None:
         """The next block to be stored, once; None while there is none, or two are unconfirmed."""

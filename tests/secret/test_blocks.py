@@ -6,6 +6,7 @@ and die at any instant. What is confirmed must be equal, and nobody may wait for
 
 import os
 import random
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,11 @@ from protocol.secret.blocks import (
     NO_PAD,
     NO_TAG,
     Blocks,
+    Closed,
     Judgement,
+    OpenBlock,
     Schedule,
     Stored,
-    close,
     schedule_of,
 )
 from protocol.secret.bound import Assumption
@@ -57,6 +59,13 @@ def test_blocks_grow_and_follow_each_other_without_a_gap() -> None:
     assert [r - 1 for r in rows] == [1, 14, 48, 84]
 
 
+def closed(raws: Sequence[Raw], session: str = SESSION) -> Closed:
+    block = OpenBlock(SMALL.assumption)
+    for raw in raws:
+        block.add(raw)
+    return block.close(session, 0, raws[-1].j)
+
+
 def test_a_block_is_everything_counted_in_order() -> None:
     nonce = [bytes([i]) * 32 for i in range(6)]
     raws = (
@@ -65,12 +74,12 @@ def test_a_block_is_everything_counted_in_order() -> None:
         Raw(3, 1, nonce[3], None),
         Raw(4, 2, None, None),
     )
-    block = close(SMALL, SESSION, 0, raws)
+    block = closed(raws)
     assert block.pattern == "3210"
     assert block.nonces == tuple(nonce[:4])
     assert (block.transitions, block.steps, block.counted, block.last) == (4, 7, 4, 4)
     assert block.rows == 0  # ten copies of fourteen were lost
-    assert close(SMALL, SESSION, 0, raws[:1]).message() != block.message()
+    assert closed(raws[:1]).message() != block.message()
 
 
 def test_what_does_not_count_leaves_no_nonce() -> None:
@@ -266,7 +275,7 @@ def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: 
         for number in range(
             RESERVE + 1
         ):  # so many sessions that end before their first block is confirmed
-            block = close(SMALL, f"{number:016x}", 0, [raw._replace(steps=1) for raw in raws])
+            block = closed([raw._replace(steps=1) for raw in raws], f"{number:016x}")
             tags.append(keeper.keep(block).tag)
             assert keeper.keep(block).tag == tags[-1]
         assert len(set(tags[:-1])) == RESERVE
