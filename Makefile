@@ -67,10 +67,10 @@ test-fast: $(STAMPS)/dev
 
 ROOM_protocol := protocol link schemes runtime secret
 ROOM_controller := controller
-ROOM_plant := adapters plant
+ROOM_plant := adapters
 ROOM_tap := tap
-ROOM_wyner := api cli dashboard deployment run_report scoring simulate studies system verify
-ROOM_house := house benchmarks examples
+ROOM_wyner := api cli dashboard deployment kme run_report scoring simulate studies system verify
+ROOM_house := house benchmarks campaigns examples tools
 
 $(ROOM_TARGETS): test-%: $(STAMPS)/dev
 	$(BIN)/pytest -n auto --dist loadfile $(wildcard $(ROOM_$*:%=tests/%))

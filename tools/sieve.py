@@ -30,7 +30,7 @@ ARGUMENTS: Final = (
     "-p",
     "no:cacheprovider",
     "-m",
-    "not slow and not integration",
+    "not integration",
     "--timeout=0",
     "-o",
     "tmp_path_retention_policy=none",

@@ -96,6 +96,7 @@ def test_it_steps_as_in_the_services_own_process(tmp_path: Path) -> None:
     near.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("act", "why"),
     [
@@ -127,6 +128,7 @@ def test_what_it_does_stops_it_alone(tmp_path: Path, act: str, why: str) -> None
     fine.close()
 
 
+@pytest.mark.slow
 def test_an_answer_that_floods_is_none(tmp_path: Path) -> None:
     plant = opened(tmp_path, "return [0.0] * 3_000_000", answer_s=30.0)
     with pytest.raises(PlantError, match="an answer that is none"):
@@ -156,6 +158,7 @@ FORKS = """note = open({note!r}, "a")
             {then}"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leave", ["pass", "os.setsid()", "os.setsid(); os.fork() and os._exit(0)"])
 @pytest.mark.parametrize("then", ["time.sleep(0.2)", "time.sleep(60)", "os._exit(0)"])
 def test_what_it_started_ends_with_it(tmp_path: Path, leave: str, then: str) -> None:
@@ -192,6 +195,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.slow
 def test_it_ends_with_a_service_that_is_killed(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", SERVICE, str(tmp_path)],
@@ -207,6 +211,7 @@ def test_it_ends_with_a_service_that_is_killed(tmp_path: Path) -> None:
     assert gone(forked)
 
 
+@pytest.mark.slow
 def test_plants_one_after_the_other_share_a_process(tmp_path: Path) -> None:
     pids = set()
     for _ in range(3):
@@ -217,6 +222,7 @@ def test_plants_one_after_the_other_share_a_process(tmp_path: Path) -> None:
     assert len(pids) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "why"),
     [

@@ -57,6 +57,7 @@ def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
         assert (done.stdout or done.stderr).startswith(said)
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_small_fleet_is_measured() -> None:
     result = fleet.measure(loops=2, seconds=1.0)
@@ -69,6 +70,7 @@ def test_a_small_fleet_is_measured() -> None:
     assert "lost at the taps" in fleet.render(result)
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_pace_is_measured() -> None:
     result = pace.measure(steps=50, rates=(100,), shown={50: 20})
@@ -79,6 +81,7 @@ def test_a_pace_is_measured() -> None:
     assert "Hz" in pace.render(result)
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_small_overload_is_measured() -> None:
     result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)

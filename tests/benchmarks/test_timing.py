@@ -46,6 +46,7 @@ def test_too_few_values_are_refused() -> None:
         difference([(False, 1.0)] * 1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["sustained", "keys"])
 def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Path) -> None:
     lives = recorded(200, scenario, tmp_path)
@@ -56,6 +57,7 @@ def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Pat
         assert len(found) >= 150
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
 def test_an_answer_takes_the_same_bytecodes_in_both_states(side: str, tmp_path: Path) -> None:
     """What the two ends do before a message is on its way does not hang on the state."""
@@ -66,6 +68,7 @@ def test_an_answer_takes_the_same_bytecodes_in_both_states(side: str, tmp_path: 
         assert alike >= 0.9 * found[carried].total() > 20  # a late tick of a busy machine is seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
 def test_with_keys_too(side: str, tmp_path: Path) -> None:
     """Here an answer's work hangs on the key block, whose place everybody knows."""
@@ -73,6 +76,7 @@ def test_with_keys_too(side: str, tmp_path: Path) -> None:
     assert found[False].most_common(1)[0][0] == found[True].most_common(1)[0][0]
 
 
+@pytest.mark.slow
 def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decide = Ciphering.decide
 

@@ -17,6 +17,7 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
     assert done["keys"] > 0
 
 
+@pytest.mark.slow
 def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert spoiled.main(["--count", "16", "--results", str(results)]) == 0
@@ -28,6 +29,7 @@ def test_fuzzed_messages_stop_no_end(side: str) -> None:
     assert fuzz.fuzz(side, 3000, seed=1) == 3000
 
 
+@pytest.mark.slow
 def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     command = ["--scheme", "pipelined", "--from-hello", "--no-keys", "--results", str(results)]

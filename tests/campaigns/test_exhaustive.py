@@ -23,6 +23,7 @@ from tests.campaigns.space import SIDES, Space
 Patch = pytest.MonkeyPatch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_nothing_breaks_within_a_few_events(scheme: str) -> None:
     found = shortest(Space(scheme, timed=True, keys=True), 2, 2, slice(-6, -1))
@@ -30,6 +31,7 @@ def test_nothing_breaks_within_a_few_events(scheme: str) -> None:
     assert len(found.seen) > 500
 
 
+@pytest.mark.slow
 def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
     """Ends that are never packed come to the same states, and say the same."""
     space = Space("switched", timed=True, keys=True)
@@ -185,6 +187,7 @@ WRONG: dict[Callable[[Patch], None], bool] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mutant", "keys"), WRONG.items())
 def test_a_broken_rule_is_found_with_a_shortest_counterexample(
     mutant: Callable[[Patch], None], keys: bool, monkeypatch: Patch

@@ -297,6 +297,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
     assert (done.returncode, done.stderr) == (130, b"")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "up"),
     [
@@ -346,6 +347,7 @@ def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
         os.close(leader)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_told_to_end_the_command_gives_the_terminal_back(number: signal.Signals) -> None:
     leader, follower = pty.openpty()
@@ -405,6 +407,7 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
     assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_is_one_line(unbuffered: str) -> None:
     with Path("/dev/full").open("w") as full:

@@ -130,6 +130,7 @@ class Mine(NearestCentre):
 """
 
 
+@pytest.mark.slow
 def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,7 +94,7 @@ def test_the_order_can_be_stated(paper: Scenario) -> None:
     assert high.terminal.bound < low.terminal.bound
 
 
-@pytest.mark.parametrize("name", ["paper", "quadruple-tank"])
+@pytest.mark.parametrize("name", ["paper", pytest.param("quadruple-tank", marks=pytest.mark.slow)])
 def test_every_corner_of_a_set_is_steered_into_the_set_before(name: str) -> None:
     """A linear program at each corner, with the whole D_c: independent of the recursion."""
     scenario = load_scenario(SCENARIOS / f"{name}.toml")

@@ -52,6 +52,7 @@ def bits(values: Any) -> bytes:
     return struct.pack(f"{len(values)}d", *values)
 
 
+@pytest.mark.slow
 def test_one_state_and_many_agree_to_the_last_bit(law: CandidateLaw, design: Design) -> None:
     X = states(design, 100_000, 1)
     assert len(X) > 90_000

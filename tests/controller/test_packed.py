@@ -238,6 +238,7 @@ def test_every_offset_pair_is_apart_and_together() -> None:
         assert together.max() <= alpha - 1
 
 
+@pytest.mark.slow
 def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
     """The plant's recordings name the scenario that the controller's do."""
     lines = "from protocol.scenario.files import scenario_of\nprint(scenario_of({!r}).identity())"

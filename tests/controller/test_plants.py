@@ -116,7 +116,7 @@ def check_loop(scenario: Scenario, design: Design, law: CandidateLaw, steps: int
         X, index = (X, after) if after.any() else (start, law.indices(start))
 
 
-CASES = [
+CASES: list[tuple[int, int, int, dict[str, Any]]] = [
     (1, 1, 30, {}),
     (1, 2, 30, {}),
     (2, 2, 20, {}),
@@ -134,7 +134,10 @@ CASES = [
 
 
 @pytest.mark.parametrize("kind", ["stable", "unstable"])
-@pytest.mark.parametrize(("n", "m", "horizon", "tables"), CASES)
+@pytest.mark.parametrize(
+    ("n", "m", "horizon", "tables"),
+    [pytest.param(*case, marks=[pytest.mark.slow] * (case[0] > 3)) for case in CASES],
+)
 def test_constraints_hold_and_the_index_falls(
     n: int, m: int, horizon: int, tables: dict[str, Any], kind: str
 ) -> None:

@@ -34,6 +34,7 @@ def law(tank: Scenario, design: Design) -> CandidateLaw:
     return make_law(tank, design)
 
 
+@pytest.mark.slow
 def test_the_tanks_answers_hold_and_one_state_equals_many(
     law: CandidateLaw, design: Design
 ) -> None:
@@ -49,6 +50,7 @@ def test_the_tanks_answers_hold_and_one_state_equals_many(
             assert np.abs(u).max() <= 3
 
 
+@pytest.mark.slow
 def test_the_tanks_index_falls(law: CandidateLaw, design: Design, tank: Scenario) -> None:
     rng = np.random.default_rng(1)
     X = rng.uniform(-0.999, 0.999, (400, 4)) * TOP
@@ -65,6 +67,7 @@ def test_the_tanks_index_falls(law: CandidateLaw, design: Design, tank: Scenario
     assert (index == 0).all()
 
 
+@pytest.mark.slow
 def test_daqp_and_osqp_agree(law: CandidateLaw, design: Design, monkeypatch: Any) -> None:
     X = np.random.default_rng(2).uniform(-0.99, 0.99, (40, 4)) * TOP
     index = law.indices(X)

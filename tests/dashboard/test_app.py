@@ -349,6 +349,7 @@ class Screen:
         return after.decode()
 
 
+@pytest.mark.slow
 def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
     screen.wait_for(" steps/s")
@@ -364,6 +365,7 @@ def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path:
     assert "complaint" not in screen.seen.partition(b"\x1b[?1049l")[0].decode()
 
 
+@pytest.mark.slow
 def test_control_c_is_an_interruption_and_restores_the_terminal(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
     screen.wait_for(" steps/s")
@@ -371,10 +373,12 @@ def test_control_c_is_an_interruption_and_restores_the_terminal(tmp_path: Path) 
     assert "Ending.INTERRUPTED" in screen.end()
 
 
+@pytest.mark.slow
 def test_an_interruption_while_the_screen_is_set_up_restores_the_terminal(tmp_path: Path) -> None:
     assert "Ending.INTERRUPTED" in Screen("half", tmp_path).end()
 
 
+@pytest.mark.slow
 def test_the_end_of_the_watch_and_an_error_restore_the_terminal(tmp_path: Path) -> None:
     done = Screen("finish", tmp_path)
     assert "Ending.FINISHED" in done.end()
@@ -382,6 +386,7 @@ def test_the_end_of_the_watch_and_an_error_restore_the_terminal(tmp_path: Path) 
     assert "RuntimeError: on purpose" in failed.end()
 
 
+@pytest.mark.slow
 def test_the_last_screen_stays_until_a_key_is_pressed(tmp_path: Path) -> None:
     screen = Screen("conclude", tmp_path)
     screen.wait_for("Any key leaves")
@@ -402,6 +407,7 @@ def test_a_resize_is_followed(tmp_path: Path) -> None:
     screen.end()
 
 
+@pytest.mark.slow
 def test_no_color_has_no_colour_on_the_live_screen(tmp_path: Path) -> None:
     screen = Screen("finish", tmp_path, NO_COLOR="1")
     screen.end()

@@ -160,6 +160,7 @@ def test_a_guarded_router_tells_what_it_denied(certs: Path) -> None:
         router.wait()
 
 
+@pytest.mark.slow
 def test_buses_of_one_router_process_do_not_mix() -> None:
     field, ops = free_endpoints(2)
     command = wyner("router", "--listen", f"field={field}", "--listen", f"ops={ops}")
@@ -197,6 +198,7 @@ def wyner(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "wyner.cli.main", *arguments]
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
     """All three buses under mutual TLS, as docs/deployment.md sets up several machines."""

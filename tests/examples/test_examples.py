@@ -58,6 +58,7 @@ def needs(text: str) -> None:
         pytest.importorskip("pandas")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
 def test_a_program(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs(path.read_text(encoding="utf-8"))
@@ -66,6 +67,7 @@ def test_a_program(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert SAYS[path.stem] in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook(path: Path) -> None:
     """Cell after cell in one name space, as a kernel does; every assertion in it holds."""
@@ -80,6 +82,7 @@ def test_a_notebook(path: Path) -> None:
     assert all(not cell.get("outputs") for cell in cells)
 
 
+@pytest.mark.slow
 def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
     path = ROOT / "examples" / "alpha.toml"
     assert main(["sweep", str(path), "--output", str(tmp_path / "alpha.csv")]) == 0

@@ -8,6 +8,7 @@ import pytest
 LESSON = Path(__file__).resolve().parents[2] / "docs" / "lesson.md"
 
 
+@pytest.mark.slow
 def test_the_exercises_have_solutions_that_hold(capsys: pytest.CaptureFixture[str]) -> None:
     text = LESSON.read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

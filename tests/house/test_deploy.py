@@ -35,6 +35,7 @@ def test_the_bill_is_printed_where_nothing_is_installed() -> None:
     assert (told["name"], told["version"]) == ("wyner", version("wyner"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.stem)
 def test_a_unit_starts_its_service_with_options_that_are_there(unit: Path) -> None:
     text = unit.read_text(encoding="utf-8")
@@ -78,6 +79,7 @@ def test_systemd_finds_nothing_wrong_with_the_units() -> None:
     assert not [line for line in wrong if "wyner" in line], done.stderr
 
 
+@pytest.mark.slow
 def test_a_wrong_variable_of_compose_is_named() -> None:
     compose = (ROOT / "compose.yaml").read_text(encoding="utf-8")
     (said_by,) = re.findall(r'WYNER_SAID_BY: "(.*)"', compose)

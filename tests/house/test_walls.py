@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from fnmatch import fnmatch
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -30,7 +31,8 @@ def name_of(path: Path) -> str:
 NAMES = {name for name in map(name_of, MODULES) if "." in name}
 
 
-def imports_of(path: Path) -> set[str]:
+@cache
+def imports_of(path: Path) -> frozenset[str]:
     """Every module that a file names, in an import wherever it stands or in a string."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -43,14 +45,15 @@ def imports_of(path: Path) -> set[str]:
             assert node.module is not None
             found.add(node.module)
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def rooms_of(path: Path) -> set[str]:
     return {name.split(".")[0] for name in imports_of(path)} & set(ROOMS)
 
 
-def loaded_by(*modules: str) -> set[str]:
+@cache
+def loaded_by(*modules: str) -> frozenset[str]:
     """What a fresh interpreter has loaded after importing ``modules``."""
     code = (
         "import importlib, json, sys\n"
@@ -66,7 +69,7 @@ def loaded_by(*modules: str) -> set[str]:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return set(json.loads(done.stdout))
+    return frozenset(json.loads(done.stdout))
 
 
 def inside(room: str) -> list[Path]:

@@ -163,6 +163,7 @@ def test_it_tells_of_itself(sites: Sites, capsys: pytest.CaptureFixture[str]) ->
     assert main(["health", "--service", "kme-controller", "--run-dir", str(run_dir)]) == 1
 
 
+@pytest.mark.slow
 def test_silent_connections_by_the_hundred_hold_nobody_up(sites: Sites) -> None:
     address = ("127.0.0.1", sites.ports["plant"])
     silent = [socket.create_connection(address) for _ in range(250)]
@@ -173,6 +174,7 @@ def test_silent_connections_by_the_hundred_hold_nobody_up(sites: Sites) -> None:
         connection.close()
 
 
+@pytest.mark.slow
 def test_one_callers_haste_is_not_the_others_loss(tmp_path: Path) -> None:
     two = Sites(tmp_path)
     try:
@@ -191,6 +193,7 @@ def test_optional_extensions_are_passed_over(sites: Sites) -> None:
     assert sites.ask("controller", "alice", "/api/v1/keys/bob/enc_keys", body)[0] == 200
 
 
+@pytest.mark.slow
 def test_slow_and_silent_clients_hold_nobody_up(sites: Sites) -> None:
     silent = socket.create_connection(("127.0.0.1", sites.ports["controller"]))
     slow = sites.tls("alice").wrap_socket(
@@ -234,6 +237,7 @@ def closed_within(line: ssl.SSLSocket, seconds: float) -> bool:
 REQUEST = b"GET /api/v1/keys/bob/status HTTP/1.1\r\nHost: x\r\n\r\n"
 
 
+@pytest.mark.slow
 def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -> None:
     """Tens of thousands of requests in one connection: the server reads no more than it answers."""
     process = Path(f"/proc/{sites.processes['controller'].pid}/status")
@@ -256,6 +260,7 @@ def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -
     assert seconds_for_a_status(sites) < 3
 
 
+@pytest.mark.slow
 def test_a_byte_at_a_time_is_served_in_time_and_let_go_of_after_it(sites: Sites) -> None:
     with connected(sites, "alice") as slow, connected(sites, "alice") as slower:
         slow.settimeout(10)
@@ -293,6 +298,7 @@ def test_two_masters_at_once_never_get_one_key_twice(sites: Sites) -> None:
     assert len(set(got)) == len(got) == 20
 
 
+@pytest.mark.slow
 def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) -> None:
     sites.add_block(80)
     got: dict[str, str] = {}
@@ -319,6 +325,7 @@ def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) ->
         assert (code, told["keys"][0]["key"]) == (200, key)
 
 
+@pytest.mark.slow
 def test_without_keys_or_with_refused_ones_it_says_503(tmp_path: Path) -> None:
     two = Sites(tmp_path)
     try:

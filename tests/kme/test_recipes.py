@@ -91,6 +91,7 @@ def appending(path: Path) -> str:
     return f"sh -c '{script}'"
 
 
+@pytest.mark.slow
 def test_both_ends_hand_on_the_same_keys_under_the_same_ids(ends: Ends, tmp_path: Path) -> None:
     got = {name: tmp_path / name for name in ("alice", "bob")}
     ends.start("bob", "--count", "3", "--run", appending(got["bob"]))
@@ -104,6 +105,7 @@ def test_both_ends_hand_on_the_same_keys_under_the_same_ids(ends: Ends, tmp_path
         assert not any(line.split()[1] in ends.log(name) for line in lines)
 
 
+@pytest.mark.slow
 def test_while_the_partner_is_away_no_key_is_fetched_and_a_failure_is_made_good(
     ends: Ends, sites: Sites, tmp_path: Path
 ) -> None:
@@ -200,6 +202,7 @@ def tls_with(server_key: bytes, client_key: bytes, identity: str) -> tuple[bytes
         server.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl")
 def test_a_key_fetched_at_both_sites_is_tls_1_3s_external_psk_and_no_other_is(
     sites: Sites,

@@ -9,6 +9,7 @@ same loop. The property of the protocol is checked after every rule.
 
 from typing import ClassVar
 
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -329,8 +330,8 @@ class PipelinedLink(Deadlines):
 
 TestLink = Link.TestCase
 TestDeadlines = Deadlines.TestCase
-TestTwoControllers = TwoControllers.TestCase
-TestPipelinedLink = PipelinedLink.TestCase
+TestTwoControllers = pytest.mark.slow(TwoControllers.TestCase)
+TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
 TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = settings(
     max_examples=60,
     stateful_step_count=60,
@@ -338,5 +339,5 @@ TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = setti
     suppress_health_check=list(HealthCheck),
 )
 TestPipelinedLink.settings = TestLink.settings
-TestOnDisk = OnDisk.TestCase
+TestOnDisk = pytest.mark.slow(OnDisk.TestCase)
 TestOnDisk.settings = settings(TestLink.settings, max_examples=20)

@@ -254,6 +254,7 @@ def agree_on_all(of: AgreementRule, seed: int, rows: int) -> None:
     assert close > rows / 4, "the edges were not visited"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("like", [PAPER, TANKS], ids=["paper", "quadruple-tank"])
 def test_arrays_give_the_same_verdicts(like: AgreementRule) -> None:
     agree_on_all(rule(2.0, like), seed=1, rows=20_000)

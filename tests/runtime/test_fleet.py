@@ -149,6 +149,7 @@ class Hosts:
         return status is not None and status.messages > 0
 
 
+@pytest.mark.slow
 def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
     sustained_law: CandidateLaw, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -186,6 +187,7 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
     assert "2 of 3 loops PASS" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_loops_come_and_go_while_the_hosts_run(sustained_law: CandidateLaw, tmp_path: Path) -> None:
     path = tmp_path / "fleet.toml"
     path.write_text(ONE)
@@ -203,6 +205,7 @@ def test_loops_come_and_go_while_the_hosts_run(sustained_law: CandidateLaw, tmp_
         hosts.wait(lambda: hosts.status("one").phase == "running")  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_path: Path) -> None:
     path = tmp_path / "fleet.toml"
     path.write_text(TWO + ONE + '[[loop]]\nid = "bad"\nscenario = "nowhere"\n')
@@ -230,6 +233,7 @@ class Slow:
         return self._law.candidates(x)
 
 
+@pytest.mark.slow
 def test_a_host_ends_where_an_interrupt_has_left_a_turn_taken() -> None:
     """A second signal is raised where the program stands, be it between lock and body."""
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())

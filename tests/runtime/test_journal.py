@@ -165,6 +165,7 @@ def one_line(error: pytest.ExceptionInfo[JournalError], path: Path) -> str:
     return text
 
 
+@pytest.mark.slow
 def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
     path = tmp_path / "c"
     code = (
@@ -285,6 +286,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
     path = tmp_path / "p"
     for lines in (1, 37, 150, 400):

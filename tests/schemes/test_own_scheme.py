@@ -297,6 +297,7 @@ def test_the_list_decoder_goes_on_where_something_was_missed(
 # --- live -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_three_live_services_follow_it(
     sustained: Scenario,
     sustained_law: CandidateLaw,

@@ -103,7 +103,7 @@ TestKeyedLink.settings = settings(
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
-TestKeyedLinkOnDisk = KeyedLinkOnDisk.TestCase
+TestKeyedLinkOnDisk = pytest.mark.slow(KeyedLinkOnDisk.TestCase)
 TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=10)
 
 
@@ -274,6 +274,7 @@ def test_saving_before_sending_answers_the_same_step_once() -> None:
     world.close()
 
 
+@pytest.mark.slow
 def test_the_right_ends_pass_such_schedules() -> None:
     for seed in range(60):
         wander(seed)

@@ -22,6 +22,7 @@ def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario
     return scenario.model_copy(update={"keys": keys})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
     [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],

@@ -164,6 +164,7 @@ def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
         assert partners == ["dropped"] * 4 + ["confirmed"] * 6
 
 
+@pytest.mark.slow
 def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,6 +213,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_key_is_delivered_once_through_kill_9(tmp_path: Path) -> None:
     path = tmp_path / "controller.sqlite3"
     with store(tmp_path) as keys:

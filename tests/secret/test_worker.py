@@ -104,6 +104,7 @@ def another(worker: KeyWorker, pids: set[int]) -> int:
     return pid
 
 
+@pytest.mark.slow
 def test_killed_at_any_instant_it_makes_the_same_keys_once(tmp_path: Path) -> None:
     at, blocks = made(tmp_path), range(24)
     draw = random.Random(3)

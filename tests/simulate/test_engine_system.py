@@ -228,6 +228,7 @@ def test_a_faulty_network_changes_nothing_that_the_engine_says(tmp_path: Path) -
     compare(case, simulate(case, tmp_path, Faults(loss=0.2, repeat=0.2, delay_s=0.3)))
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 @pytest.mark.parametrize(
     "case",
@@ -258,6 +259,7 @@ def test_all_three_are_the_same_over_a_hundred_thousand_steps(case: Case, tmp_pa
     shutil.rmtree(tmp_path)  # 200 MB of traces, which pytest would keep
 
 
+@pytest.mark.slow
 def test_the_plain_way_comes_to_the_same_verdicts() -> None:
     # OSQP and the linear programs are another road to the same sets: an independent oracle.
     scenario, law = system("sustained")

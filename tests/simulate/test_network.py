@@ -32,7 +32,7 @@ NETWORKS = {
 
 @pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
 @pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_safety_always_and_delivery_once_all_is_well(
     network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:

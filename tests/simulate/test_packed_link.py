@@ -78,6 +78,7 @@ def test_bits_a_step_on_the_shipped_plants(name: str) -> None:
     assert claimed_bits(*system(name, size, 8.0)) == pytest.approx(math.log2(size), abs=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SEVEN)
 @pytest.mark.parametrize(("alpha", "size"), [(3.01, 2), (8.0, 4)])
 def test_the_law_of_the_disturbance_is_all_one(kind: str, alpha: float, size: int) -> None:
@@ -93,6 +94,7 @@ def test_at_odd_alphas_one_symbol_less() -> None:
     assert agreed.tolist() == [pytest.approx(0.5, abs=0.02), 1.0]
 
 
+@pytest.mark.slow
 def test_two_hundred_candidates() -> None:
     scenario = Scenario.model_validate(
         {
@@ -179,6 +181,7 @@ FAULTS = {
 PAYLOADS = (b"first", b"second message", b"3")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [2, 3, 4])
 @pytest.mark.parametrize("network", FAULTS)
 @pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
@@ -225,6 +228,7 @@ def test_any_law_with_either_scheme() -> None:
     assert shares["sustained", "pipelined"] == pytest.approx(0.299, abs=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("knobs", "bits"), [({"loss": 0.1}, 0.9), ({"noise": 0.05}, 0.85)])
 def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bits: float) -> None:
     """Knowing that every transition agrees, it is never a symbol out of step."""

@@ -61,6 +61,7 @@ def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
     assert first[1].read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
     command = [sys.executable, "-m", "wyner.cli.main", "figures", "distance", "--output", "there"]
@@ -296,6 +297,7 @@ def test_the_document_says_how_many_bins_are_off_the_closed_form() -> None:
     assert f"all but {off} of the {len(drawn)} bins" in plain_text()
 
 
+@pytest.mark.slow
 def test_the_document_says_how_often_candidates_are_equal_and_the_gauge_is_above_1() -> None:
     sweep = load_sweep(ROOT / "wyner" / "sweeps" / "disturbances.toml")
     above, equal = {}, {}

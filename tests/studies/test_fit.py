@@ -84,6 +84,7 @@ def test_the_certificate_is_what_was_counted(cart: Fit) -> None:
     assert c.law_fingerprint == cart.scenario.law_fingerprint()
 
 
+@pytest.mark.slow
 def test_the_certificate_holds_on_sessions_that_nobody_fitted(cart: Fit, folder: Path) -> None:
     """300 sessions of seed 77: fewer leave D_c than the certificate allows."""
     widths = cart.scenario.defender.disturbance.half_widths

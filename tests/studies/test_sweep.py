@@ -230,6 +230,7 @@ def test_the_same_bytes_twice_and_from_threads(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_same_rows_from_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = small(tmp_path)
     rows_of(path, tmp_path / "a.csv")
@@ -301,6 +302,7 @@ def imported(statement: str) -> set[Path]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("statement", "sources", "others"),
     [
@@ -530,12 +532,13 @@ def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[byt
     raise AssertionError(f"no rows came: {error.decode()}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
         ("--jobs", "1"),
         ("--jobs", "2"),
-        pytest.param(("--jobs", "2", "--executor", "dask"), marks=pytest.mark.slow),
+        ("--jobs", "2", "--executor", "dask"),
     ],
 )
 def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple[str, ...]) -> None:
@@ -550,6 +553,7 @@ def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple
     assert b"Traceback" not in error
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_goes_on_without_a_row_twice(tmp_path: Path) -> None:
     output = tmp_path / "a.csv"
     process = started(tmp_path, output, "--jobs", "1")
@@ -572,6 +576,7 @@ def living(session: int) -> list[str]:
     return [pid for sid, pid, state in found if sid == str(session) and state[0] != "Z"]
 
 
+@pytest.mark.slow
 def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
     process = started(tmp_path, tmp_path / "a.csv", "--jobs", "2")
     assert len(living(process.pid)) >= 3
@@ -589,6 +594,7 @@ def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
 # --- what a user sees ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_progress_is_drawn_on_a_terminal_only(tmp_path: Path) -> None:
     path = small(tmp_path)
     done = subprocess.run(
@@ -679,6 +685,7 @@ def test_wrong_options_are_told_in_a_line(
     ]
 
 
+@pytest.mark.slow
 def test_a_law_that_knows_alpha_is_simulated_at_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

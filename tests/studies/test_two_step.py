@@ -43,12 +43,14 @@ def found() -> dict[float, TwoStepCode]:
     return dict(zip(alphas, best_codes(alphas), strict=True))
 
 
+@pytest.mark.slow
 def test_five_keys_in_two_steps_beat_two_in_one(found: dict[float, TwoStepCode]) -> None:
     assert [code.keys for code in found.values()] == [4, 5, 5]
     assert [single_step_keys(a) ** 2 for a in found] == [4, 4, 4]
     assert math.log2(5) / 2 == pytest.approx(1.161, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_every_code_does_what_it_says(found: dict[float, TwoStepCode]) -> None:
     for alpha, code in found.items():
         check(code, alpha)

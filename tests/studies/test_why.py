@@ -74,6 +74,7 @@ def followed(scenario: Scenario, remedy: str) -> Scenario:
     return Scenario.model_validate(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*MOTORS, "double-integrator", "sustained"])
 def test_each_line_of_advice_raises_the_rate_when_it_is_followed(name: str, tmp_path: Path) -> None:
     if name in MOTORS:
@@ -124,6 +125,7 @@ def test_a_small_alpha_is_named() -> None:
     assert any("secrecy.alpha" in remedy for remedy in found.remedies)
 
 
+@pytest.mark.slow
 def test_the_design_is_drawn(tmp_path: Path) -> None:
     for name in ("sustained", "quadruple-tank"):
         for kind in ("png", "pdf"):

@@ -19,7 +19,7 @@ from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
 LONG = "Some words that are not there in a second."
 WYNER = [sys.executable, "-m", "wyner.cli.main"]

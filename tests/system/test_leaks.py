@@ -67,6 +67,7 @@ def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
     return None if done.returncode else done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["-", ""], ["", "-"]])
 def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None:
     assert read_from_stdin(arguments, b"h\xffi\n") == b"h\xffi\n"

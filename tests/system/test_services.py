@@ -310,6 +310,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     assert status.k == 1003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", ["controller", "plant"])
 def test_a_lost_journal_ends_the_session_and_the_message_still_arrives(
     system: System, lost: str
@@ -439,6 +440,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
     assert sum(1 for _ in sessions) == 1
 
 
+@pytest.mark.slow
 def test_two_controllers_on_one_loop_take_turns(
     system: System, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -522,6 +524,7 @@ def test_a_second_plant_does_not_disturb_the_first(
     assert all(name in told[0] for name in both)
 
 
+@pytest.mark.slow
 def test_a_plant_without_its_journal_is_taken_up_by_a_controller_that_ran_on(
     system: System,
 ) -> None:
@@ -570,6 +573,7 @@ class Full:
         return os.write(file, line if self._room >= 0 else line[: len(line) // 2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["plant", "controller"])
 @pytest.mark.parametrize("room", [50, 51, 52])
 def test_a_full_disk_ends_the_service_and_no_event_is_lost(
@@ -609,6 +613,7 @@ def test_an_identifier_belongs_to_one_message(system: System) -> None:
     assert system.recovered() == [b"one", b"text"]
 
 
+@pytest.mark.slow
 def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
     with system.plant("x20"):
         with system.controller(b"one"):
@@ -623,6 +628,7 @@ def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
             assert (status.phase, status.detail) == ("running", "")
 
 
+@pytest.mark.slow
 def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system: System) -> None:
     """The ends do not validate their own; every second status will do, from any moment on."""
     said: dict[type[Message], list[tuple[float, Message]]] = {}
@@ -676,6 +682,7 @@ def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System)
     assert system.recovered() == list(long)
 
 
+@pytest.mark.slow
 def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System) -> None:
     """What was received of the frame in the session before must be gone from the journal."""
     message = b"A" * 30
@@ -696,6 +703,7 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
     assert system.recovered() == [message]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["plant", "controller"])
 def test_a_journal_put_back_from_an_old_copy_ends_the_session(system: System, side: str) -> None:
     message = b"A" * 30

@@ -16,6 +16,7 @@ from protocol.scenario import Scenario
 HEAVY = {"scipy", "osqp", "daqp", "rich", "matplotlib", "IPython", "asyncio"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("service", "heavy"), [("controller", HEAVY | {"numpy"}), ("plant", HEAVY)]
 )

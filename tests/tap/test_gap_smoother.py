@@ -97,6 +97,7 @@ def test_a_law_without_pieces_is_averaged_nearby() -> None:
     assert UNKNOWN < 0
 
 
+@pytest.mark.slow
 def test_what_was_heard_whole_is_left_alone(run: Run) -> None:
     for step in infer(run, heard_by(run, View())):
         assert step.samples is not None

@@ -93,6 +93,7 @@ def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
     assert "a message: ValueError: not that one" in listener.failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("act", "why"),
     [
@@ -118,6 +119,7 @@ def test_what_she_does_stops_her_alone(
     assert listener.belief().message == b""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leave", ["", "child or os.setsid(); "])
 def test_what_she_started_ends_with_her(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leave: str
@@ -143,6 +145,7 @@ def test_what_she_started_ends_with_her(
     assert os.getpid() != child
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "why"),
     [

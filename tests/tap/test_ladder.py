@@ -161,6 +161,7 @@ def test_a_message_longer_than_she_keeps_is_had(name: str) -> None:
     assert play(run, name)[0].whole == (text,)
 
 
+@pytest.mark.slow
 def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(smoother, "KEPT", 256)
     run = simulate(400, 3, payloads=[b"let go"])

@@ -108,6 +108,7 @@ def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
 # --- offers alone --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_offers_alone_give_most_keys_away() -> None:
     """Over 20 runs of 1000 steps it is measured: docs/secrecy.md."""
     keys = [played(seed)[3].keys_reviewed for seed in SEEDS]
@@ -115,11 +116,13 @@ def test_offers_alone_give_most_keys_away() -> None:
     assert sum(k.right for k in keys) >= 0.84 * sum(k.of for k in keys)
 
 
+@pytest.mark.slow
 def test_offers_alone_give_message_bits_away() -> None:
     bits = [played(seed)[3].bits for seed in SEEDS]
     assert sum(b.right for b in bits) >= 0.75 * sum(b.of for b in bits)
 
 
+@pytest.mark.slow
 def test_what_she_claims_is_what_comes_true() -> None:
     claimed, came = [], []
     for seed in SEEDS:
@@ -135,6 +138,7 @@ def test_what_she_claims_is_what_comes_true() -> None:
     assert 0.4 < hit[p < 0.75].mean() < 0.9
 
 
+@pytest.mark.slow
 def test_constrained_candidates_do_not_poison_what_follows() -> None:
     """Most offers are: the unclipped ones alone would leave her far behind."""
     right = of = 0
@@ -151,6 +155,7 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
     assert right > 0.8 * of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [3.0, 8.0])
 def test_the_width_of_the_defenders_set_is_learned(alpha: float) -> None:
     _, tap, _, _ = played(1, alpha=alpha)
@@ -180,6 +185,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
     assert {g.symbol for g in tap.review()} == {(0.5, 0.5)}
 
 
+@pytest.mark.slow
 def test_lost_offers_are_bridged() -> None:
     run, tap, said, _ = played(3, View(view="offers", loss=0.1, seed=3), 300)
     heard = {t.k for t in heard_by(run, View(view="offers", loss=0.1, seed=3)) if t.candidates}
@@ -189,6 +195,7 @@ def test_lost_offers_are_bridged() -> None:
     assert len(tap.review()) > 285
 
 
+@pytest.mark.slow
 def test_a_plant_of_four_states_and_two_inputs_is_read_too() -> None:
     _, _, _, scored = played(0, steps=300, name="quadruple-tank")
     assert scored.keys_reviewed.of > 40
@@ -206,6 +213,7 @@ def test_every_plant_can_be_listened_to(name: str) -> None:
         assert np.isfinite(step.samples).all()
 
 
+@pytest.mark.slow
 def test_noise_that_hides_the_law_is_no_reason_to_fail() -> None:
     run = simulate(80, 0)
     for view in (View(view="offers", noise=0.05), View(view="offers", quantise=0.5)):
@@ -222,6 +230,7 @@ def test_too_few_offers_say_nothing() -> None:
     assert reader_for(run).infer([]) == []
 
 
+@pytest.mark.slow
 def test_sessions_are_read_apart() -> None:
     transitions = [t for seed in (4, 5) for t in heard_by(simulate(60, seed), OFFERS)]
     steps = reader_for(simulate(60, 4)).infer(transitions)
@@ -232,6 +241,7 @@ def test_sessions_are_read_apart() -> None:
 # --- both, in part -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_lost_messages_are_inferred_by_the_law_that_she_was_told() -> None:
     _, tap, _, scored = played(0, View(loss=0.3, seed=0), 600)
     assert scored.keys_reviewed.right > 0.88 * scored.keys_reviewed.of
@@ -274,6 +284,7 @@ def test_a_law_that_the_transcript_contradicts_is_not_believed() -> None:
     assert not reader.trusts(heard)
 
 
+@pytest.mark.slow
 def test_noise_is_borne() -> None:
     _, _, _, scored = played(0, View(noise=0.05, seed=0), 200)
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of

@@ -206,6 +206,7 @@ def test_a_wrong_choice_is_told_before_anything_starts(
     assert not (tmp_path / "tap").exists()
 
 
+@pytest.mark.slow
 def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     import tracemalloc
 
@@ -228,6 +229,7 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 400_000
 
 
+@pytest.mark.slow
 def test_heavy_eavesdroppers_work_beside_the_mirror_and_finish(tmp_path: Path) -> None:
     run = simulate(1000, 11)
     wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
@@ -244,6 +246,7 @@ def test_heavy_eavesdroppers_work_beside_the_mirror_and_finish(tmp_path: Path) -
     assert last.confidence == 1.0
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     run: Run, tmp_path: Path
 ) -> None:
@@ -264,6 +267,7 @@ def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) 
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> None:

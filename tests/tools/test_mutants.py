@@ -89,6 +89,7 @@ def test_large(shared):
 """
 
 
+@pytest.mark.slow
 def test_mutants_die_by_the_tests_that_reach_them(tmp_path: Path) -> None:
     """One that never ends dies as well; what no test calls is named so."""
     pytest.importorskip("mutmut")

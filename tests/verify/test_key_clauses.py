@@ -64,6 +64,7 @@ def failed(folder: Path) -> set[str]:
     return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     evidence = read_evidence(run)
@@ -79,6 +80,7 @@ def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     assert summary["refused"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     run: Path, capsys: pytest.CaptureFixture[str]
@@ -178,6 +180,7 @@ WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 @pytest.mark.parametrize("wrong", WRONG)
 def test_what_is_wrong_fails_its_clause(wrong: str, copied: Path) -> None:
@@ -197,6 +200,7 @@ def harmless(m: Mutant) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_every_change_of_a_sealed_message_fails_a_clause_that_names_it(copied: Path) -> None:
     rewrite(copied / PLANT_TRACE, lambda lines: lines.__delitem__(slice(3, None)))
@@ -214,6 +218,7 @@ def test_every_change_of_a_sealed_message_fails_a_clause_that_names_it(copied: P
     assert unnamed == {}
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_stores_that_differ_fail(copied: Path) -> None:
     with sqlite3.connect(copied / PLANT_KEYS) as db:
@@ -230,6 +235,7 @@ def test_stores_that_differ_fail(copied: Path) -> None:
     assert "the two stores differ" in audit.warnings
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(copied: Path) -> None:
     """The capture as if she had missed nothing: all copies 0 of the run."""

@@ -22,6 +22,8 @@ from tests.verify.mutants import Mutant, mutants_of
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
 
+pytestmark = pytest.mark.slow
+
 STRIDE = 11
 """One mutant in so many is tried; all of them with ``WYNER_MUTANTS=all``."""
 

@@ -1,0 +1,15 @@
+"""The Makefile's rooms: each folder of tests belongs to one, and to one only."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+APART = {"compose", "support"}
+"""Containers have a target of their own; what tests share has no tests."""
+
+
+def test_each_folder_of_tests_is_run_by_one_room() -> None:
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    named = " ".join(re.findall(r"^ROOM_[a-z]+ := (.*)$", text, re.MULTILINE)).split()
+    folders = {path.parent.name for path in (ROOT / "tests").glob("*/__init__.py")}
+    assert sorted(named) == sorted(folders - APART)
