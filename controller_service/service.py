@@ -10,7 +10,6 @@ from pathlib import Path
 from controller_service.endpoint import ControllerEndpoint
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
-from protocol.link.model import load_model
 from protocol.link.pacing import STATUS_S
 from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
@@ -23,6 +22,8 @@ from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import ControllerJournal
 from protocol.runtime.journal_files import JournalError
+from protocol.runtime.key_opening import open_keeper, refusal
+from protocol.runtime.model import load_model
 from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
 from protocol.runtime.process import UsageError, logger, new_id, proquint
@@ -36,7 +37,6 @@ from protocol.runtime.trace import TraceWriter
 from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
-from protocol.secret.opening import open_keeper, refusal
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import CIPHER, symbols

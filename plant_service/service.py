@@ -22,6 +22,7 @@ from protocol.runtime.fleet_host import run_fleet
 from protocol.runtime.host import Host
 from protocol.runtime.journal import PlantJournal
 from protocol.runtime.journal_files import JournalError
+from protocol.runtime.key_opening import open_keeper, refusal
 from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
 from protocol.runtime.process import Pace, UsageError, logger, new_id, proquint
@@ -36,7 +37,6 @@ from protocol.runtime.run_folder import (
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
 from protocol.scenario.files import keep_scenario, scenario_of
-from protocol.secret.opening import open_keeper, refusal
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import COIN, noise, symbols

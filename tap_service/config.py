@@ -8,7 +8,7 @@ from typing import Any, Final
 from protocol.knowledge import Knowledge
 from protocol.runtime.endpoints import Endpoints
 from protocol.topics import DEFAULT_LOOP
-from tap_service.capture.channel import View, told
+from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
 from tap_service.guests import guarded
@@ -58,7 +58,7 @@ class TapConfig:
             if self.oracle_knowledge is None:
                 raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
-        return told(self.knowledge, guarded(name), self.view)
+        return self.view.told(self.knowledge, model=guarded(name).told_model)
 
     def header(self) -> dict[str, Any]:
         """The public part of what a recording's header says."""

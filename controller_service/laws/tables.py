@@ -5,11 +5,9 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
+from controller_service.sets.spacing import CERTAIN
 from protocol.knowledge import Policy
 from protocol.scenario import Control, Cost, ScenarioTable, Secrecy
-
-CERTAIN = 2.0
-"""Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
 
 
 class PaperControl(Control):

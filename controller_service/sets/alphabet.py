@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller_service.laws.tables import CERTAIN
 from controller_service.sets.polygon_alphabet import plane_offsets, plane_points
 from controller_service.sets.separation import (
     APART,
@@ -24,6 +23,7 @@ from controller_service.sets.separation import (
     AlphabetError,
     Separation,
 )
+from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller_service.laws.tables import CERTAIN
+from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict
 from protocol.knowledge import Delay, Direction, Knowledge, Loss, NotNegative
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.vectors import Matrix, Vector
-from tap_service.eavesdroppers.base import Eavesdropper
 
 
 class View(BaseModel):
@@ -52,9 +51,15 @@ class View(BaseModel):
         """Whether every message passes as it is, at once."""
         return self.view == "both" and not (self.loss or self.noise or self.quantise or self.delay)
 
-    def told(self, knowledge: Knowledge) -> Knowledge:
-        """``knowledge`` with the model error (the same seed gives the same), and her receiver's."""
-        knowledge = knowledge.model_copy(update={"noise": self.noise, "quantise": self.quantise})
+    def told(self, knowledge: Knowledge, *, model: bool = True) -> Knowledge:
+        """``knowledge`` with the model error (the same seed gives the same), and her receiver's.
+
+        Who is not to be told the ``model`` is told a wrong one, where there is an error, or none.
+        """
+        update: dict[str, object] = {"noise": self.noise, "quantise": self.quantise}
+        if not model and not self.model_error:
+            update |= dict.fromkeys(("A", "B", "disturbance_H", "disturbance_h", "policy"))
+        knowledge = knowledge.model_copy(update=update)
         if not self.model_error:
             return knowledge
         draw = random.Random(f"model {self.seed}")
@@ -66,14 +71,6 @@ class View(BaseModel):
             return tuple(tuple(v * (1 + draw.choice((-e, e))) for v in row) for row in matrix)
 
         return knowledge.model_copy(update={"A": wrong(knowledge.A), "B": wrong(knowledge.B)})
-
-
-def told(knowledge: Knowledge, kind: type[Eavesdropper], view: View) -> Knowledge:
-    """What an eavesdropper of a kind is told: with the view's model error, or no model at all."""
-    if kind.told_model or view.model_error:
-        return view.told(knowledge)
-    nothing = dict.fromkeys(("A", "B", "disturbance_H", "disturbance_h", "policy"))
-    return view.told(knowledge.model_copy(update=nothing))
 
 
 class WiretapChannel:

@@ -22,12 +22,7 @@ from protocol.schemes.framing import Deframer
 from protocol.schemes.registry import make_scheme
 from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
-
-KEPT_SYMBOLS: Final = 32768
-"""Message symbols that a belief keeps, the newest; memory stays bounded over any run."""
-
-KEPT_MESSAGES: Final = 64
-"""Whole messages that a belief keeps, the newest."""
+from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 
 IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""

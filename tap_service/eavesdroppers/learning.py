@@ -20,9 +20,10 @@ from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from protocol.vectors import Matrix
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import KEPT_MESSAGES, Belief, Eavesdropper, Guess, Model, even
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
 from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
 from tap_service.inference.identification import identify
+from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 
 KEPT: Final = 4096

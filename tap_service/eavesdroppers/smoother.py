@@ -15,17 +15,11 @@ import numpy as np
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import (
-    KEPT_MESSAGES,
-    Belief,
-    Eavesdropper,
-    Guess,
-    Model,
-    even,
-)
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
 from tap_service.eavesdroppers.list_decoder import belief_of, nearest
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.policy import KnownLaw

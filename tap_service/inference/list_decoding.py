@@ -20,9 +20,9 @@ from protocol.arrays import Array, Flags, Indices
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import Deframer, digits_of
 from protocol.schemes.table import StateTable
-from tap_service.eavesdroppers.base import KEPT_MESSAGES
 from tap_service.inference.frame_scores import FrameScores
 from tap_service.inference.hypotheses import Hypotheses
+from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.symbol_paths import SymbolPaths
 
 CAP: Final = 3000

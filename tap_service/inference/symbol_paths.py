@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from protocol.arrays import Indices
-from tap_service.eavesdroppers.base import KEPT_SYMBOLS
+from tap_service.inference.kept import KEPT_SYMBOLS
 
 
 class SymbolPaths:

@@ -87,7 +87,7 @@ def _fleet(run: Path) -> None:
 
 
 def _secret(run: Path) -> None:
-    from protocol.secret.opening import open_keeper
+    from protocol.runtime.key_opening import open_keeper
 
     keys = load_scenario(ROOT / "wyner/scenarios/keys.toml")
     (run / "k.sqlite3").unlink(missing_ok=True)

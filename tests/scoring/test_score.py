@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from protocol.runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
-from tap_service.eavesdroppers.base import KEPT_MESSAGES, KEPT_SYMBOLS
+from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.scoring import report as reporting
 from wyner.scoring.report import Portion, report
 from wyner.scoring.score import (

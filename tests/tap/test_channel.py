@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from protocol.knowledge import Knowledge, Policy
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.scenario import TapView
-from tap_service.capture.channel import View, WiretapChannel, told
+from tap_service.capture.channel import View, WiretapChannel
 from tap_service.eavesdroppers import named
 
 S = "f" * 16
@@ -109,12 +109,12 @@ def test_a_model_error_is_relative_to_each_entry() -> None:
 
 def test_the_learner_is_told_nothing_unless_wrongly() -> None:
     learning, decoder = named("learning"), named("list-decoder")
-    nothing = told(KNOWLEDGE, learning, View())
+    nothing = View().told(KNOWLEDGE, model=learning.told_model)
     assert nothing.A is None
     assert nothing.disturbance_h is None
     assert nothing.policy is None
-    assert told(KNOWLEDGE, learning, View(model_error=0.5)).A is not None
-    assert told(KNOWLEDGE, decoder, View()) == KNOWLEDGE
+    assert View(model_error=0.5).told(KNOWLEDGE, model=learning.told_model).A is not None
+    assert View().told(KNOWLEDGE, model=decoder.told_model) == KNOWLEDGE
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
-from tap_service.capture.channel import View, told
+from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
@@ -70,7 +70,7 @@ class Replay:
                     raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")
                 mine = oracle_knowledge
             else:
-                mine = told(self.knowledge, kind, self.view)
+                mine = self.view.told(self.knowledge, model=kind.told_model)
             self.listeners.append(Listener.of(kind, mine))
         self.transcript = Transcript()
         self.session = ""

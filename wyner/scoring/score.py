@@ -21,7 +21,8 @@ from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
 from protocol.text import printable
-from tap_service.eavesdroppers.base import KEPT_SYMBOLS, KeysHeld
+from tap_service.eavesdroppers.base import KeysHeld
+from tap_service.inference.kept import KEPT_SYMBOLS
 
 Z: Final = 1.959963984540054
 """Normal quantile of a two-sided 95 % interval."""

@@ -20,7 +20,6 @@ from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
 from protocol.link.events import Applied, Event, Missed
-from protocol.link.model import load_model
 from protocol.link.pacing import Pacing
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -28,6 +27,7 @@ from protocol.link.sender import Sender
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from protocol.runtime.model import load_model
 from protocol.scenario import Scenario
 from protocol.secret.keeper import Keeper, work
 from protocol.secret.store import KeyStore

@@ -15,8 +15,8 @@ import numpy as np
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
-from protocol.link.model import load_model
 from protocol.link.session import rules_of
+from protocol.runtime.model import load_model
 from protocol.scenario import Scenario
 from protocol.scenario.plant import Disturbance
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream

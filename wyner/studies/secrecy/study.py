@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from tap_service.capture.channel import View, WiretapChannel, told
+from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -117,8 +117,8 @@ def knowledge_for(run: Run, kind: type[Eavesdropper], view: View) -> Knowledge:
         return run.scenario.oracle_knowledge()
     if kind.name == "learning":  # never D_e, also where she is told a wrong model
         nothing = {"disturbance_H": None, "disturbance_h": None, "policy": None}
-        return told(run.scenario.knowledge(), kind, view).model_copy(update=nothing)
-    return told(run.scenario.knowledge(), kind, view)
+        return view.told(run.scenario.knowledge(), model=kind.told_model).model_copy(update=nothing)
+    return view.told(run.scenario.knowledge(), model=kind.told_model)
 
 
 def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.model import ModelError, load_model
+from protocol.runtime.model import ModelError, load_model
 from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from protocol.scenario.files import scenario_of
