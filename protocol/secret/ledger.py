@@ -19,7 +19,7 @@ from protocol.secret.authentication import (
     spend_secret,
     under,
 )
-from protocol.secret.records import PadCounts, Side
+from protocol.secret.records import Side
 from protocol.secret.store import KeyStore
 
 SIDES: Final[tuple[Side, Side]] = ("controller", "plant")
@@ -101,15 +101,6 @@ class Authentication:
 def pads_of(row: bytes) -> tuple[tuple[Side, bytes], tuple[Side, bytes]]:
     """The two pads that a block's row 0 yields."""
     return (SIDES[0], row[:TAG_BYTES]), (SIDES[1], row[TAG_BYTES:])
-
-
-def pad_counts(store: KeyStore) -> dict[Side, PadCounts]:
-    """What the ledger says of each direction's pads."""
-    with store.transaction() as db:
-        rows = db.execute(
-            "SELECT side, COUNT(*), SUM(state = 'spent') FROM pad GROUP BY side"
-        ).fetchall()
-    return {side: PadCounts(made, spent, made - spent) for side, made, spent in rows}
 
 
 def take_secret(store: KeyStore, path: Path) -> Authentication:

@@ -21,7 +21,7 @@ NONCE_BYTES: Final = 32
 """w = 256 bits: a copy that she misses makes one row of key, and a row is one key of 256 bits."""
 
 FIRST: Final = 0
-AGAIN: Final = 1
+"""The number of the copy that may count; all others are copies 1."""
 
 NONCE_FORM: Final = rf"^([A-Za-z0-9+/]{{{-(-NONCE_BYTES // 3) * 4 - 1}}}=)?$"
 """A nonce in base64, or nothing where the scenario makes no keys."""

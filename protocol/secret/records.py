@@ -99,14 +99,6 @@ class Counts(NamedTuple):
     available: int
 
 
-class PadCounts(NamedTuple):
-    """The ledger of pads of one direction: what went in, was spent, and is left."""
-
-    made: int
-    spent: int
-    left: int
-
-
 def key_id(session: str, number: int, row: int) -> str:
     """The id of row ``row`` of a block, the same at both ends."""
     return str(uuid.uuid5(NAMESPACE, f"{session}/{number}/{row}"))

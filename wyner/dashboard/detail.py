@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
+from protocol.agreement import INSIDE
 from wyner.dashboard import plane
 from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.score import Score, characters_right
@@ -57,7 +58,7 @@ def _step(board: Board, k: int, width: int, glyphs: Glyphs) -> list[Text]:
             zip(shown.pictured_candidates, shown.pictured_gauges, strict=False)
         ):
             vector = "  ".join(component(v, "+") for v in u)
-            where = "inside D_c" if gauge <= 1 else f"at {number(gauge)} times D_c"
+            where = "inside D_c" if gauge <= INSIDE else f"at {number(gauge)} times D_c"
             lines.append(row(f"input {i}", Text(f"{vector}   next state {where}")))
         lines.append(row("verdict", Text(plane.verdict(shown))))
     return lines

@@ -9,6 +9,7 @@ from typing import Final
 
 from rich.text import Text
 
+from protocol.agreement import INSIDE
 from wyner.dashboard.text import STYLES, Glyphs, longest, number
 
 INDEX: Final = 4
@@ -56,7 +57,7 @@ def bars(
 
 
 def _bar(i: int, gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
-    inside = gauge <= 1.0
+    inside = gauge <= INSIDE
     beyond = gauge > alpha
     if inside:
         at = round(gauge * (half - 1))

@@ -24,31 +24,8 @@ from wyner.dashboard.text import (
     row,
 )
 
-_COLUMNS: Final = (
-    ("keys right", 10),
-    ("of", 6),
-    ("hides/key", 9),
-    ("follows", 7),
-    ("model off", 9),
-    ("text", 9),
-    ("has it since", 14),
-    ("behind", 6),
-    ("holes", 6),
-)
-"""Columns of the table of taps, left to right, with their widths."""
-
 CURVE: Final = 60
 """Most cells of the curves of claimed and true bits."""
-
-_KEPT_FIRST: Final = (0, 6, 5, 2, 3, 4, 1, 7, 8)
-"""Columns by how telling they are; a narrow screen does without the last ones."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Column:
-    title: str
-    width: int
-    value: Callable[[TapBoard, Score], str]
 
 
 def verdict(its: SecrecyScore, width: int) -> Text:
@@ -180,7 +157,7 @@ def table(
     board: Board, shown: Sequence[tuple[TapBoard, Score]], width: int, chosen: str = ""
 ) -> list[Text]:
     """A row for each tap, under the columns that the width has room for."""
-    columns = _columns(board, width)
+    columns = _columns(width)
     head = "".join(f" {column.title:>{column.width}}" for column in columns)
     lines = [Text(f" {'eavesdropper':<{LABEL}}{head}", style=STYLES["label"])]
     for tap, its in shown:
@@ -189,35 +166,16 @@ def table(
         if chosen and tap.status.name == chosen:
             line = Text.assemble((">", STYLES["title"]), line[1:])
         for column in columns:
-            line.append(f" {column.value(tap, its):>{column.width}}")
+            line.append(f" {column.value(board, tap, its):>{column.width}}")
         lines.append(line)
     if not shown:
         lines.append(Text(" none heard" if not board.taps else " none by that name"))
     return lines
 
 
-def _columns(board: Board, width: int) -> list[_Column]:
-    """The columns that the width has room for, the most telling ones first."""
-    room = width - LABEL - 1
-    kept: set[int] = set()
-    for i in _KEPT_FIRST:
-        if _COLUMNS[i][1] + 1 <= room:
-            kept.add(i)
-            room -= _COLUMNS[i][1] + 1
-    value = {
-        "keys right": lambda _, its: percent(its.right, its.scored),
-        "of": lambda _, its: count(its.scored),
-        "hides/key": lambda _, its: figure(its.bits_per_key),
-        "follows": lambda tap, _: (
-            count(tap.status.candidates_left or 0) if tap.status.candidates_left else "-"
-        ),
-        "model off": lambda tap, _: _model_off(board, tap),
-        "text": lambda tap, _: _message_right(board, tap),
-        "has it since": lambda tap, _: _broke(tap),
-        "behind": lambda tap, _: count(tap.status.behind),
-        "holes": lambda tap, _: count(tap.status.lost),
-    }
-    return [_Column(*_COLUMNS[i], value[_COLUMNS[i][0]]) for i in sorted(kept)]
+def _follows(tap: TapBoard) -> str:
+    left = tap.status.candidates_left
+    return count(left) if left else "-"
 
 
 def _message_right(board: Board, tap: TapBoard) -> str:
@@ -240,3 +198,43 @@ def _broke(tap: TapBoard) -> str:
         judged = "exact" if tap.exact else "WRONG"
         return longest(14, f"{solved} {judged}", f"{count(solved)} {judged}")
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column of the table of taps; a narrow screen does without those of the last ranks."""
+
+    title: str
+    width: int
+    rank: int
+    value: Callable[[Board, TapBoard, Score], str]
+
+
+_COLUMNS: Final = (
+    _Column("keys right", 10, 0, lambda _, __, its: percent(its.right, its.scored)),
+    _Column("of", 6, 6, lambda _, __, its: count(its.scored)),
+    _Column("hides/key", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
+    _Column(
+        "follows",
+        7,
+        4,
+        lambda _, tap, __: count(tap.status.candidates_left) if tap.status.candidates_left else "-",
+    ),
+    _Column("model off", 9, 5, lambda board, tap, _: _model_off(board, tap)),
+    _Column("text", 9, 2, lambda board, tap, _: _message_right(board, tap)),
+    _Column("has it since", 14, 1, lambda _, tap, __: _broke(tap)),
+    _Column("behind", 6, 7, lambda _, tap, __: count(tap.status.behind)),
+    _Column("holes", 6, 8, lambda _, tap, __: count(tap.status.lost)),
+)
+"""Left to right."""
+
+
+def _columns(width: int) -> list[_Column]:
+    """The columns that the width has room for, those of the first ranks."""
+    room = width - LABEL - 1
+    kept = []
+    for column in sorted(_COLUMNS, key=lambda column: column.rank):
+        if column.width + 1 <= room:
+            kept.append(column)
+            room -= column.width + 1
+    return sorted(kept, key=_COLUMNS.index)

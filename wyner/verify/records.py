@@ -2,7 +2,6 @@
 
 import base64
 import binascii
-from collections.abc import Callable
 from typing import Any, Final, Literal, NamedTuple
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -274,6 +273,3 @@ def payload_of(line: EventLine) -> bytes:
         return base64.b64decode(line.payload, validate=True)
     except binascii.Error:
         raise ValueError("payload: expected base64") from None
-
-
-Validate = Callable[[bytes], Any]
