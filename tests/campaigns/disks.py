@@ -1,9 +1,11 @@
-"""A full and a read-only disk for each service: ``python -m tests.campaigns.disks``. Needs root.
+"""A full and a read-only disk for each service: ``python -m tests.campaigns.disks``.
 
-The folder of one service is a disk of its own (tmpfs), too small for the run or made read-only in
-the middle of it. The service must end with one line that names a file and with exit code 1 or 2,
-at once when it is started again, and without a word of its own as soon as there is room: the run
-goes on, and :mod:`tests.campaigns.traffic` says what must have come of it.
+Needs root, to mount, and a C compiler. The folder of one service is a disk of its own (tmpfs), too
+small for the run, or made read-only in the middle of it while nothing is open there; or what it has
+open turns read-only in its hands (hostile.c), as where a kernel finds a disk damaged, in its folder
+or in the whole run's. The service must go on, or end with one line that names a file and with exit
+code 1 or 2, at once when it is started again. As soon as there is room the run goes on, and
+:mod:`tests.campaigns.traffic` says what must have come of it.
 """
 
 import argparse
@@ -19,7 +21,14 @@ from pathlib import Path
 from typing import Final
 
 from protocol.runtime.run_folder import write_atomically
-from tests.campaigns.live import LiveLoop, keep_failed, plain_text, wait_for
+from tests.campaigns.live import (
+    LiveLoop,
+    Process,
+    keep_failed,
+    plain_text,
+    preloaded,
+    wait_for,
+)
 from tests.campaigns.traffic import Traffic
 from wyner.studies.grid import code_version
 
@@ -27,7 +36,10 @@ SMALL_KB: Final = (0, 40, 100, 200, 400, 1000)
 """What a disk that is found too small has room for, besides what is there."""
 
 SERVICES: Final = ("controller", "plant", "tap", "kme-controller", "kme-plant")
-KINDS: Final = ("full", "read-only")
+WHOLE: Final = "run"
+"""In place of a service: the folder of the whole run."""
+
+KINDS: Final = ("full", "read-only", "turned")
 NOTICED_S: Final = 6.0
 
 
@@ -71,40 +83,88 @@ class Disk:
         subprocess.run(["umount", "-l", str(self.folder)], check=True)
 
 
+class Turned:
+    """A folder that becomes read-only under files that are open, as hostile.c has it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._page = Path(os.environ["WYNER_DISK"])
+        self._folder = bytes(folder) + b"/\0"
+        self.mend()
+
+    def read_only(self) -> None:
+        """Let nothing be written any more."""
+        with self._page.open("r+b") as page:
+            page.seek(8)
+            page.write(self._folder)
+            page.seek(0)
+            page.write(b"1")
+
+    def mend(self) -> None:
+        """All is well again."""
+        with self._page.open("r+b") as page:
+            page.write(b"\0")
+
+    def remove(self) -> None:
+        """There is nothing to remove."""
+
+
+def said_well(process: Process, before: int, home: Path) -> tuple[str, list[str]]:
+    """The line with which a service ended by itself, and what was wrong with how it ended."""
+    said = process.log.read_text(errors="replace").splitlines()[before:]
+    errors = [line for line in said if line.startswith("wyner: ")]
+    last = (errors or said or ["nothing"])[-1].replace(str(home), "")
+    if len(errors) == 1 and process.ended[-1] in (1, 2) and "Traceback" not in str(said):
+        return last, []
+    return last, [f"{process.name}: code {process.ended[-1]}, said {said[-5:]}"]
+
+
+def lines(process: Process) -> int:
+    """How many lines it has logged."""
+    return len(process.log.read_text(errors="replace").splitlines())
+
+
 def one_run(service: str, kind: str, left_kb: int, folder: Path) -> tuple[Counter[str], list[str]]:
     """Fill, or make read-only; what came of it, and what was wrong."""
     draw = random.Random(left_kb)
     text = plain_text(draw, 100)
     loop = LiveLoop(folder, text.encode(), pace="x20")
     there = service.removeprefix("kme-")
-    disk = Disk(loop.run_dir / there)
-    victim = loop.processes[service]
+    home = loop.run_dir if service == WHOLE else loop.run_dir / there
+    sharing = [
+        p for n, p in loop.processes.items() if service == WHOLE or n.removeprefix("kme-") == there
+    ]
+    disk = Turned(home) if kind == "turned" else Disk(home)
     counts: Counter[str] = Counter()
     traffic = Traffic(loop, text, draw)
     try:
         with traffic:
             time.sleep(1.0)
-            before = len(victim.log.read_text(errors="replace").splitlines())
-            if kind == "full":
+            before = {p.name: lines(p) for p in sharing}
+            if isinstance(disk, Disk) and kind == "full":
                 disk.fill(left_kb)
+            elif isinstance(disk, Turned):
+                disk.read_only()
             else:
-                sharing = [p for n, p in loop.processes.items() if n.removeprefix("kme-") == there]
                 for process in sharing:  # with files open for writing none becomes read-only
                     process.kill()
                 disk.read_only()
                 for process in sharing:
                     process.start()
-            ended = wait_for(lambda: not victim.alive(), NOTICED_S)
-            counts["ended" if ended else "went on"] += 1
-            if ended:
-                said = victim.log.read_text(errors="replace").splitlines()[before:]
-                errors = [line for line in said if line.startswith("wyner: ")]
-                told = f"{service}, {kind}: {errors[-1:] or said[-1:]}"
-                counts[told.replace(str(folder), "")] += 1
-                if len(errors) != 1 or victim.ended[-1] not in (1, 2) or "Traceback" in str(said):
-                    traffic.wrong.append(f"{service}: code {victim.ended[-1]}, said {said[-5:]}")
+            watched = [p for p in sharing if kind == "turned" or p.name == service]
+            wait_for(lambda: not any(p.alive() for p in watched), NOTICED_S)
+            for victim in watched:
+                if victim.alive():
+                    counts[f"{victim.name}, {kind}: went on"] += 1
+                    continue
+                told, wrong = said_well(victim, before[victim.name], folder)
+                counts[f"{victim.name}, {kind}: {told}"] += 1
+                traffic.wrong += wrong
+                again = lines(victim)
                 victim.start()
-                wait_for(lambda: not victim.alive(), NOTICED_S)
+                if victim.wait(NOTICED_S):
+                    told, wrong = said_well(victim, again, folder)
+                    counts[f"{victim.name}, {kind}, started: {told}"] += 1
+                    traffic.wrong += wrong
             traffic.send()
             time.sleep(0.5)
             disk.mend()
@@ -122,18 +182,24 @@ def main(argv: list[str] | None = None) -> int:
     """Service after service; 1 when something was wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--results", type=Path, default=Path("campaign-disks.json"))
-    parser.add_argument("--service", choices=SERVICES)
+    parser.add_argument("--service", choices=(*SERVICES, WHOLE))
+    parser.add_argument("--kind", choices=KINDS)
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if os.geteuid() != 0:
         print("disks: needs root, to mount", file=sys.stderr)
         return 2
+    page = Path(tempfile.mkdtemp()) / "disk"
+    page.write_bytes(bytes(4096))
+    preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_DISK=str(page))
     every = [
         (service, kind, kb)
-        for service in SERVICES
         for kind in KINDS
-        for kb in (SMALL_KB if kind == "full" else (0,))
+        for service in (*SERVICES, WHOLE)
+        for kb in (SMALL_KB if kind == "full" else range(3) if kind == "turned" else (0,))
         if args.service in (None, service)
+        and args.kind in (None, kind)
+        and (kind == "turned" or service != WHOLE)
     ]
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
     if done.get("version") != code_version():

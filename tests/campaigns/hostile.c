@@ -1,5 +1,7 @@
-/* Preloaded: a process dies at one chosen system call, or has its disk fail from there on; and its
-   wall clock is off by the seconds (a 64-bit integer) in the file that WYNER_CLOCK names.
+/* Preloaded: a process dies at one chosen system call, or has its disk fail from there on; its wall
+   clock is off by the seconds (64-bit integers, of which WYNER_CLOCK_PLACE picks one) in the file
+   that WYNER_CLOCK names; and a folder is read-only, under open files too, while the file that
+   WYNER_DISK names says so: a byte that is not 0, and from byte 8 on the folder's path.
 
    WYNER_DEATH=CALL:FILE:N:HOW, where CALL is a function below, FILE a part of the path (or
    "socket"), N counts matching calls from 1, and HOW is
@@ -12,25 +14,57 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <signal.h>
+#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/uio.h>
 #include <time.h>
 #include <unistd.h>
 
 static atomic_int calls;
 
+#define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
+
+/* The page of a file that others write to; none where the variable names none. */
+static const volatile char *page_of(const char *variable) {
+    const char *path = getenv(variable);
+    if (!path) return 0;
+    int fd = REAL(open)(path, O_RDONLY);
+    void *page = mmap(0, 4096, PROT_READ, MAP_SHARED, fd, 0);
+    close(fd);
+    return page == MAP_FAILED ? 0 : page;
+}
+
 static void die(void) {
     kill(getpid(), SIGKILL);
     for (;;) pause();
 }
 
+/* Whether the file is in the folder that is read-only now. */
+static int read_only(int fd, const char *path) {
+    static _Atomic(const volatile char *) disk;
+    if (!disk) disk = page_of("WYNER_DISK");
+    if (!disk || !*disk) return 0;
+    char link[64], target[4096];
+    if (!path) {
+        snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+        ssize_t size = readlink(link, target, sizeof target - 1);
+        if (size < 0) return 0;
+        target[size] = 0;
+        path = target;
+    }
+    const char *folder = (const char *)disk + 8;
+    return !strncmp(path, folder, strlen(folder));
+}
+
 /* What is to happen at this call: 0 nothing, -1 death before, -2 after, -3 torn, else an errno. */
 static int fate(const char *call, int fd, const char *path) {
+    if (read_only(fd, path)) return EROFS;
     const char *spec = getenv("WYNER_DEATH");
     char kind[32], part[64], how[16], link[64], target[4096];
     int n;
@@ -50,7 +84,6 @@ static int fate(const char *call, int fd, const char *path) {
     return !strcmp(how, "before") ? -1 : !strcmp(how, "after") ? -2 : -3;
 }
 
-#define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 #define AROUND(type, call, fd, path, torn, ...)                     \
     int what = fate(#call, fd, path);                               \
     if (what > 0) { errno = what; return -1; }                      \
@@ -78,16 +111,29 @@ int ftruncate64(int fd, off64_t size) { AROUND(int, ftruncate64, fd, 0, , fd, si
 int unlink(const char *path) { AROUND(int, unlink, -1, path, , path); }
 int rename(const char *from, const char *to) { AROUND(int, rename, -1, to, , from, to); }
 
+int mkdir(const char *path, mode_t mode) { AROUND(int, mkdir, -1, path, , path, mode); }
+int renameat2(int near, const char *from, int far, const char *to, unsigned flags) {
+    AROUND(int, renameat2, -1, to, , near, from, far, to, flags);
+}
+
+#define WRITES(flags) ((flags) & (O_WRONLY | O_RDWR | O_CREAT | O_TRUNC))
+#define OPENS(name, ...)                                                          \
+    va_list more;                                                                 \
+    va_start(more, flags);                                                        \
+    mode_t mode = flags & O_CREAT ? va_arg(more, mode_t) : 0;                     \
+    va_end(more);                                                                 \
+    if (WRITES(flags) && read_only(-1, path)) { errno = EROFS; return -1; }       \
+    return REAL(name)(__VA_ARGS__, mode)
+int open(const char *path, int flags, ...) { OPENS(open, path, flags); }
+int open64(const char *path, int flags, ...) { OPENS(open64, path, flags); }
+int openat(int at, const char *path, int flags, ...) { OPENS(openat, at, path, flags); }
+int openat64(int at, const char *path, int flags, ...) { OPENS(openat64, at, path, flags); }
+
 static long off(void) {
-    static _Atomic(const long *) shared;
-    const char *path = getenv("WYNER_CLOCK");
-    if (!shared && path) {
-        int fd = open(path, O_RDONLY);
-        void *page = mmap(0, sizeof(long), PROT_READ, MAP_SHARED, fd, 0);
-        close(fd);
-        if (page != MAP_FAILED) shared = page;
-    }
-    return shared ? *(volatile const long *)shared : 0;
+    static _Atomic(const volatile char *) clocks;
+    if (!clocks) clocks = page_of("WYNER_CLOCK");
+    const char *place = getenv("WYNER_CLOCK_PLACE");
+    return clocks ? ((const volatile long *)clocks)[place ? atoi(place) : 0] : 0;
 }
 int clock_gettime(clockid_t clock, struct timespec *now) {
     static _Atomic(__typeof__(&clock_gettime)) real;

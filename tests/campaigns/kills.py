@@ -4,7 +4,10 @@ Each run is a whole loop of processes: controller, plant, tap, two key servers, 
 run a router. Any of them is killed at random instants and started again, or frozen for up to six
 seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must have come of it.
 With ``--jumps`` the wall clock of all of them is set by hours again and again, both ways (needs
-a C compiler): nothing may depend on it. With ``--keys`` the field bus goes through a relay that
+a C compiler): nothing may depend on it. With ``--apart`` each has a wall clock of its own that is
+set so, and lives on a machine of its own as far as the monotonic clock goes: in a time namespace
+(needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
+and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays, blocks of keys are signed in every other run, and every other
 message is sealed.
 """
@@ -33,6 +36,15 @@ RELAY: Final = (0.02, 0.05, 0.001)
 
 SERVICES: Final = ("controller", "plant", "tap", "router", "relay", "kme-controller", "kme-plant")
 LARGEST_JUMP_S: Final = 48 * 3600
+KINDS: Final = {
+    "kills": "campaign-kills.json",
+    "jumps": "campaign-jumps.json",
+    "apart": "campaign-apart.json",
+    "tls": "campaign-tls.json",
+    "keys": "campaign-kills-keys.json",
+}
+"""Kinds of campaign, and where their results go."""
+
 PACES: Final = ("fast", "x100", "x20")
 
 
@@ -52,6 +64,7 @@ class Reaper:
         if self.clock is not None and draw.random() < 0.3:
             off_s = draw.randint(-LARGEST_JUMP_S, LARGEST_JUMP_S)
             with Path(self.clock).open("r+b") as clock:
+                clock.seek(8 * draw.choice([p.place for p in self.loop.processes.values()]))
                 clock.write(off_s.to_bytes(8, "little", signed=True))
             self.counts["clock jumps"] += 1
         name = draw.choice(sorted(self.loop.processes))
@@ -88,16 +101,25 @@ class Reaper:
 
 
 def one_run(
-    seed: int, folder: Path, kills: int, *, keys: bool = False
+    seed: int, folder: Path, kills: int, kind: str = "kills"
 ) -> tuple[Counter[str], list[str]]:
-    """Kill and freeze; how often, and what was wrong."""
+    """Kill and freeze; how often, and what was wrong. ``kind`` is one of :data:`KINDS`."""
     draw = random.Random(seed)
+    keys = kind == "keys"
     text = plain_text(draw, 200)
     pace = "x20" if keys else draw.choice(PACES)
     relay = RELAY if keys else None
-    router = not keys and seed % 2 == 1
     signed = keys and seed % 2 == 0
-    loop = LiveLoop(folder, text.encode(), pace=pace, router=router, relay=relay, secret=signed)
+    loop = LiveLoop(
+        folder,
+        text.encode(),
+        pace=pace,
+        router=kind == "tls" or (not keys and seed % 2 == 1),
+        tls=kind == "tls",
+        relay=relay,
+        secret=signed,
+        boots=draw if kind == "apart" else None,
+    )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
     counts["unsigned runs"] = int(keys and not signed)
@@ -122,20 +144,25 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="this run alone, kept in --folder")
     parser.add_argument("--folder", type=Path)
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--jumps", action="store_true", help="set the wall clock again and again")
-    kind.add_argument("--keys", action="store_true", help="a relay, sealed messages")
+    for name, what in (
+        ("jumps", "set the wall clock again and again"),
+        ("apart", "each has clocks of its own"),
+        ("tls", "a router that asks for certificates"),
+        ("keys", "a relay, sealed messages"),
+    ):
+        kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
+    parser.set_defaults(kind="kills")
     parser.add_argument("--results", type=Path, help="default: campaign-kills.json, or as its kind")
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    name = "jumps" if args.jumps else "kills-keys" if args.keys else "kills"
-    args.results = args.results or Path(f"campaign-{name}.json")
-    if args.jumps:
+    args.results = args.results or Path(KINDS[args.kind])
+    if args.kind in ("jumps", "apart"):
         clock = Path(tempfile.mkdtemp()) / "clock"
-        clock.write_bytes(bytes(8))
+        clock.write_bytes(bytes(4096))
         preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_CLOCK=str(clock))
     if args.seed is not None:
         args.folder.mkdir()
-        counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN, keys=args.keys)
+        counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN, args.kind)
         print(dict(counts), *wrong, sep="\n")
         return 1 if wrong else 0
     done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
@@ -145,7 +172,7 @@ def main(argv: list[str] | None = None) -> int:
     while done["killed"] < args.kills and time.monotonic() < until:
         seed = done["runs"]
         with tempfile.TemporaryDirectory() as folder:
-            counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN, keys=args.keys)
+            counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN, args.kind)
             if wrong:
                 keep_failed(Path(folder), args.results, str(seed))
         done["runs"] += 1

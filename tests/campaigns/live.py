@@ -16,7 +16,7 @@ import tempfile
 import time
 import tomllib
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +30,7 @@ from protocol.shipped import scenario_file_of
 from tests.campaigns.relay import main as pass_on
 from tests.support.key_sites import Sites
 from wyner.cli.main import main
+from wyner.deployment.certificates import ensure_certificates
 from wyner.studies.fit.toml import as_toml
 
 PRELOADED: Final = (
@@ -41,6 +42,11 @@ PRELOADED: Final = (
 PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2): a service dies with the campaign."""
 
+CLONE_NEWTIME: Final = 0x80
+"""Of unshare(2) and setns(2): the monotonic clock is the process's own."""
+
+LATEST_BOOT_S: Final = 10**7
+
 SOURCE: Final = Path(__file__).with_name("hostile.c")
 
 TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
@@ -50,10 +56,17 @@ TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 Command = Callable[[Sequence[str]], int]
 
 
-def fork(argv: Sequence[str], log: Path, death: str = "", command: Command = main) -> int:
+def fork(
+    argv: Sequence[str],
+    log: Path,
+    command: Command = main,
+    environment: Mapping[str, str] | None = None,
+    boot_s: int = 0,
+) -> int:
     """Run ``command``, which is ``wyner``, in a process and a session of its own; its id.
 
-    ``death`` is for hostile.c, where it is preloaded.
+    ``environment`` is added to this process's. Where ``boot_s`` is not 0, its machine was started
+    so many seconds before this one.
     """
     pid = os.fork()
     if pid:
@@ -67,7 +80,9 @@ def fork(argv: Sequence[str], log: Path, death: str = "", command: Command = mai
         os.dup2(out, 1)
         os.dup2(out, 2)
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        os.environ["WYNER_DEATH"] = death
+        os.environ.update(environment or {})
+        if boot_s:
+            started_earlier(boot_s)
         code = command(argv)
     except BaseException:
         traceback.print_exc()
@@ -78,9 +93,24 @@ def fork(argv: Sequence[str], log: Path, death: str = "", command: Command = mai
         os._exit(code)
 
 
+def started_earlier(boot_s: int) -> None:
+    """Go on with a monotonic clock that is ahead by so much, in a time namespace; needs root."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(CLONE_NEWTIME) == 0:
+        Path("/proc/self/timens_offsets").write_text(f"monotonic {boot_s} 0\nboottime {boot_s} 0\n")
+        with Path("/proc/self/ns/time_for_children").open("rb") as namespace:
+            if libc.setns(namespace.fileno(), CLONE_NEWTIME) == 0:
+                return
+    raise OSError(ctypes.get_errno(), "a time namespace cannot be had")
+
+
 @dataclass
 class Process:
-    """A command that is started again and again; ``ended`` has the codes of its lives."""
+    """A command that is started again and again; ``ended`` has the codes of its lives.
+
+    ``place`` is that of its wall clock among those of hostile.c; ``boots`` draws when the machine
+    was started on which a life is spent.
+    """
 
     name: str
     argv: list[str]
@@ -88,10 +118,14 @@ class Process:
     command: Command = main
     pid: int = 0
     ended: list[int] = field(default_factory=list)
+    place: int = 0
+    boots: random.Random | None = None
 
     def start(self, death: str = "") -> None:
-        """Begin a life; ``death`` may say where it ends."""
-        self.pid = fork(self.argv, self.log, death, self.command)
+        """Begin a life; ``death`` may say to hostile.c where it ends."""
+        environment = {"WYNER_DEATH": death, "WYNER_CLOCK_PLACE": str(self.place)}
+        boot_s = 0 if self.boots is None else self.boots.randrange(1, LATEST_BOOT_S)
+        self.pid = fork(self.argv, self.log, self.command, environment, boot_s)
 
     def signal(self, number: int) -> None:
         """Send it a signal, if it lives."""
@@ -159,11 +193,15 @@ class LiveLoop:
     pace : str
     router : bool
         All buses go through one router instead of from peer to peer.
+    tls : bool
+        The router is guarded: everybody shows a certificate, which says what it may publish.
     relay : tuple of float, optional
         The field bus between the two ends goes through a relay with these odds: loss, repeat, and
         the longest delay in seconds.
     secret : bool
         Blocks of keys are signed.
+    boots : random.Random, optional
+        Every process has a wall clock and a monotonic clock of its own.
     """
 
     def __init__(
@@ -173,8 +211,10 @@ class LiveLoop:
         pace: str = "fast",
         *,
         router: bool = False,
+        tls: bool = False,
         relay: tuple[float, float, float] | None = None,
         secret: bool = False,
+        boots: random.Random | None = None,
     ) -> None:
         for module in PRELOADED:
             __import__(module)
@@ -188,7 +228,7 @@ class LiveLoop:
         file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"
         knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())
-        ends = self._routed() if router else self._peers(relay)
+        ends = self._routed(tls=tls) if router else self._peers(relay)
         run = ["--run-dir", str(self.run_dir)]
         self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
         common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
@@ -205,6 +245,9 @@ class LiveLoop:
             name = f"kme-{side}"
             log = folder / f"{name}.log"
             self.processes[name] = Process(name, self.sites.command(side), log)
+        if boots is not None:
+            for place, process in enumerate(self.processes.values()):
+                process.place, process.boots = place, boots
 
     def _add(self, name: str, arguments: list[str]) -> None:
         self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
@@ -227,18 +270,32 @@ class LiveLoop:
             "controller": [*hears, *joins, *field_of],
         }
 
-    def _routed(self) -> dict[str, list[str]]:
+    def _routed(self, *, tls: bool) -> dict[str, list[str]]:
         buses = dict(zip(("field", "ops", "intel"), free_endpoints(3), strict=True))
+        if tls:
+            buses = {bus: at.replace("tcp/", "tls/") for bus, at in buses.items()}
+            names = ("router", "tap", "plant", "controller", "operator")
+            hosts = ["localhost", "127.0.0.1"]
+            ensure_certificates(self.folder / "certs", dict.fromkeys(names, hosts), 2)
+
+        def shown(name: str, *buses: str) -> list[str]:
+            return [f"--tls={bus}={self.folder}/certs/{name}" for bus in buses if tls]
+
+        guards = [f"--guard={bus}" for bus in buses if tls]
         listens = [f"--listen={bus}={at}" for bus, at in buses.items()]
-        self._add("router", listens)
+        self._add("router", [*listens, *guards, *shown("router", *buses)])
 
-        def client(*names: str) -> list[str]:
+        def client(name: str, *names: str) -> list[str]:
             clients = [f"--client={bus}" for bus in names]
-            return [*clients, *(f"--connect={bus}={buses[bus]}" for bus in names)]
+            ends = [f"--connect={bus}={buses[bus]}" for bus in names]
+            return [*clients, *ends, *shown(name, *names)]
 
-        self.ops = client("ops")
-        two = client("field", "ops")
-        return {"tap": client("field", "intel"), "plant": two, "controller": two}
+        self.ops = client("operator", "ops")
+        return {
+            "tap": client("tap", "field", "intel"),
+            "plant": client("plant", "field", "ops"),
+            "controller": client("controller", "field", "ops"),
+        }
 
     def start(self) -> None:
         """Start whatever does not run."""

@@ -41,10 +41,10 @@ def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keys", [False, True])
+@pytest.mark.parametrize("kind", ["kills", "tls", "keys"])
 def test_a_run_whose_services_are_killed_delivers_once_and_passes(
-    tmp_path: Path, *, keys: bool
+    tmp_path: Path, kind: str
 ) -> None:
-    counts, wrong = kills.one_run(3, tmp_path, kills=8, keys=keys)
+    counts, wrong = kills.one_run(3, tmp_path, 8, kind)
     assert wrong == []
     assert counts["transitions"] > 0
