@@ -21,6 +21,7 @@ from protocol.secret.authentication import (
 )
 from protocol.secret.records import Side
 from protocol.secret.store import KeyStore
+from protocol.secret.store_file import check_of
 
 SIDES: Final[tuple[Side, Side]] = ("controller", "plant")
 
@@ -49,28 +50,36 @@ class Authentication:
         """
         with self._store.transaction() as db:
             row = db.execute(
-                "SELECT place, body FROM pad WHERE side = ? AND "
+                "SELECT place, side, origin, body, check_ FROM pad WHERE side = ? AND "
                 "(used_for = ? OR (state = 'ready' AND used_for IS NULL)) "
                 "ORDER BY used_for IS NULL, place LIMIT 1",
                 (self._own, block),
             ).fetchone()
             if row is None:
                 return None
-            db.execute(
-                "UPDATE pad SET state = 'spent', used_for = ? WHERE place = ?", (block, row[0])
+            place, *pad = row
+            self._store.expect(pad, f"pad {place}")
+            cursor = db.execute(
+                "UPDATE pad SET state = 'spent', used_for = ? "
+                "WHERE place = ? AND used_for IS NOT ?",
+                (block, place, block),
             )
-        return under(number(row[1]), self._value(self._own, message))
+            if cursor.rowcount:
+                self._store.gives()
+        return under(number(pad[2]), self._value(self._own, message))
 
     def accepted(self, block: str, message: bytes) -> dict[str, int]:
         """Every tag that the partner may show for a block, and the number of the pad under it."""
         with self._store.transaction() as db:
             rows = db.execute(
-                "SELECT place, body FROM pad WHERE side = ? AND body IS NOT NULL AND "
-                "(used_for = ? OR used_for IS NULL) AND origin != ?",
+                "SELECT place, side, origin, body, check_ FROM pad WHERE side = ? AND "
+                "body IS NOT NULL AND (used_for = ? OR used_for IS NULL) AND origin != ?",
                 (self._partner, block, block),
             ).fetchall()
+        for place, *pad in rows:
+            self._store.expect(pad, f"pad {place}")
         value = self._value(self._partner, message)
-        return {under(number(body), value): place for place, body in rows}
+        return {under(number(body), value): place for place, _, _, body, _ in rows}
 
     def spend(self, block: str, pad: int) -> None:
         """The partner has shown a tag under ``pad``: it, and those before, are not taken again."""
@@ -90,7 +99,8 @@ class Authentication:
         """A block is confirmed for good: the pads that were spent on it are erased."""
         with self._store.transaction() as db:
             db.execute(
-                "UPDATE pad SET body = NULL WHERE used_for = ? OR used_for = 'passed over'",
+                "UPDATE pad SET body = NULL, check_ = NULL "
+                "WHERE used_for = ? OR used_for = 'passed over'",
                 (block,),
             )
 
@@ -131,11 +141,11 @@ def take_secret(store: KeyStore, path: Path) -> Authentication:
 def _fill(store: KeyStore, secret: Secret) -> None:
     with store.transaction() as db:
         db.executemany(
-            "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'ready', NULL, ?)",
+            "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'ready', NULL, ?, ?)",
             (
-                (side, f"first/{i}", pad.to_bytes(TAG_BYTES))
+                (*pad, check_of(*pad))
                 for side, pads in zip(SIDES, secret.pads, strict=True)
-                for i, pad in enumerate(pads)
+                for pad in ((side, f"first/{i}", p.to_bytes(TAG_BYTES)) for i, p in enumerate(pads))
             ),
         )
         store.set_note("point", f"{secret.point:032x}")

@@ -30,11 +30,12 @@ from protocol.secret.records import (
     Share,
     Side,
     State,
+    StoreError,
     TooFewKeys,
     UnknownKeys,
     key_id,
 )
-from protocol.secret.store_file import StoreFile
+from protocol.secret.store_file import StoreFile, check_of
 
 MOST_KEYS: Final = 100_000
 """Undelivered keys that a side keeps of its own half: those among so many, the newest of the half.
@@ -100,29 +101,26 @@ class KeyStore(StoreFile):
         """
         with self.transaction() as db:
             cursor = db.execute(
-                "INSERT OR IGNORE INTO block VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (*block, tag),
+                "INSERT OR IGNORE INTO block VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (*block, tag, check_of(block.session, block.number, tag, block.keys)),
             )
             if cursor.rowcount == 0:
                 return False
             place = cursor.lastrowid
             odd_is_own = self.side == "controller"
+            rows = [
+                (key_id(*at, row), row, int((row % 2 == 1) == odd_is_own), key)
+                for at in [(block.session, block.number)]
+                for row, key in enumerate(keys, 1)
+            ]
             db.executemany(
-                "INSERT INTO key VALUES (NULL, ?, ?, ?, ?, 'stored', ?, NULL, NULL)",
-                (
-                    (
-                        key_id(block.session, block.number, row),
-                        place,
-                        row,
-                        (row % 2 == 1) == odd_is_own,
-                        key,
-                    )
-                    for row, key in enumerate(keys, 1)
-                ),
+                "INSERT INTO key VALUES (NULL, ?, ?, ?, ?, 'stored', ?, ?, NULL, NULL)",
+                ((row[0], place, *row[1:], check_of(*row)) for row in rows),
             )
+            origin = f"{block.session}/{block.number}"
             db.executemany(
-                "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', NULL, ?)",
-                ((side, f"{block.session}/{block.number}", body) for side, body in pads),
+                "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', NULL, ?, ?)",
+                ((side, origin, body, check_of(side, origin, body)) for side, body in pads),
             )
             self._make_room(db)
         return True
@@ -131,17 +129,21 @@ class KeyStore(StoreFile):
         """What was kept of a block, or None."""
         with self._lock:
             row = self._db.execute(
-                "SELECT state, tag, keys FROM block WHERE session = ? AND number = ?",
+                "SELECT state, session, number, tag, keys, check_ FROM block "
+                "WHERE session = ? AND number = ?",
                 (session, number),
             ).fetchone()
-        return None if row is None else BlockTag(*row)
+        if row is None:
+            return None
+        self.expect(row[1:], f"block {number}")
+        return BlockTag(row[0], *row[3:5])
 
     @staticmethod
     def _make_room(db: sqlite3.Connection) -> None:
         (newest,) = db.execute("SELECT MAX(place) FROM key").fetchone()
         for own, most in ((1, MOST_KEYS), (0, 2 * MOST_KEYS)):
             db.execute(
-                "UPDATE key SET state = 'dropped', body = NULL WHERE own = ? "
+                "UPDATE key SET state = 'dropped', body = NULL, check_ = NULL WHERE own = ? "
                 "AND state IN ('stored', 'confirmed') AND place <= ?",
                 (own, (newest or 0) - 2 * most),
             )
@@ -159,9 +161,10 @@ class KeyStore(StoreFile):
     def drop(self, session: str, number: int) -> None:
         """The partner holds another block: erase it here."""
         with self.transaction() as db:
-            self._change(db, session, number, "dropped", ", body = NULL")
+            self._change(db, session, number, "dropped", ", body = NULL, check_ = NULL")
             db.execute(
-                "UPDATE pad SET state = 'spent', body = NULL WHERE origin = ? AND state = 'held'",
+                "UPDATE pad SET state = 'spent', body = NULL, check_ = NULL "
+                "WHERE origin = ? AND state = 'held'",
                 (f"{session}/{number}",),
             )
 
@@ -214,13 +217,25 @@ class KeyStore(StoreFile):
         """What :meth:`deliver` does, within a transaction that has more to write."""
         self._check_refused()
         rows = db.execute(
-            f"SELECT place, id, body FROM key WHERE {_READY} ORDER BY place LIMIT ?",
+            f"SELECT place FROM key WHERE {_READY} ORDER BY place LIMIT ?",
             (*_asked(share), number),
         ).fetchall()
         if len(rows) < number:
             raise TooFewKeys(number, len(rows))
-        self._bury(db, [place for place, _, _ in rows], who)
-        return tuple(Key(name, bytes(body)) for _, name, body in rows)
+        keys = tuple(self._key(db, place, 1, ("confirmed",)) for (place,) in rows)
+        self._bury(db, [place for (place,) in rows], who)
+        return keys
+
+    def _key(self, db: sqlite3.Connection, place: int, own: int, states: Sequence[State]) -> Key:
+        """The key of a row, as the table has it and not an index."""
+        row = db.execute(
+            "SELECT state, id, row, own, body, check_ FROM key WHERE place = ?", (place,)
+        ).fetchone()
+        self.expect(("none", None) if row is None else row[1:], f"the key at place {place}")
+        state, name, _, owned, body, _ = row
+        if state not in states or owned != own:
+            raise StoreError(f"{self.path}: its index does not fit the key at place {place}")
+        return Key(name, bytes(body))
 
     def deliver_named(
         self, ids: Sequence[str], who: str = "", share: Share = WHOLE
@@ -257,37 +272,41 @@ class KeyStore(StoreFile):
         """What :meth:`deliver_named` does, within a transaction that has more to write."""
         self._check_refused()
         wanted = list(dict.fromkeys(ids))
-        found: dict[str, tuple[int, bytes]] = {}
+        found: dict[str, int] = {}
         others = []
         for name in wanted:
             row = db.execute(
-                "SELECT place, body, row FROM key WHERE id = ? AND own = 0 "
+                "SELECT place, row FROM key WHERE id = ? AND own = 0 "
                 "AND state IN ('stored', 'confirmed')",
                 (name,),
             ).fetchone()
             if row is None:
                 continue
-            found[name] = (row[0], bytes(row[1]))
-            if not share.has(row[2]):
+            found[name] = row[0]
+            if not share.has(row[1]):
                 others.append(name)
         if others:
             raise OthersKeys(others)
         missing = [name for name in wanted if name not in found]
         if missing:
             raise UnknownKeys(missing)
-        self._bury(db, [place for place, _ in found.values()], who)
-        return tuple(Key(name, body) for name, (_, body) in found.items())
+        keys = tuple(self._key(db, place, 0, ("stored", "confirmed")) for place in found.values())
+        if [key.key_id for key in keys] != wanted:
+            raise StoreError(f"{self.path}: its index does not fit its keys' ids")
+        self._bury(db, [*found.values()], who)
+        return keys
 
     def _check_refused(self) -> None:
         reason = self.refused
         if reason is not None:
             raise KeysRefused(reason)
 
-    @staticmethod
-    def _bury(db: sqlite3.Connection, places: Sequence[int], who: str) -> None:
+    def _bury(self, db: sqlite3.Connection, places: Sequence[int], who: str) -> None:
         now = time.time_ns()
+        self.gives()
         db.executemany(
-            "UPDATE key SET state = 'delivered', body = NULL, t_ns = ?, who = ? WHERE place = ?",
+            "UPDATE key SET state = 'delivered', body = NULL, check_ = NULL, t_ns = ?, who = ? "
+            "WHERE place = ?",
             ((now, who, place) for place in places),
         )
 

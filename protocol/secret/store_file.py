@@ -4,35 +4,37 @@ import os
 import sqlite3
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
+from zlib import crc32
 
 from protocol.runtime.run_folder import make_folder, open_private
+from protocol.secret.anchor import Anchor
 from protocol.secret.records import Side, StoreError
 
-STORE_VERSION: Final = 1
+STORE_VERSION: Final = 2
 
 BUSY_S: Final = 30.0
 """How long another process may be at it: one that runs where a core is idle takes its time."""
 
 _TABLES: Final = """
-CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT);
+CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT, check_ INTEGER);
 CREATE TABLE IF NOT EXISTS block (
     place INTEGER PRIMARY KEY, session TEXT NOT NULL, number INTEGER NOT NULL,
     transitions INTEGER NOT NULL, steps INTEGER NOT NULL, counted INTEGER NOT NULL,
     rows INTEGER NOT NULL, keys INTEGER NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL,
-    tag TEXT NOT NULL, UNIQUE (session, number));
+    tag TEXT NOT NULL, check_ INTEGER, UNIQUE (session, number));
 CREATE TABLE IF NOT EXISTS key (
     place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
-    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB,
+    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB, check_ INTEGER,
     t_ns INTEGER, who TEXT);
 CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
 CREATE INDEX IF NOT EXISTS key_block ON key (block);
 CREATE TABLE IF NOT EXISTS pad (
     place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
-    used_for TEXT, body BLOB, UNIQUE (side, origin));
+    used_for TEXT, body BLOB, check_ INTEGER, UNIQUE (side, origin));
 CREATE INDEX IF NOT EXISTS pad_use ON pad (used_for, side);
 CREATE INDEX IF NOT EXISTS pad_origin ON pad (origin);
 CREATE TABLE IF NOT EXISTS sealed (
@@ -41,6 +43,14 @@ CREATE TABLE IF NOT EXISTS sealed (
 CREATE TABLE IF NOT EXISTS opened (
     number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL);
 """
+
+
+def check_of(*values: Any) -> int:
+    """The check of a row: a flipped bit in any of these columns is seen.
+
+    It tells something of them, so it goes where they are erased.
+    """
+    return crc32(repr(values).encode())
 
 
 class StoreFile:
@@ -59,13 +69,16 @@ class StoreFile:
     Raises
     ------
     StoreError
-        When the file is not there, cannot be opened, or is another side's or version's.
+        When the file is not there, cannot be opened, is damaged, another side's or version's, or an
+        older copy of itself.
     """
 
     def __init__(self, path: Path | None, side: Side, *, create: bool = False) -> None:
         self.path = path
         self.side: Side = side
         self._lock = threading.RLock()
+        self._anchor = None if path is None else Anchor(path)
+        self._gives = False
         try:
             if path is None:
                 pass
@@ -107,6 +120,32 @@ class StoreFile:
                     self.set_note(name, value)
                 elif found != value:
                     raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
+        for (name,) in db.execute("SELECT name FROM meta").fetchall():
+            self.note(name)
+        if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
+        if self._anchor is not None:
+            with self.transaction():  # nobody else is between the two
+                self._anchor.compare(self._given())
+
+    def _given(self) -> int:
+        return int(self.note("given") or 0)
+
+    def gives(self) -> None:
+        """The transaction under way takes something out for good: no older copy may do so again."""
+        self._gives = True
+
+    def expect(self, row: Sequence[Any], what: str) -> None:
+        """See that a row, whose last column is its check, is as it was written.
+
+        Raises
+        ------
+        StoreError
+            When it is not; ``what`` names it.
+        """
+        *values, check = row
+        if check_of(*values) != check:
+            raise StoreError(f"{self.path}: {what} is not as it was written")
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -120,12 +159,21 @@ class StoreFile:
         with self._lock:
             try:
                 self._db.execute("BEGIN IMMEDIATE")
+                self._gives = False
                 try:
                     yield self._db
+                    gave = self._gives
+                    if gave:
+                        given = self._given() + 1
+                        self.set_note("given", str(given))
+                        if self._anchor is not None:
+                            self._anchor.announce(given)
                 except BaseException:
                     self._db.execute("ROLLBACK")
                     raise
                 self._db.execute("COMMIT")
+                if gave and self._anchor is not None:
+                    self._anchor.count(given)
             except sqlite3.Error as error:
                 raise StoreError(f"{self.path}: {error}") from None
 
@@ -134,13 +182,17 @@ class StoreFile:
     def note(self, name: str) -> str | None:
         """A line of text kept with the store, or None."""
         with self._lock:
-            row = self._db.execute("SELECT value FROM meta WHERE name = ?", (name,)).fetchone()
-        return None if row is None else str(row[0])
+            row = self._db.execute("SELECT * FROM meta WHERE name = ?", (name,)).fetchone()
+        if row is None:
+            return None
+        self.expect(row, f"its note {name!r}")
+        return str(row[1])
 
     def set_note(self, name: str, value: str) -> None:
         """Keep a line of text with the store."""
         with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+            row = (name, value, check_of(name, value))
+            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     def close(self) -> None:
         """Close the file; it can be opened again."""
