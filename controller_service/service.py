@@ -85,11 +85,15 @@ def open_controller(
         record, step = journal.load(), journal.step()
         raws = journal.raws(None if record is None else record.session)
         keeper = open_keeper(
-            config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed, config.secret
+            *(config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed),
+            *(config.secret, record),
         )
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
+    except UsageError:
+        journal.close()
+        raise
     trace = TraceWriter(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )

@@ -88,7 +88,8 @@ def open_plant(
         journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
         news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
         keeper = open_keeper(
-            config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret
+            *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
+            *(config.secret, journal.load()),
         )
         if scenario.keys is not None:
             news.keys_refused = refusal(scenario, config.seed) or ""
@@ -111,6 +112,9 @@ def open_plant(
         )
     except (JournalError, PlantError) as error:
         raise UsageError(str(error)) from None
+    except UsageError:
+        journal.close()
+        raise
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
     return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
 

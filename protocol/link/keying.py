@@ -143,4 +143,6 @@ def _why_not(block: Stored) -> str:
     """Why a block made no key."""
     if block.exhausted:
         return "no pad is left to sign key blocks with"
+    if block.older:
+        return f"block {block.number} began before the key store did"
     return "" if block.keys else f"block {block.number} lost too many copies to make one"

@@ -1,6 +1,7 @@
 """A service's key store as its scenario, its seed and its secret have it."""
 
 from pathlib import Path
+from typing import Protocol
 
 from protocol.runtime.process import UsageError
 from protocol.scenario import Scenario
@@ -9,6 +10,18 @@ from protocol.secret.keeper import KeeperAt
 from protocol.secret.ledger import take_secret
 from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
+
+
+class Counting(Protocol):
+    """What a key store needs of a side's record."""
+
+    @property
+    def session(self) -> str | None:
+        """The session."""
+
+    @property
+    def transitions(self) -> int:
+        """Its transitions so far."""
 
 
 def refusal(scenario: Scenario, seed: int | None) -> str | None:
@@ -22,11 +35,17 @@ def refusal(scenario: Scenario, seed: int | None) -> str | None:
 
 
 def open_keeper(
-    path: Path, side: Side, scenario: Scenario, seed: int | None, secret: Path | None
+    path: Path,
+    side: Side,
+    scenario: Scenario,
+    seed: int | None,
+    secret: Path | None,
+    record: Counting | None = None,
 ) -> KeeperAt | None:
     """Make a side's key store ready for its keeper; None where the scenario has no table ``keys``.
 
-    A store is there also where no key will be: it says why.
+    A store is there also where no key will be: it says why. ``record`` is the journal's: a new
+    store makes no key of a block that began before it, since one that was removed may have.
 
     Raises
     ------
@@ -47,6 +66,9 @@ def open_keeper(
         reason = refusal(scenario, seed)
         if reason is not None:
             store.refuse(reason)
+        if store.note(KeyStore.BEGUN) is None:
+            begun = (None, 0) if record is None else (record.session, record.transitions)
+            store.begin(*begun)
         store.set_note("assumption", scenario.keys.assumption().sentence())
         if secret is not None:
             take_secret(store, secret)

@@ -193,8 +193,10 @@ def write_status(path: Path, data: bytes) -> None:
     file = open_private(spare, os.O_WRONLY | os.O_CREAT)
     try:
         if os.write(file, data) < len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.ftruncate(file, len(data))
+    except OSError as error:  # what is done to a file that is open does not name it
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(file)
     if not _exchange(spare, path):  # nothing there yet, or a file system that cannot

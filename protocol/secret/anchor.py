@@ -50,15 +50,26 @@ class Anchor:
         with self._open(os.O_RDWR | (os.O_CREAT if given == 0 else 0)) as file:
             counted, announced = self._read(file)
         if not counted <= given <= announced:
-            raise StoreError(
-                f"{self._store}: has given {given} times, and {self.path.name} counts {counted}: "
-                "one of the two is an older copy, and keys would be given twice; remove both"
-            )
+            raise self._older(given, counted)
+
+    def _older(self, given: int, counted: int) -> StoreError:
+        return StoreError(
+            f"{self._store}: has given {given} times, and {self.path.name} counts {counted}: "
+            "one of the two is an older copy, and keys would be given twice; remove both"
+        )
 
     def announce(self, given: int) -> None:
-        """The store is about to have given so often; on return that survives a power failure."""
+        """The store is about to have given so often; on return that survives a power failure.
+
+        Raises
+        ------
+        StoreError
+            When it had given so often before: it was put back under whoever has it open.
+        """
         with self._open(os.O_RDWR) as file:
             counted, announced = self._read(file)
+            if given <= counted:
+                raise self._older(given - 1, counted)
             self._write(file, counted, max(announced, given))
             os.fdatasync(file)
 

@@ -186,8 +186,8 @@ class Stored(NamedTuple):
     that each was made with.
 
     No tag: the block made no key, and nobody announces it; ``exhausted`` says that no pad was left
-    to sign it with. ``confirmed`` says that it was confirmed before this process began. ``keys``
-    were made of it.
+    to sign it with, ``older`` that it began before its store did. ``confirmed`` says that it was
+    confirmed before this process began. ``keys`` were made of it.
     """
 
     session: str
@@ -197,6 +197,7 @@ class Stored(NamedTuple):
     confirmed: bool = False
     keys: int = 0
     exhausted: bool = False
+    older: bool = False
 
 
 class Judgement(NamedTuple):

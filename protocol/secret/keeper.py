@@ -36,7 +36,8 @@ class Keeper:
     def keep(self, closed: Closed) -> Stored:
         """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
 
-        Where no pad is left for its tag the block is stored without keys.
+        Where no pad is left for its tag, or it began before the store did, the block is stored
+        without keys.
         """
         session, number = closed.session, closed.number
         known = self.store.block_tag(session, number)
@@ -45,7 +46,9 @@ class Keeper:
             return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
         rows: list[bytes] = []
         tag, accepted = "", dict[str, int]()
-        if closed.makes_keys:
+        first = closed.last - closed.transitions + 1
+        older = known is None and self.store.is_younger(session, first)
+        if closed.makes_keys and not older:
             from protocol.secret.extractor import extract
 
             rows = extract(closed.nonces, closed.rows, closed.by_words)
@@ -67,9 +70,8 @@ class Keeper:
             )
             self.store.add(row, rows[1:], tag=tag, pads=pads)
         keys = max(0, len(rows) - 1)
-        return Stored(
-            session, number, tag, accepted, keys=keys, exhausted=closed.makes_keys and not keys
-        )
+        exhausted = closed.makes_keys and not keys and not older
+        return Stored(session, number, tag, accepted, keys=keys, exhausted=exhausted, older=older)
 
     def _tags(self, closed: Closed, row: bytes) -> tuple[str, dict[str, int]]:
         if self.authentication is None:

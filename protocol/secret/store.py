@@ -70,6 +70,23 @@ class KeyStore(StoreFile):
         """Under which claim the keys are secret, in words."""
         return self.note("assumption") or ""
 
+    BEGUN: Final = "begun"
+
+    def begin(self, session: str | None, transitions: int) -> None:
+        """Note at which transition of which session this store was new."""
+        self.set_note(self.BEGUN, f"{session}/{transitions}")
+
+    def is_younger(self, session: str, first: int) -> bool:
+        """Whether the block that begins at transition ``first`` began before this store did.
+
+        Its keys may be in one that was removed, and given.
+        """
+        begun = self.note(self.BEGUN)
+        if begun is None:
+            return False
+        theirs, _, transitions = begun.rpartition("/")
+        return theirs == session and first < int(transitions)
+
     # --- the service's side -----------------------------------------------------------------------
 
     def add(
@@ -127,16 +144,16 @@ class KeyStore(StoreFile):
 
     def block_tag(self, session: str, number: int) -> BlockTag | None:
         """What was kept of a block, or None."""
-        with self._lock:
-            row = self._db.execute(
-                "SELECT state, session, number, tag, keys, check_ FROM block "
-                "WHERE session = ? AND number = ?",
-                (session, number),
-            ).fetchone()
-        if row is None:
+        rows = self.rows(
+            "SELECT state, session, number, tag, keys, check_ FROM block "
+            "WHERE session = ? AND number = ?",
+            (session, number),
+        )
+        if not rows:
             return None
-        self.expect(row[1:], f"block {number}")
-        return BlockTag(row[0], *row[3:5])
+        state, *row = rows[0]
+        self.expect(row, f"block {number}")
+        return BlockTag(state, *row[2:4])
 
     @staticmethod
     def _make_room(db: sqlite3.Connection) -> None:
@@ -185,9 +202,7 @@ class KeyStore(StoreFile):
         """Keys of this side's half that are confirmed, not delivered, not refused."""
         if self.refused is not None:
             return 0
-        with self._lock:
-            counted = self._db.execute(f"SELECT COUNT(*) FROM key WHERE {_READY}", _asked(share))
-            return int(counted.fetchone()[0])
+        return int(self.rows(f"SELECT COUNT(*) FROM key WHERE {_READY}", _asked(share))[0][0])
 
     def deliver(self, number: int = 1, who: str = "", share: Share = WHOLE) -> tuple[Key, ...]:
         """The oldest confirmed keys of this side's half, erased here before they are returned.
@@ -314,8 +329,7 @@ class KeyStore(StoreFile):
 
     def counts(self) -> Counts:
         """How many keys are in which state."""
-        with self._lock:
-            rows = self._db.execute("SELECT state, COUNT(*) FROM key GROUP BY state").fetchall()
+        rows = self.rows("SELECT state, COUNT(*) FROM key GROUP BY state")
         by = {str(state): int(count) for state, count in rows}
         return Counts(
             by.get("stored", 0),
@@ -327,24 +341,21 @@ class KeyStore(StoreFile):
 
     def blocks(self, last: int | None = None) -> list[BlockRow]:
         """The blocks, oldest first; the ``last`` ones only where that is given."""
-        with self._lock:
-            rows = self._db.execute(
-                "SELECT session, number, transitions, steps, counted, rows, keys, state, t_ns "
-                "FROM block ORDER BY place DESC LIMIT ?",
-                (-1 if last is None else last,),
-            ).fetchall()
+        rows = self.rows(
+            "SELECT session, number, transitions, steps, counted, rows, keys, state, t_ns "
+            "FROM block ORDER BY place DESC LIMIT ?",
+            (-1 if last is None else last,),
+        )
         return [BlockRow(*row) for row in reversed(rows)]
 
     def ids(self) -> list[tuple[str, State]]:
         """Every key's id and state, in the order that both ends share."""
-        with self._lock:
-            rows = self._db.execute("SELECT id, state FROM key ORDER BY place").fetchall()
+        rows = self.rows("SELECT id, state FROM key ORDER BY place")
         return [(name, state) for name, state in rows]
 
     def own_ids(self) -> list[str]:
         """The ids of this side's half."""
-        with self._lock:
-            rows = self._db.execute("SELECT id FROM key WHERE own = 1 ORDER BY place").fetchall()
+        rows = self.rows("SELECT id FROM key WHERE own = 1 ORDER BY place")
         return [name for (name,) in rows]
 
     def compare(self) -> dict[str, bytes | None]:
@@ -352,6 +363,5 @@ class KeyStore(StoreFile):
 
         Nobody else should; a test bed does.
         """
-        with self._lock:
-            rows = self._db.execute("SELECT id, body FROM key ORDER BY place").fetchall()
+        rows = self.rows("SELECT id, body FROM key ORDER BY place")
         return {name: None if body is None else bytes(body) for name, body in rows}

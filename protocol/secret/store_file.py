@@ -177,22 +177,35 @@ class StoreFile:
             except sqlite3.Error as error:
                 raise StoreError(f"{self.path}: {error}") from None
 
+    def rows(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
+        """What a query finds.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read.
+        """
+        with self._lock:
+            try:
+                return self._db.execute(statement, values).fetchall()
+            except sqlite3.Error as error:
+                raise StoreError(f"{self.path}: {error}") from None
+
     # --- notes ------------------------------------------------------------------------------------
 
     def note(self, name: str) -> str | None:
         """A line of text kept with the store, or None."""
-        with self._lock:
-            row = self._db.execute("SELECT * FROM meta WHERE name = ?", (name,)).fetchone()
-        if row is None:
+        rows = self.rows("SELECT * FROM meta WHERE name = ?", (name,))
+        if not rows:
             return None
-        self.expect(row, f"its note {name!r}")
-        return str(row[1])
+        self.expect(rows[0], f"its note {name!r}")
+        return str(rows[0][1])
 
     def set_note(self, name: str, value: str) -> None:
         """Keep a line of text with the store."""
         with self._lock:
             row = (name, value, check_of(name, value))
-            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
+            self.rows("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     def close(self) -> None:
         """Close the file; it can be opened again."""

@@ -51,11 +51,12 @@ def put_back(loop: RecordedLoop, side: Side, copy: Path) -> None:
         shutil.copy(one, loop.folder / side)
 
 
-def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Random) -> str:
-    """Do it, and say what was done."""
-    files = [f for f in files_of(loop, side) if f.read_bytes().strip(b"\0")]
-    file = draw.choice(files)
-    data = bytearray(file.read_bytes().rstrip(b"\0"))  # zeros are written ahead, and mean nothing
+def damaged(whole: bytes, kind: str, draw: random.Random) -> tuple[bytes, int]:
+    """What is left of a file that is ``flipped``, ``truncated``, ``emptied`` or ``garbage``.
+
+    And from which place on; any other kind leaves it as it is.
+    """
+    data = bytearray(whole)
     place = draw.randrange(len(data))
     if kind == "flipped":
         data[place] ^= 1 << draw.randrange(8)
@@ -66,6 +67,15 @@ def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Ra
     elif kind == "garbage":
         end = min(len(data), place + draw.randrange(1, 2000))
         data[place:end] = draw.randbytes(end - place)
+    return bytes(data), place
+
+
+def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Random) -> str:
+    """Do it, and say what was done."""
+    files = [f for f in files_of(loop, side) if f.read_bytes().strip(b"\0")]
+    file = draw.choice(files)
+    whole = file.read_bytes().rstrip(b"\0")  # zeros are written ahead, and mean nothing
+    data, place = damaged(whole, kind, draw)
     if kind == "deleted":
         for one in files if draw.random() < 0.5 else [file]:
             one.unlink()
@@ -76,7 +86,7 @@ def spoil(loop: RecordedLoop, side: Side, kind: str, copy: Path, draw: random.Ra
             shutil.copy(copy / side / file.name, file)
     else:
         file.write_bytes(data)
-    return f"{side}: {file.name} {kind} at {place} of {len(data)}"
+    return f"{side}: {file.name} {kind} at {place} of {len(whole)}"
 
 
 class Spoiled:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import exhaustive, fuzz, kills, schedules, spoiled
+from tests.campaigns import exhaustive, fuzz, kills, schedules, spoiled, spoiled_stores
 
 
 def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: Path) -> None:
@@ -22,6 +22,14 @@ def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert spoiled.main(["--count", "16", "--results", str(results)]) == 0
     assert json.loads(results.read_text())["counts"]["refused"] > 0
+
+
+def test_spoiled_key_stores_are_told_and_give_nothing_twice(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    assert spoiled_stores.main(["--count", "10", "--results", str(results)]) == 0
+    counts = json.loads(results.read_text())["counts"]
+    assert counts["refused"] > 0
+    assert counts["keys"] > 100
 
 
 @pytest.mark.parametrize("side", ["controller", "plant"])

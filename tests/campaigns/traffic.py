@@ -5,11 +5,12 @@ code 0 when it is asked to, and `wyner check` must pass.
 """
 
 import base64
+import multiprocessing
 import random
-import threading
 import time
 from collections import Counter
 from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -27,17 +28,36 @@ AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""
 
 
-class Customer(threading.Thread):
-    """Two applications that fetch keys whenever the servers are there, and note what they got."""
+class Customer:
+    """Two applications that fetch keys whenever the servers are there, and note what they got.
+
+    They are a process of their own: who forks services must not have a second thread, or a child
+    may be born with a lock that nobody gives back.
+    """
 
     def __init__(self, loop: LiveLoop) -> None:
-        super().__init__(daemon=True)
         self.sites = loop.sites
-        self.over = threading.Event()
         self.got: dict[str, list[tuple[str, str]]] = {"alice": [], "bob": []}
         self.wrong: list[str] = []
+        fork = multiprocessing.get_context("fork")
+        self.over = fork.Event()
+        self._told, theirs = fork.Pipe()
+        self._process = fork.Process(target=self._run, args=(theirs,), daemon=True)
 
-    def run(self) -> None:
+    def start(self) -> None:
+        """Begin to fetch."""
+        self._process.start()
+
+    def stop(self) -> None:
+        """Fetch no more; take what was noted."""
+        self.over.set()
+        if self._told.poll(60):
+            self.got, self.wrong = self._told.recv()
+        else:
+            self.wrong.append("the applications do not end")
+        self._process.join(10)
+
+    def _run(self, told: Connection) -> None:
         """Fetch until told that it is over."""
         while not self.over.wait(0.05):
             for key_id, key in self._ask("controller", "alice", "bob/enc_keys"):
@@ -46,6 +66,7 @@ class Customer(threading.Thread):
                     self.got["bob"].append(same)
                     if same != (key_id, key):
                         self.wrong.append(f"key {key_id} differs")
+        told.send((self.got, self.wrong))
 
     def _ask(self, side: str, name: str, path: str) -> list[tuple[str, str]]:
         with suppress(OSError, ValueError, AssertionError, KeyError):
@@ -84,8 +105,8 @@ class Traffic:
         self.customer = Customer(loop)
 
     def __enter__(self) -> "Traffic":
-        self.loop.start()
         self.customer.start()
+        self.loop.start()
         return self
 
     def send(self, *, sealed: bool = False) -> None:
@@ -114,8 +135,7 @@ class Traffic:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.customer.over.set()
-        self.customer.join(30)
+        self.customer.stop()
         self.wrong += self.loop.stop()
         for operator in self.operators:
             operator.kill()

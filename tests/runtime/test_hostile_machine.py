@@ -1,4 +1,4 @@
-"""A disk that is full, and a wall clock that jumps: nothing is lost, and it goes on."""
+"""A disk that fills or turns read-only, a wall clock that jumps: nothing is lost, and it goes on."""
 
 import errno
 import os
@@ -16,19 +16,21 @@ MESSAGE = b"a"
 
 
 @pytest.mark.parametrize("number", range(3))
-@pytest.mark.parametrize("fault", ["full", "short"])
+@pytest.mark.parametrize("fault", ["full", "short", "read-only"])
 @pytest.mark.parametrize("side", SIDES)
 def test_a_disk_that_fails_stops_an_end_and_it_goes_on_exactly_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: Side, fault: str, number: int
 ) -> None:
     """The ``number``th write to its folder from the third transition on fails, and all later ones.
 
-    A ``short`` one writes half, as on a disk that has become full.
+    A ``short`` one writes half, as on a disk that has become full. One that is ``read-only`` is so
+    under the files that are open.
     """
     loop = RecordedLoop(tmp_path, MESSAGE, "keys")
     loop.run(lambda: loop.transitions >= 3)
     place = str(tmp_path / side)
     writes = 0
+    code = errno.EROFS if fault == "read-only" else errno.ENOSPC
 
     def failing(name: str) -> Any:
         real = getattr(os, name)
@@ -40,7 +42,7 @@ def test_a_disk_that_fails_stops_an_end_and_it_goes_on_exactly_once(
                 if writes > number:
                     if fault == "short" and writes == number + 1:
                         return int(real(file, data[: len(data) // 2], *more))
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                    raise OSError(code, os.strerror(code))
             return int(real(file, data, *more))
 
         return write

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.anchor import Anchor
 from protocol.secret.authentication import make_secret
+from protocol.secret.blocks import Closed
+from protocol.secret.keeper import Keeper
 from protocol.secret.ledger import pads_of, take_secret
 from protocol.secret.records import (
     BlockRow,
@@ -200,6 +203,117 @@ def test_what_is_no_store_is_said_in_one_line(tmp_path: Path) -> None:
     store(tmp_path).close()
     with pytest.raises(StoreError, match="side: got 'controller', expected 'plant'"):
         KeyStore(tmp_path / "controller.sqlite3", "plant")
+
+
+def test_an_older_copy_gives_nothing_twice(tmp_path: Path) -> None:
+    path = tmp_path / "controller.sqlite3"
+    beside = Anchor(path).path
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+        keys.deliver(1)
+    older, count = path.read_bytes(), beside.read_bytes()
+    with store(tmp_path) as keys:
+        keys.deliver(1)
+    newer = path.read_bytes()
+    path.write_bytes(older)
+    with pytest.raises(StoreError, match=r"^[^\n]*has given 1 times, [^\n]* counts 2: one of the"):
+        store(tmp_path)
+    path.unlink()
+    with pytest.raises(StoreError, match="has given 0 times"):
+        store(tmp_path)
+    path.write_bytes(newer)
+    store(tmp_path).close()
+    beside.write_bytes(count)
+    with pytest.raises(StoreError, match=r"has given 2 times, and controller[^ ]* counts 1"):
+        store(tmp_path)
+    beside.write_bytes(b"x")
+    with pytest.raises(StoreError, match=r"^[^\n]*-given: not as it was written"):
+        store(tmp_path)
+    beside.unlink()
+    with pytest.raises(StoreError, match=r"^[^\n]*-given: is gone"):
+        store(tmp_path)
+
+
+def test_a_process_that_dies_over_a_delivery_can_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "controller.sqlite3"
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+        Anchor(path).announce(1)  # and dies before the store has it
+    with store(tmp_path) as keys, pytest.MonkeyPatch.context() as dying:
+        dying.setattr(Anchor, "count", lambda _anchor, _given: None)
+        first = keys.deliver(1)  # and dies before it has said so
+    with store(tmp_path) as keys:
+        assert keys.deliver(1) != first
+        assert keys.available() == 2
+
+
+def test_a_copy_that_is_put_back_under_an_open_store_gives_nothing(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+        Anchor(tmp_path / "controller.sqlite3").count(7)
+        with pytest.raises(StoreError, match="keys would be given twice"):
+            keys.deliver(1)
+        assert keys.available() == 4
+
+
+@pytest.mark.parametrize("column", ["body", "row", "own", "id"])
+def test_a_key_that_is_not_as_it_was_written_is_not_given(tmp_path: Path, column: str) -> None:
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+        other = {"body": bodies(1, 1)[0], "row": 3, "own": 1, "id": key_id(SESSION, 0, 9)}[column]
+        place = 2 if column == "own" else 1
+        keys._db.execute(f"UPDATE key SET {column} = ? WHERE place = ?", (other, place))
+        with pytest.raises(StoreError, match=rf"the key at place {place} is not as it was written"):
+            keys.deliver(2)
+        keys._db.execute("UPDATE key SET own = 0 WHERE place = 1")
+        name = other if column == "id" else key_id(SESSION, 0, 1)
+        with pytest.raises(StoreError, match="is not as it was written"):
+            keys.deliver_named([str(name)])
+
+
+def test_notes_blocks_and_pads_are_seen_to_be_as_they_were_written(tmp_path: Path) -> None:
+    make_secret(tmp_path / "secret")
+    with store(tmp_path) as keys:
+        authentication = take_secret(keys, tmp_path / "secret")
+        keys.add(row(0, 2), bodies(0, 2), tag="ab")
+        for table, column in (("pad", "body"), ("block", "tag"), ("meta", "value")):
+            keys._db.execute(f"UPDATE {table} SET {column} = 'x'")
+        for ask in (
+            lambda: authentication.tag("a/1", b""),
+            lambda: authentication.accepted("a/1", b""),
+            lambda: keys.block_tag(SESSION, 0),
+            lambda: keys.assumption or keys.note("side"),
+        ):
+            with pytest.raises(StoreError, match="is not as it was written"):
+                ask()
+    with pytest.raises(StoreError, match="its note 'version' is not as it was written"):
+        store(tmp_path)
+
+
+def test_a_store_that_cannot_be_read_any_more_says_so(tmp_path: Path) -> None:
+    with store(tmp_path) as keys:
+        keys._db.execute("DROP TABLE key")
+        for ask in (keys.available, keys.counts, keys.ids):
+            with pytest.raises(StoreError, match=r"^[^\n]*controller.sqlite3: [^\n]*$"):
+                ask()
+
+
+def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path) -> None:
+    """One that was removed may have given them."""
+    nonces = tuple(bodies(9, 8))
+    with store(tmp_path) as keys:
+        keys.begin(SESSION, 5)
+        keeper = Keeper(keys)
+        for number, first, made in ((1, 3, 0), (2, 5, 5), (3, 9, 5)):
+            closed = Closed(SESSION, number, 4, 4, 8, 6, "3333", nonces, first + 3)
+            stored = keeper.keep(closed)
+            assert (stored.keys, stored.older, bool(stored.tag)) == (made, not made, bool(made))
+        assert keeper.keep(Closed("another", 0, 4, 4, 8, 6, "3333", nonces, 4)).keys == 5
+        assert keys.counts().stored == 15
 
 
 KILLED = """

@@ -6,7 +6,14 @@ import time
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.process import DONE, UsageError, logger, needs, stop_on_signals
+from protocol.runtime.process import (
+    DONE,
+    RateLimitedLog,
+    UsageError,
+    logger,
+    needs,
+    stop_on_signals,
+)
 from wyner.cli.options import host_port
 
 RATE: Final = 200.0
@@ -96,6 +103,14 @@ def run(args: argparse.Namespace) -> int:
         server = KeyServer(KeyManagementEntity(names, store), args.rate)
         health = args.run_dir / f"kme-{args.side}" / HEALTH
 
+        complaints = RateLimitedLog(log)
+
+        def tell(line: str) -> None:
+            try:
+                write_atomically(health, line.encode())
+            except OSError as error:  # keys are given all the same
+                complaints.add(f"{health}: {error.strerror}")
+
         async def serve() -> None:
             stop = asyncio.Event()
             serving = asyncio.create_task(server.serve(host, port, tls, stop))
@@ -105,11 +120,11 @@ def run(args: argparse.Namespace) -> int:
             while not (stopping.is_set() or stop.is_set()):
                 if (now := time.monotonic()) - told_at >= HEALTH_S:
                     told_at = now
-                    write_atomically(health, server.health().encode())
+                    tell(server.health())
                 await asyncio.sleep(LOOK_S)
             stop.set()
             await serving
-            write_atomically(health, f"stopped: {server.told()}".encode())
+            tell(f"stopped: {server.told()}")
 
         try:
             asyncio.run(serve())

@@ -103,22 +103,26 @@ class KeyManagementEntity:
         Raises
         ------
         Refusal
-            401 for a caller that is not served here, 400 for another slave.
+            401 for a caller that is not served here, 400 for another slave, 503 without a store.
         """
         share = self._share(caller, slave, "slave_SAE_ID")
+        try:
+            available, extension = self._store.available(share), self._extension()
+        except StoreError as error:
+            raise Refusal(UNAVAILABLE, f"no key: {error}") from None
         return Status(
             source_KME_ID=self.names.kme,
             target_KME_ID=self.names.partner_kme,
             master_SAE_ID=caller,
             slave_SAE_ID=slave,
             key_size=KEY_BITS,
-            stored_key_count=self._store.available(share),
+            stored_key_count=available,
             max_key_count=MOST_KEYS,
             max_key_per_request=MOST_AT_ONCE,
             max_key_size=KEY_BITS,
             min_key_size=KEY_BITS,
             max_SAE_ID_count=0,
-            status_extension=self._extension(),
+            status_extension=extension,
         )
 
     def get_key(self, caller: str, slave: str, request: KeyRequest) -> KeyContainer:

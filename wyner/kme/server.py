@@ -92,13 +92,18 @@ class KeyServer:
     def health(self) -> str:
         """A line for its health file: ``ok`` or ``bad``, and what there is to give."""
         try:
-            return f"{'bad' if self._entity.refused else 'ok'}: {self.told()}"
-        except StoreError as error:
-            return f"bad: {error}"
+            state = "bad" if self._entity.refused else "ok"
+        except StoreError:
+            state = "bad"
+        return f"{state}: {self.told()}"
 
     def told(self) -> str:
         """What there is to give, and what was given and refused since the start."""
-        return f"{self._entity.ready()}, {self._given} given, {self._refused} requests refused"
+        try:
+            ready = self._entity.ready()
+        except StoreError as error:
+            ready = str(error)
+        return f"{ready}, {self._given} given, {self._refused} requests refused"
 
     async def serve(self, host: str, port: int, tls: ssl.SSLContext, stop: asyncio.Event) -> None:
         """Serve until ``stop``.

@@ -1,0 +1,204 @@
+"""Key stores spoiled between two lives: ``python -m tests.campaigns.spoiled_stores``.
+
+Each seed runs a loop that makes keys, has two applications fetch some, kills an end, and deletes,
+truncates, flips, empties, or puts back from an older copy what its key store consists of. The end
+must say in one line that it cannot use its store, and go on with a new one once that is removed;
+or go on. Nobody is given a key twice, and no two keys that were given under one id differ. Where
+a store is put back together with the count beside it, its end cannot tell: then keys may be given
+again there, and the other end must not give them again. Goes on where it stopped.
+"""
+
+import argparse
+import json
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.runtime.process import UsageError
+from protocol.runtime.run_folder import write_atomically
+from protocol.secret.records import Side, StoreError, TooFewKeys, UnknownKeys
+from protocol.secret.store import KeyStore
+from tests.campaigns.spoiled import damaged
+from tests.support.recorded_loop import SIDES, RecordedLoop
+from wyner.studies.grid import code_version
+
+KINDS: Final = (
+    *("flipped", "flipped", "truncated", "deleted", "emptied", "garbage"),
+    *("restored", "one restored", "all restored"),
+)
+MOST_AT_ONCE: Final = 40
+TWICE: Final = "were given twice"
+
+
+class SpoiledStore:
+    """One seed's run."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        self.draw = random.Random(seed)
+        self.counts: Counter[str] = Counter()
+        self.wrong: list[str] = []
+        self.side: Side = self.draw.choice(SIDES)
+        self.kind = self.draw.choice(KINDS)
+        self.loop = RecordedLoop(folder / "run", b"", "keys")
+        self.copy = folder / "copy"
+        self.copy.mkdir()
+        self.given: dict[str, list[tuple[str, bytes]]] = {side: [] for side in SIDES}
+
+    def run(self) -> None:
+        """Run, spoil, go on, judge."""
+        self._advance(self.draw.randrange(20, 400))
+        self._fetch()
+        for file in self._files():
+            shutil.copy(file, self.copy)
+        self._advance(self.draw.randrange(1, 200))
+        self._fetch()
+        if self.draw.random() < 0.7:
+            self._advance(self.draw.randrange(1, 200))
+        self.loop.kill(self.side)
+        done = self._spoil()
+        self._start()
+        for _ in range(3):
+            self._fetch()
+            self._advance(self.draw.randrange(1, 200))
+        self._fetch()
+        self.loop.stop()
+        self._judge()
+        self.wrong = [f"{done}: {text}" for text in self.wrong]
+
+    def _files(self) -> list[Path]:
+        return sorted((self.loop.folder / self.side).glob("keys*"))
+
+    def _advance(self, transitions: int) -> None:
+        target = self.loop.transitions + transitions
+        self.loop.run(lambda: self.loop.transitions >= target)
+
+    # --- applications -----------------------------------------------------------------------------
+
+    def _fetch(self) -> None:
+        """A key server of each side gives some of its own half, and the other side finds them."""
+        for side, other in (SIDES, SIDES[::-1]):
+            try:
+                with KeyStore(self._store(side), side) as mine:
+                    keys = mine.deliver(min(mine.available(), self.draw.randrange(MOST_AT_ONCE)))
+            except (StoreError, TooFewKeys) as error:
+                self._told(error)
+                continue
+            self.given[side] += keys
+            for name, _ in keys:
+                try:
+                    with KeyStore(self._store(other), other) as theirs:
+                        self.given[other] += theirs.deliver_named([name])
+                except UnknownKeys:
+                    self.counts["not at the other end"] += 1
+                except StoreError as error:
+                    self._told(error)
+
+    def _store(self, side: Side) -> Path:
+        return self.loop.folder / side / "keys.sqlite3"
+
+    def _told(self, error: Exception) -> None:
+        if isinstance(error, StoreError):
+            self.counts["refused to give"] += 1
+            if "\n" in str(error) or "keys.sqlite3" not in str(error):
+                self.wrong.append(f"said {error}")
+
+    # --- the damage -------------------------------------------------------------------------------
+
+    def _spoil(self) -> str:
+        files = self._files()
+        store, draw = self._store(self.side), self.draw
+        file = draw.choice([f for f in files if f.stat().st_size])
+        if self.kind == "deleted":
+            for one in files if draw.random() < 0.5 else [file]:
+                one.unlink()
+        elif self.kind in ("restored", "one restored", "all restored"):
+            back = {"restored": [store], "one restored": [file], "all restored": files}[self.kind]
+            for one in back:
+                shutil.copy(self.copy / one.name, one)
+        else:
+            data, place = damaged(file.read_bytes(), self.kind, draw)
+            file.write_bytes(data)
+            return f"{self.side}: {file.name} {self.kind} at {place}"
+        return f"{self.side}: {self.kind}"
+
+    def _start(self) -> None:
+        try:
+            self.loop.start(self.side)
+        except (UsageError, StoreError) as error:
+            lines = error.lines if isinstance(error, UsageError) else [str(error)]
+            if len(lines) != 1 or "\n" in lines[0] or "keys.sqlite3" not in lines[0]:
+                self.wrong.append(f"said {lines}")
+            self.counts["refused"] += 1
+            self.counts[f"refused: {self.kind}"] += 1
+            with suppress(KeyError):
+                self.loop.kill(self.side)
+            for file in self._files():
+                file.unlink()
+            self.loop.start(self.side)
+
+    # --- what must hold ---------------------------------------------------------------------------
+
+    def _judge(self) -> None:
+        self.counts["keys"] += sum(map(len, self.given.values()))
+        keys: dict[str, bytes] = {}
+        for side, given in self.given.items():
+            for what, place in (("ids", 0), ("keys", 1)):
+                twice = [x for x, n in Counter(one[place] for one in given).items() if n > 1]
+                if twice:
+                    text = f"{len(twice)} {what} {TWICE} by the {side}"
+                    self.counts[f"{self.kind}: {TWICE}"] += 1
+                    if self.kind != "all restored" or side != self.side:
+                        self.wrong.append(text)
+            for name, key in given:
+                if keys.setdefault(name, key) != key:
+                    self.wrong.append(f"key {name} differs")
+
+
+def one_run(seed: int, folder: Path) -> tuple[Counter[str], list[str]]:
+    """Spoil a key store; what came of it, and what was wrong."""
+    run = SpoiledStore(seed, folder)
+    try:
+        run.run()
+    except Exception as error:
+        run.wrong.append(f"{run.side}, {run.kind}: {type(error).__name__}: {error}")
+    run.counts[run.kind] += 1
+    return run.counts, run.wrong
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Seed after seed; 1 when something was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=5_000)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--results", type=Path, default=Path("campaign-spoiled-stores.json"))
+    args = parser.parse_args(argv)
+    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
+    version = code_version("protocol/secret/*.py")
+    if done.get("version") != version:
+        done = {"version": version, "spoiled": 0, "counts": {}, "wrong": []}
+    until = time.monotonic() + args.seconds
+    for seed in range(done["spoiled"], args.count):
+        with tempfile.TemporaryDirectory() as folder:
+            counts, wrong = one_run(seed, Path(folder))
+        done["spoiled"] = seed + 1
+        done["counts"] = dict(Counter(done["counts"]) + counts)
+        if wrong:
+            done["wrong"].append([seed, *wrong])
+            print(f"seed {seed}: {wrong}")
+        over = time.monotonic() > until or seed + 1 == args.count
+        if seed % 20 == 0 or over:
+            write_atomically(args.results, json.dumps(done, indent=1).encode())
+            print(f"\r{seed + 1:,} spoiled", end="", file=sys.stderr, flush=True)
+        if over:
+            break
+    return 1 if done["wrong"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
