@@ -116,9 +116,12 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).files
 	$(CAMPAIGN).kills
 	$(CAMPAIGN).kills --jumps
+	$(CAMPAIGN).kills --tls --kills 240
 	$(CAMPAIGN).calls
 	$(CAMPAIGN).spoiled
+	$(CAMPAIGN).spoiled_stores
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
+	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
 	WYNER_MUTANTS=all $(BIN)/pytest tests/verify/test_mutants.py
 
 bench: $(STAMPS)/dev

@@ -326,6 +326,27 @@ def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) ->
 
 
 @pytest.mark.slow
+def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
+    tmp_path: Path,
+) -> None:
+    one = Sites(tmp_path, keys=8)
+    (one.run_dir("controller") / "kme-controller").write_bytes(b"in the way")
+    try:
+        one.start("controller")
+        time.sleep(1.2)  # until it tells of itself again
+        assert one.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")[0] == 200
+        with closing(one.store("controller")) as store:
+            store._db.execute("DROP TABLE key")
+        for path in ("status", "enc_keys"):
+            code, told = one.ask("controller", "alice", f"/api/v1/keys/bob/{path}")
+            assert (code, told["message"][:7]) == (503, "no key:")
+        one.processes["controller"].send_signal(signal.SIGTERM)
+        assert one.processes["controller"].wait(10) == 0
+    finally:
+        one.stop()
+
+
+@pytest.mark.slow
 def test_without_keys_or_with_refused_ones_it_says_503(tmp_path: Path) -> None:
     two = Sites(tmp_path)
     try:

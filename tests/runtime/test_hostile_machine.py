@@ -1,4 +1,4 @@
-"""A disk that fills or turns read-only, a wall clock that jumps: nothing is lost, and it goes on."""
+"""A disk fills or turns read-only, a wall clock jumps: nothing is lost, and it goes on."""
 
 import errno
 import os
