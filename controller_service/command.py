@@ -5,16 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from protocol.runtime.bus_options import (
-    add_endpoint_arguments,
-    add_metrics_argument,
+    add_end_arguments,
     buses_of,
     fleet_of,
     loop_of,
 )
 from protocol.runtime.options import (
-    add_bounds_arguments,
-    add_check_argument,
-    add_fleet_arguments,
     add_message_arguments,
     at_least,
     checked,
@@ -43,11 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="D",
         help="where the file of defender.model is (default: the scenario's own folder)",
     )
-    add_check_argument(parser)
-    add_bounds_arguments(parser)
-    add_fleet_arguments(parser)
-    add_metrics_argument(parser)
-    add_endpoint_arguments(parser, "controller")
+    add_end_arguments(parser, "controller")
 
 
 def run(args: argparse.Namespace) -> int:

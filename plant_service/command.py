@@ -4,16 +4,12 @@ import argparse
 from pathlib import Path
 
 from protocol.runtime.bus_options import (
-    add_endpoint_arguments,
-    add_metrics_argument,
+    add_end_arguments,
     buses_of,
     fleet_of,
     loop_of,
 )
 from protocol.runtime.options import (
-    add_bounds_arguments,
-    add_check_argument,
-    add_fleet_arguments,
     at_least,
     checked,
     pace_of,
@@ -46,11 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
     )
-    add_check_argument(parser)
-    add_bounds_arguments(parser)
-    add_fleet_arguments(parser)
-    add_metrics_argument(parser)
-    add_endpoint_arguments(parser, "plant")
+    add_end_arguments(parser, "plant")
 
 
 def run(args: argparse.Namespace) -> int:

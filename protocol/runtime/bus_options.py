@@ -7,6 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from protocol.runtime.options import (
+    add_bounds_arguments,
+    add_check_argument,
+    add_fleet_arguments,
+)
 from protocol.runtime.process import UsageError, freeze_startup, stop_on_signals
 from protocol.runtime.services import SERVICES
 from protocol.topics import DEFAULT_LOOP, check_loop
@@ -49,6 +54,15 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
     group.add_argument(
         "--scouting", action="store_true", help="let peers find one another by multicast"
     )
+
+
+def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
+    """Add what both ends of a loop are told alike: bounds, fleets, metrics, buses."""
+    add_check_argument(parser)
+    add_bounds_arguments(parser)
+    add_fleet_arguments(parser)
+    add_metrics_argument(parser)
+    add_endpoint_arguments(parser, service)
 
 
 def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
