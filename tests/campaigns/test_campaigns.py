@@ -24,6 +24,7 @@ def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
     assert json.loads(results.read_text())["counts"]["refused"] > 0
 
 
+@pytest.mark.slow
 def test_spoiled_key_stores_are_told_and_give_nothing_twice(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert spoiled_stores.main(["--count", "10", "--results", str(results)]) == 0
