@@ -90,7 +90,7 @@ class JournalFiles(Generic[R]):
         try:
             self._steps = StepLog(self._beside, self._open(scenario))
             self._read()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             self._db.close()
             reason = (
                 "another process is using it"
@@ -154,7 +154,7 @@ class JournalFiles(Generic[R]):
     def _execute(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
         try:
             return self._db.execute(statement, values).fetchall()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             raise JournalError(f"{self.path}: {error}") from None
 
     def _rows_kept(self, statement: str, values: Sequence[Any] = ()) -> list[list[Any]]:

@@ -16,6 +16,9 @@ from protocol.secret.records import Side, StoreError
 
 STORE_VERSION: Final = 2
 
+UNREADABLE: Final = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises: what SQLite says of it may quote bytes that are no text."""
+
 BUSY_S: Final = 30.0
 """How long another process may be at it: one that runs where a core is idle takes its time."""
 
@@ -96,7 +99,7 @@ class StoreFile:
             raise StoreError(f"{path}: cannot be opened: {error}") from None
         try:
             self._open()
-        except sqlite3.Error as error:
+        except UNREADABLE as error:
             self._db.close()
             raise StoreError(f"{path}: not a key store: {error}") from None
         except StoreError:
@@ -174,7 +177,7 @@ class StoreFile:
                 self._db.execute("COMMIT")
                 if gave and self._anchor is not None:
                     self._anchor.count(given)
-            except sqlite3.Error as error:
+            except UNREADABLE as error:
                 raise StoreError(f"{self.path}: {error}") from None
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
@@ -188,7 +191,7 @@ class StoreFile:
         with self._lock:
             try:
                 return self._db.execute(statement, values).fetchall()
-            except sqlite3.Error as error:
+            except UNREADABLE as error:
                 raise StoreError(f"{self.path}: {error}") from None
 
     # --- notes ------------------------------------------------------------------------------------

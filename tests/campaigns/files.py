@@ -105,6 +105,13 @@ def _tls(run: Path) -> int:
     return wyner(["send", "hi", *ends])
 
 
+def _kme(run: Path) -> int:
+    """A key server that would listen where this machine is not."""
+    names = ["--sae", "a", "--partner-sae", "b", "--listen", "192.0.2.1:1"]
+    certs = ["--tls", f"{run}/certs"]
+    return wyner(["kme", "--side", "plant", "--run-dir", str(run), *certs, *names])
+
+
 CHECK = command("check", "RUN")
 TARGETS: dict[str, Target] = {
     "scenario": Target(SCENARIO, command("knowledge", "RUN/scenario.toml", "--output", "RUN/k")),
@@ -115,6 +122,11 @@ TARGETS: dict[str, Target] = {
     "certificate": Target(Path("certs/cert.pem"), _tls),
     "key of a certificate": Target(Path("certs/key.pem"), _tls),
     "authority": Target(Path("certs/ca.pem"), _tls),
+    "key server's certificate": Target(Path("certs/cert.pem"), _kme),
+    "key of a key server": Target(Path("certs/key.pem"), _kme),
+    "key server's authority": Target(Path("certs/ca.pem"), _kme),
+    "key server's store": Target(Path("plant/keys.sqlite3"), _kme),
+    "count beside it": Target(Path("plant/keys.sqlite3-given"), _kme),
     "knowledge": Target(KNOWLEDGE, loader(_knowledge)),
     "plant's trace": Target(PLANT_TRACE, CHECK),
     "controller's trace": Target(CONTROLLER_TRACE, CHECK),
@@ -143,6 +155,7 @@ TARGETS: dict[str, Target] = {
 def lay_out(run: Path) -> None:
     """A run's folder, and beside it one of each other file."""
     from protocol.messages import ControllerStatus, PlantStatus
+    from protocol.secret.anchor import Anchor
     from protocol.secret.authentication import make_secret
     from protocol.secret.store import KeyStore
 
@@ -154,7 +167,9 @@ def lay_out(run: Path) -> None:
         assert wyner(arguments) == 0
     shutil.copytree(run / "made" / "operator", run / "certs")
     make_secret(run / "secret")
-    KeyStore(run / "plant/keys.sqlite3", "plant", create=True).close()
+    with KeyStore(run / "plant/keys.sqlite3", "plant", create=True) as store:
+        Anchor(run / "plant/keys.sqlite3").announce(1)
+        store.refuse("a campaign's")
     _let_the_tap_guess(run)
     statuses = [a.message for batch in Rehearsal().arrivals(50) for a in batch]
     for path, kind in ((PLANT_STATUS, PlantStatus), (CONTROLLER_STATUS, ControllerStatus)):

@@ -5,6 +5,7 @@ import random
 import sqlite3
 import subprocess
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -300,6 +301,16 @@ def test_a_store_that_cannot_be_read_any_more_says_so(tmp_path: Path) -> None:
         for ask in (keys.available, keys.counts, keys.ids):
             with pytest.raises(StoreError, match=r"^[^\n]*controller.sqlite3: [^\n]*$"):
                 ask()
+
+
+def test_a_damaged_file_whose_error_quotes_no_text_is_a_line(tmp_path: Path) -> None:
+    store(tmp_path).close()
+    path = tmp_path / "controller.sqlite3"
+    whole = path.read_bytes()
+    for place in range(whole.index(b"CREATE TABLE"), len(whole), 97):
+        path.write_bytes(whole[:place] + b"\xfa" + whole[place + 1 :])
+        with suppress(StoreError):
+            store(tmp_path).close()
 
 
 def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path) -> None:
