@@ -39,6 +39,7 @@ TAP_SOURCES: Final = (
     *SOURCES,
     "protocol/knowledge.py",
     "protocol/messages/*.py",
+    "tap_service/inference/kept.py",
     "tap_service/inference/list_decoding.py",
     "tap_service/inference/hypotheses.py",
     "tap_service/inference/frame_scores.py",
