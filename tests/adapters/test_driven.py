@@ -375,6 +375,7 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
         assert device.calls == ["close"]
 
 
+@pytest.mark.slow
 def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
     import threading
 

@@ -15,6 +15,8 @@ from controller_service.sets.design import Design, synthesise
 from protocol.scenario import Scenario
 from protocol.scenario.files import scenario_of
 
+pytestmark = pytest.mark.slow
+
 QUICK: dict[str, Any] = {"horizons": (3, 6, 12), "seconds": 20.0, "repeats": 2, "rounds": 2}
 
 

@@ -9,6 +9,8 @@ from benchmarks import engine as bench_engine
 from benchmarks.__main__ import main
 from benchmarks.engine import PARTS, measure, render
 
+pytestmark = pytest.mark.slow
+
 QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40, "plain_steps": 3}
 
 

@@ -10,6 +10,8 @@ from protocol.runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS
 from protocol.shipped import SCENARIOS
 from wyner.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:

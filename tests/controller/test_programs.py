@@ -77,6 +77,7 @@ def test_daqp_and_osqp_agree(law: CandidateLaw, design: Design, monkeypatch: Any
     assert np.abs(by_daqp - by_osqp).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_wrong_answer_is_replaced_or_refused(law: CandidateLaw, monkeypatch: Any) -> None:
     x = [3.0, -3.0, 0.5, -0.5]
     right = law.candidates(x)

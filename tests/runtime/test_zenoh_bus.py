@@ -523,6 +523,7 @@ def test_a_process_with_a_subscription_ends_when_its_bus_is_closed() -> None:
         assert child.wait(timeout=PATIENCE_S) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> None:
     """With congestion control BLOCK one of these puts would take two seconds or more."""
@@ -557,6 +558,7 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
         until(heard, "the last message at the listener awake")
 
 
+@pytest.mark.slow
 @pytest.mark.integration
 def test_closing_waits_for_an_attempt_to_connect_and_that_is_short() -> None:
     """A stopped container's address answers nothing; both buses must close in a stop's 5 s."""

@@ -70,6 +70,7 @@ def test_no_code_has_more_keys_than_the_volume_allows() -> None:
         assert single_step_keys(float(alpha)) <= 1 + alpha
 
 
+@pytest.mark.slow
 def test_the_check_refuses_a_code_at_too_small_an_alpha(found: dict[float, TwoStepCode]) -> None:
     with pytest.raises(AssertionError):
         check(found[2.75], 2.2)

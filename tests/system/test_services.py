@@ -166,6 +166,7 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
     assert not plant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pace", ["fast", "x20"])
 def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
     """With a deadline too, where most of it comes while the plant waits for the tick."""
@@ -326,6 +327,7 @@ def test_a_lost_journal_ends_the_session_and_the_message_still_arrives(
     assert len(sessions) == 2
 
 
+@pytest.mark.slow
 def test_a_journal_serves_one_process_at_a_time(system: System) -> None:
     with system.plant(), pytest.raises(UsageError, match="another process"), system.plant():
         pass
@@ -393,6 +395,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
 
+@pytest.mark.slow
 def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System) -> None:
     put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
     with system.plant("x20") as plant, system.controller(b"one") as controller:
@@ -507,6 +510,7 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
     assert first.sender.record.session is None
 
 
+@pytest.mark.slow
 def test_a_second_plant_does_not_disturb_the_first(
     system: System, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -105,6 +105,7 @@ def test_what_was_heard_whole_is_left_alone(run: Run) -> None:
         assert step.samples[0] == pytest.approx(true_gauges(run, step.transition.k), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lost_state_is_found_again_from_the_offer_made_in_it(run: Run) -> None:
     right, covered, sharp = 0, 0, 0
     steps = range(300, 500, 8)

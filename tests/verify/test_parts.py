@@ -60,6 +60,7 @@ def copied(parted: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(parted, tmp_path / "run"))
 
 
+@pytest.mark.slow
 def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
     for path in (PLANT_TRACE, CONTROLLER_TRACE):
         assert len(parts_of(parted / path)) > 5
@@ -95,6 +96,7 @@ def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
         assert 0.1 < left[name].tally.counted / all_of[name].tally.counted < 0.7
 
 
+@pytest.mark.slow
 def test_a_side_that_begins_later_is_compared_from_there_on(parted: Path, copied: Path) -> None:
     """One side cut, as its writer would have: its newest header says so."""
     for path in (PLANT_TRACE, CONTROLLER_TRACE):
