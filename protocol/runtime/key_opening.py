@@ -66,9 +66,8 @@ def open_keeper(
         reason = refusal(scenario, seed)
         if reason is not None:
             store.refuse(reason)
-        if store.note(KeyStore.BEGUN) is None:
-            begun = (None, 0) if record is None else (record.session, record.transitions)
-            store.begin(*begun)
+        begun = (None, 0) if record is None else (record.session, record.transitions)
+        store.begin(*begun)
         store.set_note("assumption", scenario.keys.assumption().sentence())
         if secret is not None:
             take_secret(store, secret)

@@ -49,8 +49,10 @@ class Anchor:
         """
         with self._open(os.O_RDWR | (os.O_CREAT if given == 0 else 0)) as file:
             counted, announced = self._read(file)
-        if not counted <= given <= announced:
-            raise self._older(given, counted)
+            if not counted <= given <= announced:
+                raise self._older(given, counted)
+            if given > counted:  # whoever gave it died before it was counted
+                self._write(file, given, announced)
 
     def _older(self, given: int, counted: int) -> StoreError:
         return StoreError(

@@ -6,6 +6,8 @@ tries all that it holds of that direction; so no index travels and none can go o
 yields one pad for each direction, in its row 0; an aborted one burns a pad and yields none.
 """
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -19,9 +21,9 @@ from protocol.secret.authentication import (
     spend_secret,
     under,
 )
-from protocol.secret.records import Side
+from protocol.secret.records import PadCounts, Side, StoreError
 from protocol.secret.store import KeyStore
-from protocol.secret.store_file import check_of
+from protocol.secret.store_file import UNREADABLE, check_of
 
 SIDES: Final[tuple[Side, Side]] = ("controller", "plant")
 
@@ -111,6 +113,26 @@ class Authentication:
 def pads_of(row: bytes) -> tuple[tuple[Side, bytes], tuple[Side, bytes]]:
     """The two pads that a block's row 0 yields."""
     return (SIDES[0], row[:TAG_BYTES]), (SIDES[1], row[TAG_BYTES:])
+
+
+def pad_counts(path: Path) -> dict[Side, PadCounts]:
+    """What the ledger of a key store says of each direction's pads; {} where no secret was taken.
+
+    The file is read beside whoever has it open, and nothing in it is touched.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be read.
+    """
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as db:
+            rows = db.execute(
+                "SELECT side, COUNT(*), SUM(state = 'spent') FROM pad GROUP BY side"
+            ).fetchall()
+    except UNREADABLE as error:
+        raise StoreError(f"{path}: {error}") from None
+    return {side: PadCounts(made, spent, made - spent) for side, made, spent in rows}
 
 
 def take_secret(store: KeyStore, path: Path) -> Authentication:

@@ -99,6 +99,14 @@ class Counts(NamedTuple):
     available: int
 
 
+class PadCounts(NamedTuple):
+    """One-time pads of a direction: what went in, what was spent, and what is left."""
+
+    made: int
+    spent: int
+    left: int
+
+
 def key_id(session: str, number: int, row: int) -> str:
     """The id of row ``row`` of a block, the same at both ends."""
     return str(uuid.uuid5(NAMESPACE, f"{session}/{number}/{row}"))

@@ -44,6 +44,8 @@ here. Halves take turns, so that a key's place says how many are newer: no key i
 
 TOMBSTONES: Final = 1_000_000
 
+_BEGUN: Final = "begun"
+
 _READY: Final = "own = 1 AND state = 'confirmed' AND (row - 1) / 2 % ? = ?"
 """Keys of a share of this side's own half that may be delivered."""
 
@@ -70,18 +72,17 @@ class KeyStore(StoreFile):
         """Under which claim the keys are secret, in words."""
         return self.note("assumption") or ""
 
-    BEGUN: Final = "begun"
-
     def begin(self, session: str | None, transitions: int) -> None:
-        """Note at which transition of which session this store was new."""
-        self.set_note(self.BEGUN, f"{session}/{transitions}")
+        """Note, once, at which transition of which session this store was new."""
+        if self.note(_BEGUN) is None:
+            self.set_note(_BEGUN, f"{session}/{transitions}")
 
     def is_younger(self, session: str, first: int) -> bool:
         """Whether the block that begins at transition ``first`` began before this store did.
 
         Its keys may be in one that was removed, and given.
         """
-        begun = self.note(self.BEGUN)
+        begun = self.note(_BEGUN)
         if begun is None:
             return False
         theirs, _, transitions = begun.rpartition("/")

@@ -6,20 +6,17 @@ Each run has some of these deaths, in an order drawn from its seed;
 :mod:`tests.campaigns.traffic` says what must have come of it. Goes on where it stopped.
 """
 
-import argparse
-import json
 import random
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from protocol.runtime.run_folder import write_atomically
 from tests.campaigns.live import LiveLoop, keep_failed, plain_text, preloaded
+from tests.campaigns.resumable import Results, options
 from tests.campaigns.traffic import Traffic
-from wyner.studies.grid import code_version
 
 BYTES: Final = ("before", "tear", "after")
 PLAIN: Final = ("before", "after")
@@ -126,16 +123,12 @@ def one_run(
 
 def main(argv: list[str] | None = None) -> int:
     """Run after run; 1 when something was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, "campaign-calls.json")
     parser.add_argument("--count", type=int, default=len(deaths()))
-    parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path("campaign-calls.json"))
     args = parser.parse_args(argv)
     preloaded(__spec__.name, sys.argv[1:] if argv is None else argv)
-    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
-    if done.get("version") != code_version():
-        done = {"version": code_version(), "tried": 0, "beyond": {}, "counts": {}, "wrong": []}
-    until = time.monotonic() + args.seconds
+    results = Results(args.results, {"tried": 0, "beyond": {}})
+    done, until = results.done, time.monotonic() + args.seconds
     every = deaths()[: args.count]
     while done["tried"] < len(every) and time.monotonic() < until:
         chosen = every[done["tried"] : done["tried"] + A_RUN]
@@ -144,14 +137,9 @@ def main(argv: list[str] | None = None) -> int:
             if wrong:
                 keep_failed(Path(folder), args.results, str(done["tried"]))
         done["tried"] += len(chosen)
-        done["counts"] = dict(Counter(done["counts"]) + counts)
-        if wrong:
-            done["wrong"].append([done["tried"], *wrong])
-            print(f"up to {done['tried']}: {wrong}")
-        write_atomically(args.results, json.dumps(done, indent=1).encode())
-        told = f"{done['tried']} of {len(every)}, {done['counts']['reached']} deaths"
-        print(f"\r{told}", end="", file=sys.stderr, flush=True)
-    return 1 if done["wrong"] else 0
+        results.add(f"up to {done['tried']}", counts, wrong)
+        results.save(f"{done['tried']} of {len(every)}, {done['counts']['reached']} deaths")
+    return results.exit_code
 
 
 if __name__ == "__main__":

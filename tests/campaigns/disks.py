@@ -9,7 +9,6 @@ code 1 or 2, at once when it is started again. As soon as there is room the run 
 """
 
 import argparse
-import json
 import os
 import random
 import subprocess
@@ -20,7 +19,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.run_folder import write_atomically
 from tests.campaigns.live import (
     LiveLoop,
     Process,
@@ -29,8 +27,8 @@ from tests.campaigns.live import (
     preloaded,
     wait_for,
 )
+from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
-from wyner.studies.grid import code_version
 
 SMALL_KB: Final = (0, 40, 100, 200, 400, 1000)
 """What a disk that is found too small has room for, besides what is there."""
@@ -201,20 +199,14 @@ def main(argv: list[str] | None = None) -> int:
         and args.kind in (None, kind)
         and (kind == "turned" or service != WHOLE)
     ]
-    done = json.loads(args.results.read_text()) if args.results.exists() else {}
-    if done.get("version") != code_version():
-        done = {"version": code_version(), "tried": 0, "counts": {}, "wrong": []}
-    for one in every[done["tried"] :]:
+    results = Results(args.results, {"tried": 0})
+    for one in every[results.done["tried"] :]:
         with tempfile.TemporaryDirectory() as folder:
             counts, wrong = one_run(*one, Path(folder))
-        done["tried"] += 1
-        done["counts"] = dict(Counter(done["counts"]) + counts)
-        if wrong:
-            done["wrong"].append([*one, *wrong])
-            print(f"{one}: {wrong}")
-        write_atomically(args.results, json.dumps(done, indent=1).encode())
-        print(f"\r{done['tried']} of {len(every)}", end="", file=sys.stderr, flush=True)
-    return 1 if done["wrong"] else 0
+        results.done["tried"] += 1
+        results.add(" ".join(map(str, one)), counts, wrong)
+        results.save(f"{results.done['tried']} of {len(every)}")
+    return results.exit_code
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ the fewest pads ever left, steps a second early and late, the keys at both ends,
 
 import argparse
 import json
-import sqlite3
 import statistics
 import subprocess
 import sys
@@ -18,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS, PLANT_STATUS
+from protocol.secret.ledger import pad_counts
+from protocol.secret.records import StoreError
 from tests.system.test_integration import children_of
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
@@ -32,26 +33,17 @@ def rss_mib(pid: int) -> float:
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS:"))
 
 
-def pads_left(store: Path) -> dict[str, int]:
-    """Pads of each direction that are not spent."""
-    with sqlite3.connect(f"file:{store}?mode=ro", uri=True) as db:
-        rows = db.execute("SELECT side, COUNT(*) FROM pad WHERE state != 'spent' GROUP BY side")
-        found = dict(rows.fetchall())
-    db.close()
-    return found
-
-
 def look(pid: int, run_dir: Path, begun_s: float) -> dict[str, Any] | None:
     """Memory, pads and steps at this moment; None while the services start or end."""
     try:
         memory = {name: rss_mib(child) for name, child in children_of(pid).items()}
-        left = [pads_left(run_dir / path) for path in (CONTROLLER_KEYS, PLANT_KEYS)]
+        pads = [pad_counts(run_dir / path) for path in (CONTROLLER_KEYS, PLANT_KEYS)]
         status = json.loads((run_dir / PLANT_STATUS).read_bytes())
-    except (OSError, ValueError, sqlite3.Error, StopIteration):
+    except (OSError, ValueError, StoreError, StopIteration):
         return None
     if len(memory) < 3 or status["k"] < 1:
         return None
-    fewest = min((n for one in left for n in one.values()), default=0)
+    fewest = min((one.left for counts in pads for one in counts.values()), default=0)
     return {"s": time.monotonic() - begun_s, "k": status["k"], "pads": fewest, "mib": memory}
 
 

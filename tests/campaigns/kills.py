@@ -13,7 +13,6 @@ message is sealed.
 """
 
 import argparse
-import json
 import os
 import random
 import signal
@@ -22,12 +21,11 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from protocol.runtime.run_folder import write_atomically
 from tests.campaigns.live import LiveLoop, keep_failed, plain_text, preloaded
+from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
-from wyner.studies.grid import code_version
 
 KILLS_A_RUN: Final = 60
 FROZEN_S: Final = 6.0
@@ -165,10 +163,8 @@ def main(argv: list[str] | None = None) -> int:
         counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN, args.kind)
         print(dict(counts), *wrong, sep="\n")
         return 1 if wrong else 0
-    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
-    if done.get("version") != code_version():
-        done = {"version": code_version(), "runs": 0, "killed": 0, "counts": {}, "wrong": []}
-    until = time.monotonic() + args.seconds
+    results = Results(args.results, {"runs": 0, "killed": 0})
+    done, until = results.done, time.monotonic() + args.seconds
     while done["killed"] < args.kills and time.monotonic() < until:
         seed = done["runs"]
         with tempfile.TemporaryDirectory() as folder:
@@ -177,13 +173,9 @@ def main(argv: list[str] | None = None) -> int:
                 keep_failed(Path(folder), args.results, str(seed))
         done["runs"] += 1
         done["killed"] += sum(counts[name] for name in counts if name in SERVICES)
-        done["counts"] = dict(Counter(done["counts"]) + counts)
-        if wrong:
-            done["wrong"].append([seed, *wrong])
-            print(f"run {seed}: {wrong}")
-        write_atomically(args.results, json.dumps(done, indent=1).encode())
-        print(f"\r{done['runs']} runs, {done['killed']} kills", end="", file=sys.stderr, flush=True)
-    return 1 if done["wrong"] else 0
+        results.add(f"run {seed}", counts, wrong)
+        results.save(f"{done['runs']} runs, {done['killed']} kills")
+    return results.exit_code
 
 
 if __name__ == "__main__":

@@ -9,21 +9,16 @@ back to one moment neither end can tell: the session goes on from there under ne
 come again, and the check must see it. Goes on where it stopped.
 """
 
-import argparse
-import json
 import random
 import shutil
 import sys
-import tempfile
-import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from protocol.runtime.process import Failure, UsageError
-from protocol.runtime.run_folder import write_atomically
+from tests.campaigns.resumable import Results, options, seeds
 from tests.support.recorded_loop import SIDES, RecordedLoop, Side
-from wyner.studies.grid import code_version
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
 
@@ -202,29 +197,10 @@ def one_run(seed: int, folder: Path) -> tuple[Counter[str], list[str]]:
 
 def main(argv: list[str] | None = None) -> int:
     """Seed after seed; 1 when something was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, "campaign-spoiled.json")
     parser.add_argument("--count", type=int, default=20_000)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path("campaign-spoiled.json"))
     args = parser.parse_args(argv)
-    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
-    if done.get("version") != code_version():
-        done = {"version": code_version(), "spoiled": 0, "counts": {}, "wrong": []}
-    until = time.monotonic() + args.seconds
-    for seed in range(done["spoiled"], args.count):
-        with tempfile.TemporaryDirectory() as folder:
-            counts, wrong = one_run(seed, Path(folder))
-        done["spoiled"] = seed + 1
-        done["counts"] = dict(Counter(done["counts"]) + counts)
-        if wrong:
-            done["wrong"].append([seed, *wrong])
-            print(f"seed {seed}: {wrong}")
-        if seed % 100 == 0 or time.monotonic() > until or seed + 1 == args.count:
-            write_atomically(args.results, json.dumps(done, indent=1).encode())
-            print(f"\r{seed + 1:,} spoiled", end="", file=sys.stderr, flush=True)
-            if time.monotonic() > until:
-                break
-    return 1 if done["wrong"] else 0
+    return seeds(one_run, Results(args.results, {"runs": 0}), args.count, args.seconds)
 
 
 if __name__ == "__main__":

@@ -8,25 +8,20 @@ a store is put back together with the count beside it, its end cannot tell: then
 again there, and the other end must not give them again. Goes on where it stopped.
 """
 
-import argparse
-import json
 import random
 import shutil
 import sys
-import tempfile
-import time
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from protocol.runtime.process import UsageError
-from protocol.runtime.run_folder import write_atomically
 from protocol.secret.records import Side, StoreError, TooFewKeys, UnknownKeys
 from protocol.secret.store import KeyStore
+from tests.campaigns.resumable import Results, options, seeds
 from tests.campaigns.spoiled import damaged
 from tests.support.recorded_loop import SIDES, RecordedLoop
-from wyner.studies.grid import code_version
 
 KINDS: Final = (
     *("flipped", "flipped", "truncated", "deleted", "emptied", "garbage"),
@@ -173,31 +168,11 @@ def one_run(seed: int, folder: Path) -> tuple[Counter[str], list[str]]:
 
 def main(argv: list[str] | None = None) -> int:
     """Seed after seed; 1 when something was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, "campaign-spoiled-stores.json")
     parser.add_argument("--count", type=int, default=5_000)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path("campaign-spoiled-stores.json"))
     args = parser.parse_args(argv)
-    done: dict[str, Any] = json.loads(args.results.read_text()) if args.results.exists() else {}
-    version = code_version("protocol/secret/*.py")
-    if done.get("version") != version:
-        done = {"version": version, "spoiled": 0, "counts": {}, "wrong": []}
-    until = time.monotonic() + args.seconds
-    for seed in range(done["spoiled"], args.count):
-        with tempfile.TemporaryDirectory() as folder:
-            counts, wrong = one_run(seed, Path(folder))
-        done["spoiled"] = seed + 1
-        done["counts"] = dict(Counter(done["counts"]) + counts)
-        if wrong:
-            done["wrong"].append([seed, *wrong])
-            print(f"seed {seed}: {wrong}")
-        over = time.monotonic() > until or seed + 1 == args.count
-        if seed % 20 == 0 or over:
-            write_atomically(args.results, json.dumps(done, indent=1).encode())
-            print(f"\r{seed + 1:,} spoiled", end="", file=sys.stderr, flush=True)
-        if over:
-            break
-    return 1 if done["wrong"] else 0
+    results = Results(args.results, {"runs": 0})
+    return seeds(one_run, results, args.count, args.seconds)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.run_folder import BELIEFS, CONTROLLER_STATUS, PLANT_STATUS, SCENARIO
+from protocol.runtime.run_folder import (
+    BELIEFS,
+    CONTROLLER_KEYS,
+    CONTROLLER_STATUS,
+    PLANT_KEYS,
+    PLANT_STATUS,
+    SCENARIO,
+)
+from protocol.secret.authentication import make_secret
+from protocol.secret.ledger import take_secret
+from protocol.secret.store import KeyStore
 from protocol.shipped import SCENARIOS
 from wyner.cli.main import main
 
@@ -108,6 +118,37 @@ def test_the_claim_is_that_of_the_runs_scenario(
     assert main(["status", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["claim"].startswith("secret only from a tap")
     (folder / SCENARIO).write_text("name = 1")
+    assert main(["status", str(folder)]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_ledger_of_each_end_is_shown_and_left_as_it_was(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = changed(run_dir, tmp_path, PLANT_STATUS)
+    make_secret(tmp_path / "first")
+    shutil.copy(tmp_path / "first", tmp_path / "second")
+    with KeyStore(folder / PLANT_KEYS, "plant", create=True) as keys:
+        take_secret(keys, tmp_path / "first").tag("a block", b"its content")
+    with KeyStore(folder / CONTROLLER_KEYS, "controller", create=True) as keys:
+        take_secret(keys, tmp_path / "second")
+        keys.drop("no", 1)
+        before = (folder / CONTROLLER_KEYS).read_bytes()
+        with keys.transaction():  # someone is at it
+            assert main(["status", str(folder)]) == 0
+    assert (folder / CONTROLLER_KEYS).read_bytes() == before
+    whole, one_spent = "16 made, 0 spent, 16 left", "16 made, 1 spent, 15 left"
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("pads")] == [
+        f"pads        at the controller, for the controller's tags: {whole}; "
+        f"for the plant's tags: {whole}",
+        f"pads        at the plant, for the controller's tags: {whole}; "
+        f"for the plant's tags: {one_spent}",
+    ]
+    assert main(["status", str(folder), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["pads"]
+    assert told["plant"]["plant"] == {"made": 16, "spent": 1, "left": 15}
+    (folder / PLANT_KEYS).write_bytes(b"no store" * 300)
     assert main(["status", str(folder)]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
 

@@ -25,18 +25,12 @@ from protocol.secret.blocks import (
 )
 from protocol.secret.bound import Assumption
 from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import take_secret
+from protocol.secret.ledger import pad_counts, take_secret
 from protocol.secret.nonces import Raw, contribution, fresh_nonce
 from protocol.secret.store import KeyStore
 
 SESSION = "0123456789abcdef"
 SMALL = Schedule(Assumption(0.9, eps_sec=1e-2), first=3, largest=6)
-
-
-def pads_left(store: KeyStore) -> dict[str, int]:
-    """What the ledger has left of each direction's pads."""
-    with store.transaction() as db:
-        return dict(db.execute("SELECT side, SUM(state != 'spent') FROM pad GROUP BY side"))
 
 
 def test_the_schedule_follows_from_the_claim() -> None:
@@ -250,8 +244,8 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
         given = giver.deliver(giver.available())
         assert taker.deliver_named([key.key_id for key in given]) == given
     if guarded:
-        for store in (controller, plant):
-            assert all(left >= 1 for left in pads_left(store).values())
+        for end in ends:
+            assert all(pads.left >= 1 for pads in pad_counts(end.path).values())
     for store in (controller, plant):
         store.close()
 
@@ -286,7 +280,10 @@ def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: 
             assert keeper.keep(block).tag == tags[-1]
         assert len(set(tags[:-1])) == RESERVE
         assert tags[-1] == ""
-        assert pads_left(store)["plant"] == RESERVE  # of blocks that nobody has confirmed
+        assert pad_counts(tmp_path / "keys") == {
+            "controller": (2 * RESERVE, 0, 2 * RESERVE),
+            "plant": (2 * RESERVE, RESERVE, RESERVE),  # left: of blocks that nobody has confirmed
+        }
         assert [block.state for block in store.blocks()] == ["stored"] * RESERVE + ["empty"]
 
 

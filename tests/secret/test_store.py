@@ -250,6 +250,21 @@ def test_a_process_that_dies_over_a_delivery_can_go_on(tmp_path: Path) -> None:
         assert keys.available() == 2
 
 
+def test_what_a_dead_process_gave_counts_from_the_next_opening_on(tmp_path: Path) -> None:
+    path = tmp_path / "controller.sqlite3"
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+    older = path.read_bytes()
+    with store(tmp_path) as keys, pytest.MonkeyPatch.context() as dying:
+        dying.setattr(Anchor, "count", lambda _anchor, _given: None)
+        keys.deliver(1)
+    store(tmp_path).close()
+    path.write_bytes(older)
+    with pytest.raises(StoreError, match=r"has given 0 times, and [^ ]* counts 1"):
+        store(tmp_path)
+
+
 def test_a_copy_that_is_put_back_under_an_open_store_gives_nothing(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
         keys.add(row(0, 8), bodies(0, 8))

@@ -12,6 +12,7 @@ from protocol.text import printable
 
 if TYPE_CHECKING:
     from protocol.messages import ControllerStatus, PlantStatus
+    from protocol.secret.records import Side
 
 OLD_S = 5.0
 """A status older than this is of a service that is frozen or gone: it writes one each second."""
@@ -36,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     run_dir = _run_dir(args.run_dir)
     plant, controller = _statuses(run_dir)
     claim = _claim(run_dir)
+    pads = _pads(run_dir)
     now_ns = time.time_ns()
     warnings = [
         *_warnings_of_plant(plant),
@@ -57,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         told = {"plant": plant.model_dump(), "controller": controller.model_dump()}
         servers = {name: line for name, (_, line) in served.items()}
-        print(json.dumps({**told, **servers, "claim": claim, "warnings": warnings}))
+        print(json.dumps({**told, **servers, "claim": claim, "pads": pads, "warnings": warnings}))
     else:
         rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
-        lines = (*_lines(plant, controller, claim), *rows)
+        lines = (*_lines(plant, controller, claim), *_lines_of_pads(pads), *rows)
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
     return FAILED if warnings else DONE
@@ -120,6 +122,35 @@ def _claim(run_dir: Path) -> str:
     except ScenarioError as error:
         raise Failure(error.problems[0]) from None
     return "" if keys is None else keys.assumption().sentence()
+
+
+def _pads(run_dir: Path) -> "dict[Side, dict[Side, dict[str, int]]]":
+    """What each end's ledger says of the pads for each side's tags; without a secret, nothing."""
+    from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+    from protocol.secret.ledger import pad_counts
+    from protocol.secret.records import StoreError
+
+    stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
+    found: dict[Side, dict[Side, dict[str, int]]] = {}
+    for end, path in stores.items():
+        try:
+            counts = pad_counts(run_dir / path) if (run_dir / path).exists() else {}
+        except StoreError as error:
+            raise Failure(str(error)) from None
+        if counts:
+            found[end] = {side: pads._asdict() for side, pads in counts.items()}
+    return found
+
+
+def _lines_of_pads(pads: "dict[Side, dict[Side, dict[str, int]]]") -> list[str]:
+    return [
+        f"pads        at the {end}, "
+        + "; ".join(
+            f"for the {side}'s tags: {one['made']} made, {one['spent']} spent, {one['left']} left"
+            for side, one in sides.items()
+        )
+        for end, sides in pads.items()
+    ]
 
 
 def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> list[str]:
