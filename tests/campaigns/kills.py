@@ -160,7 +160,7 @@ def main(argv: list[str] | None = None) -> int:
         preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_CLOCK=str(clock))
     if args.seed is not None:
         args.folder.mkdir()
-        counts, wrong = one_run(args.seed, args.folder, KILLS_A_RUN, args.kind)
+        counts, wrong = one_run(args.seed, args.folder, min(args.kills, KILLS_A_RUN), args.kind)
         print(dict(counts), *wrong, sep="\n")
         return 1 if wrong else 0
     results = Results(args.results, {"runs": 0, "killed": 0})

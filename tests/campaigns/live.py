@@ -45,6 +45,8 @@ PR_SET_PDEATHSIG: Final = 1
 CLONE_NEWTIME: Final = 0x80
 """Of unshare(2) and setns(2): the monotonic clock is the process's own."""
 
+ZENOH_THREAD: Final = "net-0"
+
 LATEST_BOOT_S: Final = 10**7
 
 SOURCE: Final = Path(__file__).with_name("hostile.c")
@@ -67,7 +69,15 @@ def fork(
 
     ``environment`` is added to this process's. Where ``boot_s`` is not 0, its machine was started
     so many seconds before this one.
+
+    Raises
+    ------
+    RuntimeError
+        When Zenoh was ever opened in this process: its threads hold what no child gets.
     """
+    threads = {(one / "comm").read_text().strip() for one in Path("/proc/self/task").iterdir()}
+    if ZENOH_THREAD in threads:
+        raise RuntimeError("Zenoh runs in this process, and its forks could not: start another")
     pid = os.fork()
     if pid:
         return pid
