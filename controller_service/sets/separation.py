@@ -53,11 +53,6 @@ class Separation:
         """m."""
         return int(self.apart.shape[1])
 
-    def distances(self, differences: ArrayLike) -> tuple[Array, Array]:
-        """Both norms of each difference, shape (..., m)."""
-        v = np.asarray(differences, dtype=float)
-        return np.abs(v @ self.apart.T).max(axis=-1), np.abs(v @ self.together.T).max(axis=-1)
-
     def spaced(self, spacing: float) -> "Separation":
         """With candidates ``spacing`` half-lengths apart instead of 2."""
         return Separation(self.apart * (CERTAIN / spacing), self.together)

@@ -23,9 +23,6 @@ class Publisher(Protocol):
     def put(self, payload: bytes) -> None:
         """Send ``payload``; it is lost without a word when nobody listens or the way is full."""
 
-    def matched(self) -> bool:
-        """Whether any subscriber of this key is known at this moment."""
-
 
 class ChannelClosed(Exception):
     """Nothing comes from this channel any more."""

@@ -68,10 +68,6 @@ class MemoryPublisher:
         """Deliver ``payload`` to everyone else before returning."""
         self.bus.put(self.key, payload)
 
-    def matched(self) -> bool:
-        """Whether another bus subscribes to this key."""
-        return bool(self.bus.hub.listeners(self.bus, self.key))
-
 
 class MemoryChannel:
     """A `Channel` on a hub."""

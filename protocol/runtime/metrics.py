@@ -74,9 +74,6 @@ class _Noted:
         self._note(payload)
         self._publisher.put(payload)
 
-    def matched(self) -> bool:
-        return self._publisher.matched()
-
 
 class NotedBus(Bus):
     """A bus whose published statuses stay on a board.

@@ -101,12 +101,6 @@ class ZenohPublisher:
         except self._refused as error:
             raise TransportError(f"key {self._key}: {_reason(error)}") from None
 
-    def matched(self) -> bool:
-        """Whether any subscriber of this key is known at this moment."""
-        asked = self._declared or self._session.declare_publisher(self._key)
-        status: Any = asked.matching_status  # the stub says bool, wrongly
-        return bool(status.matching)
-
 
 class ZenohChannel:
     """A `Channel` over Zenoh: the waiting thread is woken by the transport, and by nobody else."""

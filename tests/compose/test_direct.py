@@ -184,9 +184,7 @@ import time
 from protocol.runtime.zenoh_bus import ZenohBus
 with ZenohBus(connect=["tcp/plant.field:7461"]) as bus:
     offer = bus.publisher("wyner/v1/loop/offer")
-    while not offer.matched():
-        time.sleep(0.05)
-    for _ in range(20):
+    for _ in range(100):  # the first before there is a connection
         offer.put(b"forged")
         time.sleep(0.05)
 """

@@ -21,6 +21,7 @@ from controller_service.sets.clique import adjacency, largest_clique
 from controller_service.sets.polygon_alphabet import balls, plane_bound, plane_points
 from controller_service.sets.separation import AlphabetError, Separation
 from protocol.scenario import ConvexSet
+from tests.support.apart import distances
 
 PAPER_B = ((0.0246,), (0.4877,))
 PAPER_D = ConvexSet(half_widths=(0.12, 0.12))
@@ -125,8 +126,7 @@ def test_two_inputs_on_a_box_fill_a_grid(alpha: float, size: int) -> None:
     inputs = ConvexSet(half_widths=(3.0, 3.0))
     chosen = choose_alphabet(TANK_B, TANK_D, inputs, alpha=alpha, size=size).offsets
     if size > 1:
-        d = chosen[:, None] - chosen[None]
-        apart, together = sep.distances(d[~np.eye(size, dtype=bool)])
+        apart, together = distances(sep, chosen)
         assert apart.min() > 1 + 5e-7
         assert together.max() <= alpha - 1
     assert np.allclose(chosen.min(axis=0), -chosen.max(axis=0))
@@ -152,9 +152,7 @@ def test_fewer_candidates_take_the_closest_points() -> None:
 def test_polygons_reach_the_known_sizes_below_the_bound(sides: int, t: float, found: int) -> None:
     sep = Separation.of(np.eye(2), polygon(sides))
     points = plane_points(sep, 1 + 2 * t)
-    apart, together = sep.distances(
-        (points[:, None] - points[None])[~np.eye(len(points), dtype=bool)]
-    )
+    apart, together = distances(sep, points)
     assert apart.min() > 1
     assert together.max() <= 2 * t
     assert len(points) >= found

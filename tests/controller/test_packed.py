@@ -24,6 +24,7 @@ from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.scenario.files import scenario_of
+from tests.support.apart import distances
 
 SHIPPED = (
     "packed",
@@ -231,9 +232,7 @@ def test_every_offset_pair_is_apart_and_together() -> None:
             alpha=alpha,
             size=size,
         ).offsets
-        apart, together = sep.distances(
-            (offsets[:, None] - offsets[None])[~np.eye(size, dtype=bool)]
-        )
+        apart, together = distances(sep, offsets)
         assert apart.min() > 1 + 1e-7
         assert together.max() <= alpha - 1
 

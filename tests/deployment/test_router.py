@@ -20,6 +20,7 @@ from protocol.runtime.services import BUSES, SERVICES, on_bus
 from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import ZenohBus, open_router
 from protocol.topics import key_of
+from tests.support.matched import matched
 from wyner.cli.main import main
 from wyner.deployment.access import access_control
 from wyner.deployment.certificates import ensure_certificates
@@ -118,7 +119,7 @@ def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs:
                 bus.subscribe(key, listener(name))
         publishers = {(name, key): buses[name].publisher(key) for name in names for key in keys}
         until = time.monotonic() + 10
-        while not publishers["plant", keys[0]].matched() and time.monotonic() < until:
+        while not matched(publishers["plant", keys[0]]) and time.monotonic() < until:
             time.sleep(0.02)
         for _ in range(5):
             for (name, _key), publisher in publishers.items():
@@ -179,7 +180,7 @@ def test_buses_of_one_router_process_do_not_mix() -> None:
             on_ops.subscribe("a/key", lambda *_: heard.put("ops"))
             publisher = on_field.publisher("a/key")
             until = time.monotonic() + 10
-            while not publisher.matched() and time.monotonic() < until:
+            while not matched(publisher) and time.monotonic() < until:
                 time.sleep(0.02)
             for _ in range(5):
                 publisher.put(b"x")

@@ -18,6 +18,7 @@ from protocol.runtime.run_folder import PLANT_TRACE
 from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
+from tests.support.matched import matched
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
@@ -229,7 +230,7 @@ def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: P
     ):
         publishers = [field.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)]
         publishers += [bus.publisher(key_of(kind, "loop")) for kind in (PlantHello, SendCommand)]
-        wait_for(lambda: all(p.matched() for p in publishers))
+        wait_for(lambda: matched(*publishers))
 
         def counted() -> bool:
             for publisher in publishers:
