@@ -12,7 +12,10 @@ from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.process import Pace
 from protocol.scenario import Scenario
 from protocol.topics import key_of
+from wyner.dashboard import fleet as fleet_module
 from wyner.dashboard.fleet import HEADER, SILENT_S, FleetTable, watch
+from wyner.dashboard.model import TAPS_KEPT
+from wyner.dashboard.source import WAITING_AT_MOST
 
 TAP = TapStatus(
     seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, capture_bytes=1, dropped=0,
@@ -111,4 +114,31 @@ def test_garbage_and_terminal_codes_do_no_harm(
     said = capsys.readouterr().out
     assert fleet.table.garbage == 2
     assert "1 of 1 loops run" in said
+    assert "0 of them lately; 2 messages were garbage\n" in said
     assert "\x1b" not in said
+
+
+def test_a_plant_that_counts_anew_has_missed_nothing_less_than_nothing(fleet: Fleet) -> None:
+    for now_s, missed in enumerate((5, 9, 0, 2)):
+        fleet.say("a", fleet.plant, missed=missed)
+        fleet.table.take(float(now_s))
+    assert fleet.table.lines(3.0)[0].endswith("2 steps missed, 2 of them lately")
+
+
+def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of bytes between two looks, of loops, and of eavesdroppers of a loop."""
+    monkeypatch.setattr(fleet_module, "LARGEST", 3)
+    for number in range(TAPS_KEPT + 5):
+        fleet.say(f"loop-{number}", fleet.plant)
+        fleet.say("loop-0", TAP, name=f"tap-{number}", confidence=number / 100)
+    fleet.table.take(0.0)
+    total, _, *rows = fleet.table.lines(0.0)
+    assert total.startswith("3 of 3 loops run")
+    claims = [row for row in rows if row.startswith("loop-0")]
+    assert f"tap-{TAPS_KEPT - 1} is {TAPS_KEPT - 1} % sure" in claims[0]
+    beyond = WAITING_AT_MOST // 2**18 + 4
+    for _ in range(beyond):
+        fleet.ops.publisher(key_of(PlantStatus, "loop-0")).put(bytes(2**18))
+    fleet.table.take(0.0)
+    assert fleet.table.lines(0.0)[0].endswith("; 5 came faster than they were read")
+    assert fleet.table.garbage == beyond - 5

@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Final
 from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
+from protocol.runtime.fleet import LARGEST
+from protocol.runtime.inbox import Inbox
 from protocol.text import printable
 from protocol.topics import every_loop
+from wyner.dashboard.model import TAPS_KEPT
+from wyner.dashboard.source import WAITING_AT_MOST
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
@@ -44,13 +48,17 @@ class LoopRow:
     def note(self, status: Message, now_s: float) -> None:
         """Take in a status."""
         if isinstance(status, PlantStatus):
+            if self.plant is not None and status.missed < self.plant.missed:
+                self.marks.clear()  # it counts from 0 again
             self.plant, self.heard_s = status, now_s
             self.marks.append((now_s, status.missed))
             while len(self.marks) > 2 and self.marks[1][0] <= now_s - LATELY_S:
                 self.marks.pop(0)
         elif isinstance(status, ControllerStatus):
             self.controller = status
-        elif isinstance(status, TapStatus):
+        elif isinstance(status, TapStatus) and (
+            status.name in self.taps or len(self.taps) < TAPS_KEPT
+        ):
             self.taps[status.name] = status
 
     @property
@@ -93,15 +101,15 @@ class LoopRow:
 
 
 class FleetTable:
-    """The newest statuses of all loops that were heard.
+    """The newest statuses of the loops that were heard, of `LARGEST` at most.
 
-    Callbacks append to a list; :meth:`take` parses, on the caller's thread.
+    Callbacks put into an inbox; :meth:`take` parses, on the caller's thread.
     """
 
     def __init__(self) -> None:
         self.garbage = 0
         self._rows: dict[str, LoopRow] = {}
-        self._arrived: list[tuple[type[Message], str, bytes]] = []
+        self._arrived: Inbox[tuple[type[Message], str, bytes]] = Inbox(WAITING_AT_MOST)
 
     def attach(self, ops: "Bus", intel: "Bus") -> None:
         """Listen to the statuses of every loop."""
@@ -110,19 +118,20 @@ class FleetTable:
             bus.subscribe(every_loop(kind), self._arrive(kind))
 
     def _arrive(self, kind: type[Message]) -> Callable[[str, bytes, int], None]:
-        return lambda key, payload, _t: self._arrived.append((kind, key, payload))
+        return lambda key, payload, _t: self._arrived.put((kind, key, payload), len(payload))
 
     def take(self, now_s: float) -> None:
         """Take in what has come."""
-        arrived, self._arrived = self._arrived, []
-        for kind, key, payload in arrived:
+        for _ in range(len(self._arrived)):
+            kind, key, payload = self._arrived.get(0.0)
             loop = key.split("/")[2]
             try:
                 status = kind.model_validate_json(payload)
             except ValidationError:
                 self.garbage += 1
                 continue
-            self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
+            if loop in self._rows or len(self._rows) < LARGEST:
+                self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
 
     def lines(self, now_s: float, most: int | None = None) -> list[str]:
         """The table: a sum, the header, the loops; with ``most`` no more lines than that."""
@@ -133,6 +142,10 @@ class FleetTable:
         total = (
             f"{running} of {len(rows)} loops run, {missed} steps missed, {lately} of them lately"
         )
+        if self.garbage:
+            total += f"; {self.garbage} messages were garbage"
+        if self._arrived.dropped:
+            total += f"; {self._arrived.dropped} came faster than they were read"
         shown = [row.line(now_s) for row in rows]
         if most is not None and len(shown) > most - 3:
             hidden = len(shown) - (most - 3)
