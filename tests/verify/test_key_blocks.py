@@ -360,6 +360,13 @@ def test_keys_that_are_for_nobody_are_refused(seeded: bool, claimed: bool, tmp_p
     assert judge(key_blocks.refused_at_zero, e, used) == (Tally(2) if looked else Tally())
 
 
+def test_of_a_lone_store_its_own_end_is_named(tmp_path: Path) -> None:
+    with store(tmp_path, "plant"):
+        e = evidence(tmp_path, manifest={"seed": 0})
+        found = judge(key_blocks.refused_at_zero, e, heard())
+    assert found == Tally(1, 1, Place("", -1, -1, "the plant's keys are not refused"))
+
+
 def test_a_run_of_a_scenario_without_keys_needs_no_store(tmp_path: Path) -> None:
     with store(tmp_path, "controller"), store(tmp_path, "plant"):
         pass

@@ -16,22 +16,24 @@ from wyner.verify.evidence import Evidence
 from wyner.verify.records import wrong
 from wyner.verify.steps import AppliedStep
 
-PUBLIC: Final[dict[str, frozenset[str]]] = {
-    "measurement": frozenset(
-        {"v", "session", "k", "x", "applied_k", "x_after"}
-        | {"copy_number", "nonce", "applied_copy", "block", "tag"}
-    ),
-    "offer": frozenset(
-        {"v", "session", "k", "candidates", "cipher", "centres"}
-        | {"copy_number", "nonce", "heard", "block", "tag"}
-    ),
-    "sealed": frozenset({"v", "id", "key_ids", "cipher", "tag"}),
+PUBLIC: Final = {
+    topic: frozenset(fields.split())
+    for topic, fields in {
+        "measurement": "v session k x applied_k x_after copy_number nonce applied_copy block tag",
+        "offer": "v session k candidates cipher centres copy_number nonce heard block tag",
+        "sealed": "v id key_ids cipher tag",
+    }.items()
 }
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""
 
 WITHOUT_KEYS: Final = {
-    **{"copy_number": 0, "nonce": "", "applied_copy": 0, "heard": 0, "block": -1, "tag": ""}
+    "copy_number": 0,
+    "nonce": "",
+    "applied_copy": 0,
+    "heard": 0,
+    "block": -1,
+    "tag": "",
 }
 """What fields of keys hold where the scenario makes none."""
 

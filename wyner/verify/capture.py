@@ -60,7 +60,6 @@ class CaptureLines:
 
     def __init__(self, path: Path) -> None:
         self.blurred = False
-        self.last = False
         self.strange: list[Problem] = []
         self.parts: list[Segments] = []
         self.lines: dict[int, int] = {}
@@ -117,7 +116,6 @@ class CaptureLines:
                 return None
             kind = value.get("event")
             if kind in (HEADER, CONTINUED, END):
-                self.last = value.get("last") is True
                 if kind == HEADER:
                     expected = {**CAPTURE_HEADS, "part": number_of(part)}
                     for name in [n for n, v in expected.items() if value.get(n) != v]:

@@ -104,6 +104,12 @@ class Finding:
         }
 
 
+def to_the_end() -> Judging:
+    """What a clause that looks at a run as a whole waits for."""
+    while (yield) is not None:
+        pass
+
+
 def need(tally: Tally, **parts: object) -> bool:
     """Whether all parts are there; if not the clause is skipped."""
     missing = [name.replace("_", " ") for name, part in parts.items() if part is None]

@@ -8,7 +8,7 @@ from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, GUESSES, TAP_STATUS
 from wyner.verify.capture import CaptureLines
-from wyner.verify.clause import Judging, Tally
+from wyner.verify.clause import Judging, Tally, to_the_end
 from wyner.verify.evidence import Evidence
 from wyner.verify.journals import Kept
 from wyner.verify.records import Walked
@@ -65,8 +65,7 @@ def scenario(e: Evidence, tally: Tally) -> Judging:
                 text = f"{what}: {name} is {told[name]}, the scenario's is {expected[name]}"
                 tally.count(told[name] == expected[name], "", -1, -1, text)
 
-    while (yield) is not None:
-        pass
+    yield from to_the_end()
     if e.manifest == {}:
         tally.fail("", -1, -1, "manifest.json: expected a JSON object")
     elif e.manifest is not None and not e.manifest.keys() >= set(IDENTITY):
@@ -90,8 +89,7 @@ def scenario(e: Evidence, tally: Tally) -> Judging:
 
 def whole(e: Evidence, tally: Tally) -> Judging:
     """Every recording holds what its writer counted, and goes as far as its journal; the seal."""
-    while (yield) is not None:
-        pass
+    yield from to_the_end()
     killed = 0
     for marks in _recordings(e):
         killed += marks.unended

@@ -9,7 +9,7 @@ from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.blocks import Schedule
 from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
-from wyner.verify.clause import Judging, Tally, need
+from wyner.verify.clause import Judging, Tally, need, to_the_end
 from wyner.verify.evidence import Evidence, Part
 from wyner.verify.records import BlockStoredLine, Told, TracedTransition, Walked
 
@@ -160,7 +160,7 @@ def tags(e: Evidence, tally: Tally) -> Judging:
                 first = known.setdefault((seen.topic, seen.session, block), tag)
                 text = f"{seen.where}: block {block} has another tag than before"
                 tally.count(first == tag, seen.session, -1, seen.k, text)
-    signed = any(_notes(e, "secret"))
+    signed = any(_notes(e, "secret").values())
     for (topic, session, block), tag in known.items():
         other = known.get(("offer", session, block))
         if topic == "measurement" and other is not None and not signed:
@@ -170,7 +170,7 @@ def tags(e: Evidence, tally: Tally) -> Judging:
 
 def key_ids(e: Evidence, tally: Tally) -> Judging:
     """Both stores hold the same ids in the same order, in disjoint halves."""
-    yield from _to_the_end()
+    yield from to_the_end()
     with ExitStack() as stack:
         stores = [open_store(e, side, name, tally, stack) for side, name in FILES]
         if not all(stores):
@@ -202,16 +202,11 @@ def refused_at_zero(e: Evidence, tally: Tally) -> Judging:
             if isinstance(line, TracedTransition):
                 text = f"the {side} counts copies, and no key is claimed"
                 tally.count(not line.counts, line.session, line.j, line.k, text)
-    seeded = bool(e.manifest) and e.manifest is not None and e.manifest.get("seed") is not None
+    seeded = (e.manifest or {}).get("seed") is not None
     if e.scenario.keys is None or (e.rules.schedule is not None and not seeded):
         return
-    for side, note in zip(("controller", "plant"), _notes(e, "refused"), strict=False):
+    for side, note in _notes(e, "refused").items():
         tally.count(bool(note), "", -1, -1, f"the {side}'s keys are not refused")
-
-
-def _to_the_end() -> Judging:
-    while (yield) is not None:
-        pass
 
 
 def open_store(
@@ -228,12 +223,12 @@ def open_store(
         return None
 
 
-def _notes(e: Evidence, note: str) -> list[str | None]:
+def _notes(e: Evidence, note: str) -> dict[Side, str | None]:
     """A note of each store that is there."""
-    found = []
+    found: dict[Side, str | None] = {}
     with ExitStack() as stack:
         for side, name in FILES:
             store = open_store(e, side, name, Tally(), stack)
             if store is not None:
-                found.append(store.note(note))
+                found[side] = store.note(note)
     return found

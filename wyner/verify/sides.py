@@ -63,26 +63,27 @@ class Segments:
             self.problem(number, "a line after the end mark")
             self.ended = False
         self._headless(number)
-        if self._malformed:
-            self.problem(self._malformed, "not a JSON object")
-            self._malformed = 0
+        self._not_torn()
         self._count += 1
         self._digest.update(raw)
         self._digest.update(b"\n")
 
     def malformed(self, number: int) -> None:
         """A line that holds no JSON object: torn by a kill, if it is its life's last."""
+        self._not_torn()
+        self._malformed = number
+
+    def _not_torn(self) -> None:
+        """More follows: a line before it that holds no JSON object was not torn by a kill."""
         if self._malformed:
             self.problem(self._malformed, "not a JSON object")
-        self._malformed = number
+            self._malformed = 0
 
     def mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
         """A header, an end mark, or the mark of a writer that came back."""
         kind = value["event"]
         if kind == END:
-            if self._malformed:
-                self.problem(self._malformed, "not a JSON object")
-                self._malformed = 0
+            self._not_torn()
             if self.ended:
                 self.problem(number, "a second end mark")
             elif not isinstance(value.get("next", 0), int):
@@ -116,9 +117,8 @@ class Segments:
 
     def finish(self) -> None:
         """The file is over; ``newline`` says whether its last line was finished."""
-        if self._malformed and self.newline:
-            self.problem(self._malformed, "not a JSON object")
-            self._malformed = 0
+        if self.newline:
+            self._not_torn()
         self._close()
 
     def problem(self, number: int, text: str) -> None:
