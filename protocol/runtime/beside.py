@@ -73,9 +73,7 @@ class Beside:
                     self._perform(self._end.receive(*item, now))
                 if self._end.wake_at() <= now:
                     self._perform(self._end.wake(now))
-            except StoreError as error:  # a full disk, say: it may be better next time
-                self._complaints.add(f"sealed messages: {error}")
-            except TransportError as error:
+            except (StoreError, TransportError) as error:  # a full disk: it may be better next time
                 self._complaints.add(f"sealed messages: {error}")
 
     def _perform(self, actions: Actions) -> None:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
+from protocol.runtime.inbox import OVERHEAD
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.topics import key_of
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
@@ -382,7 +383,7 @@ def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
 
 
 def test_what_is_not_read_in_time_is_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source_module, "WAITING_AT_MOST", 4096 * (1 + source_module.OVERHEAD))
+    monkeypatch.setattr(source_module, "WAITING_AT_MOST", 4096 * (1 + OVERHEAD))
     hub = MemoryHub()
     source = BusSource(MemoryBus(hub), MemoryBus(MemoryHub()), "loop")
     put = MemoryBus(hub).publisher(key_of(PlantStatus, "loop")).put

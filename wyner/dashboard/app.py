@@ -190,10 +190,7 @@ class Watch:
         shown, wishes = self.board, self.wishes
         if self._held is not None:
             shown, now_ns = self._held, self._held_ns
-            wishes = replace(
-                wishes,
-                held_steps=_steps_between(shown, self.board),
-            )
+            wishes = replace(wishes, held_steps=_steps_between(shown, self.board))
         return screen(shown, *size, wishes, now_ns)
 
     def _type(self, key: str) -> None:

@@ -35,8 +35,7 @@ def detail(
     pictured = board.pictured
     k = step if step is not None else pictured.pictured_k if pictured is not None else -1
     lines = _step(board, k, width, glyphs)
-    for its, _ in taps:
-        lines.append(_said(board, its, k))
+    lines += [_said(board, its, k) for its, _ in taps]
     if tap is not None:
         lines += _tap(board, *tap, width, glyphs)
     return lines

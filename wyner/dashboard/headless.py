@@ -34,12 +34,12 @@ LINES_AT_ONCE: Final = 12
 class Reporter:
     """What was said already; `report` gives the next lines and the next reporter.
 
-    ``proquint`` is the session and the step k that the last line of progress was about.
+    ``told`` is the session and the step k that the last line of progress was about.
     """
 
     before: Board = field(default_factory=Board)
     next_progress_ns: int = 0
-    proquint: tuple[str, int] | None = None
+    told: tuple[str, int] | None = None
 
     def report(self, board: Board, now_ns: int) -> tuple[list[str], "Reporter"]:
         """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
@@ -48,7 +48,7 @@ class Reporter:
             more = len(lines) - LINES_AT_ONCE
             lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
         now = (board.plant.session, board.plant.k) if board.plant is not None else None
-        if now is None or now == self.proquint or now_ns < self.next_progress_ns:
+        if now is None or now == self.told or now_ns < self.next_progress_ns:
             return lines, replace(self, before=board)
         return [*lines, progress(board)], Reporter(board, now_ns + PROGRESS_NS, now)
 

@@ -214,12 +214,7 @@ _COLUMNS: Final = (
     _Column("keys right", 10, 0, lambda _, __, its: percent(its.right, its.scored)),
     _Column("of", 6, 6, lambda _, __, its: count(its.scored)),
     _Column("hides/key", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
-    _Column(
-        "follows",
-        7,
-        4,
-        lambda _, tap, __: count(tap.status.candidates_left) if tap.status.candidates_left else "-",
-    ),
+    _Column("follows", 7, 4, lambda _, tap, __: _follows(tap)),
     _Column("model off", 9, 5, lambda board, tap, _: _model_off(board, tap)),
     _Column("text", 9, 2, lambda board, tap, _: _message_right(board, tap)),
     _Column("has it since", 14, 1, lambda _, tap, __: _broke(tap)),

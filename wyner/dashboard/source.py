@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
+from protocol.runtime.inbox import OVERHEAD
 from protocol.topics import key_of
 from wyner.dashboard.model import Arrival
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 WAITING_AT_MOST: Final = 32 * 2**20
 """Bytes held between two looks; the newest win, and what is pushed out is counted."""
-
-OVERHEAD: Final = 200
-"""Bytes that a payload costs beside itself, about."""
 
 OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
 INTEL_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)

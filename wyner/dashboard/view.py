@@ -112,12 +112,8 @@ class _Page(Panels):
 
     def _needed(self, shown: set[str]) -> int:
         rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
-        rows += len(self.wishes.caption)
-        rows += len(distilled(self.board, self.width))
-        rows += self._top_rows(shown)
-        rows += 5 if "message" in shown else 0
-        rows += 2 if "taps" in shown else 0
-        return rows
+        rows += len(self.wishes.caption) + len(distilled(self.board, self.width))
+        return rows + self._top_rows(shown) + 5 * ("message" in shown) + 2 * ("taps" in shown)
 
     def _caption(self) -> list[Text]:
         """A pause of the story, or the end of the run: a title and its lines."""
@@ -127,12 +123,7 @@ class _Page(Panels):
         return [self.rule(drawn(title), self.width)] + [Text(f" {drawn(line)}") for line in lines]
 
     def _top_rows(self, shown: set[str]) -> int:
-        left = 0
-        if "loop" in shown:
-            left += 1 + 4
-        if "key symbols and automata" in shown:
-            left += 4
-        return left
+        return 5 * ("loop" in shown) + 4 * ("key symbols and automata" in shown)
 
     def header(self) -> Text:
         """One line: what is watched and how it is; the less telling parts go where it is narrow."""
