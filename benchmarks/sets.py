@@ -103,7 +103,7 @@ def measure(
         When the scenario is of another kind.
     """
     if scenario is None:
-        from protocol.scenario.files import scenario_of
+        from protocol.runtime.scenario_file import scenario_of
 
         scenario = scenario_of("paper")
     middle, last = horizons[1], horizons[-1]

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
     from controller_service.service import ControllerConfig, run_controller, run_controllers
-    from protocol.scenario.files import keep_scenario, scenario_of
+    from protocol.runtime.scenario_file import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
     at_least("--seed", args.seed, 0)

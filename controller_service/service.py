@@ -33,10 +33,10 @@ from protocol.runtime.run_folder import (
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
 )
+from protocol.runtime.scenario_file import keep_scenario, scenario_of
 from protocol.runtime.trace import TraceWriter
 from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
-from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import CIPHER, symbols

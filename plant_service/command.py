@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
     from plant_service.service import PlantConfig, run_plant, run_plants
-    from protocol.scenario.files import keep_scenario, scenario_of
+    from protocol.runtime.scenario_file import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
     at_least("--steps", args.steps, 1)

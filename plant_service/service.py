@@ -12,6 +12,7 @@ from plant_service.adapters.registry import is_model
 from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import PlantTelemetry
+from protocol.files import write_atomically
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.sealing import OpeningEnd
 from protocol.runtime.beside import Beside
@@ -32,11 +33,10 @@ from protocol.runtime.run_folder import (
     PLANT_SAFE,
     PLANT_STATUS,
     PLANT_TRACE,
-    write_atomically,
 )
+from protocol.runtime.scenario_file import keep_scenario, scenario_of
 from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario
-from protocol.scenario.files import keep_scenario, scenario_of
 from protocol.secret.sealed_book import SealedBook
 from protocol.secret.store import KeyStore
 from protocol.streams import COIN, noise, symbols

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 from pydantic_core import to_json
 
+from protocol.files import write_status
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.process import (
@@ -27,14 +28,7 @@ from protocol.runtime.process import (
     logger,
     stop_on_signals,
 )
-from protocol.runtime.run_folder import (
-    BELIEFS,
-    CAPTURE,
-    GUESSES,
-    HEALTH,
-    TAP_STATUS,
-    write_status,
-)
+from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
 from protocol.topics import key_of
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel

@@ -14,11 +14,11 @@ from matplotlib.patches import Rectangle
 
 from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
+from protocol.files import write_atomically
 from protocol.link.session import CountedTransition
 from protocol.runtime.process import DONE, USAGE
-from protocol.runtime.run_folder import write_atomically
+from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
-from protocol.scenario.files import scenario_of
 from wyner.simulate.network import Simulation
 from wyner.studies.figures.style import COLOURS, drawing, save
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from controller_service.sets.cache_folder import default_folder
-from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
+from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.scenario import Scenario
 
 MAGIC: Final = b"wyner-law-1\n"

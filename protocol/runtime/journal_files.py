@@ -22,10 +22,10 @@ from zlib import crc32
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
+from protocol.files import make_folder, open_private
 from protocol.link.endpoint import Keep
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.runtime.process import Failure
-from protocol.runtime.run_folder import make_folder, open_private
 from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
 from protocol.secret.nonces import Raw
 

@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple
 
 from pydantic_core import from_json, to_json
 
-from protocol.runtime.run_folder import make_folder, open_private
+from protocol.files import make_folder, open_private
 
 HEADER: Final = "header"
 CONTINUED: Final = "continued"

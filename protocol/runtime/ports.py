@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
+from protocol.files import write_status
 from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message, PlantStatus, Status
 from protocol.runtime.bus import Publisher
 from protocol.runtime.process import Burst, RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import HEALTH, write_status
+from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import KeeperAt
 from protocol.secret.tasks import Task

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.run_folder import open_private
+from protocol.files import open_private
 from protocol.secret.nonces import Raw
 
 TAG_BYTES: Final = 8

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 from zlib import crc32
 
-from protocol.runtime.run_folder import open_private
+from protocol.files import open_private
 from protocol.secret.records import StoreError
 
 GIVEN: Final = "-given"

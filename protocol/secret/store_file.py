@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 from zlib import crc32
 
-from protocol.runtime.run_folder import make_folder, open_private
+from protocol.files import make_folder, open_private
 from protocol.secret.anchor import Anchor
 from protocol.secret.records import Side, StoreError
 

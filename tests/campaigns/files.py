@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.check import make_run
+from protocol.files import write_atomically
 from protocol.runtime.command import carry_out
 from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import (
@@ -34,7 +35,6 @@ from protocol.runtime.run_folder import (
     PLANT_STATUS,
     PLANT_TRACE,
     SCENARIO,
-    write_atomically,
 )
 from protocol.scenario import load_scenario
 from tests.campaigns.fuzz import LARGEST, NUMBERS, TEXTS, megabytes

@@ -17,6 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from protocol.files import write_atomically
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -33,7 +34,7 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, write_atomically
+from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
 from tests.campaigns.fuzz import LARGEST, payloads

@@ -24,7 +24,7 @@ from typing import Final
 
 from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.run_folder import CONTROLLER_STATUS, SCENARIO
-from protocol.scenario.files import scenario_of
+from protocol.runtime.scenario_file import scenario_of
 from protocol.secret.authentication import make_secret
 from protocol.shipped import scenario_file_of
 from tests.campaigns.relay import main as pass_on

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
+from protocol.files import write_atomically
 from protocol.messages import Measurement, Message, Offer
-from protocol.runtime.run_folder import write_atomically
 from protocol.scenario import Scenario
 from protocol.scenario.keys import Keys
 from protocol.secret.store import KeyStore

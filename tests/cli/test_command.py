@@ -17,8 +17,8 @@ import pytest
 
 from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.process import UsageError
+from protocol.runtime.scenario_file import keep_scenario
 from protocol.runtime.services import BUSES, SERVICES
-from protocol.scenario.files import keep_scenario
 from wyner.cli.main import commands, main
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ import pytest
 
 from controller_service.sets.capacity import added, capacity, dither_price
 from controller_service.sets.terminal import feedback_gain
-from protocol.scenario.files import scenario_of
+from protocol.runtime.scenario_file import scenario_of
 
 
 def test_certain_sizes_of_the_papers_plant() -> None:

@@ -22,8 +22,8 @@ from controller_service.sets.packed_design import alphabet_of, invariant_set, re
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
+from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from protocol.scenario.files import scenario_of
 from tests.support.apart import distances
 
 SHIPPED = (
@@ -240,7 +240,7 @@ def test_every_offset_pair_is_apart_and_together() -> None:
 @pytest.mark.slow
 def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
     """The plant's recordings name the scenario that the controller's do."""
-    lines = "from protocol.scenario.files import scenario_of\nprint(scenario_of({!r}).identity())"
+    lines = "from protocol.runtime.scenario_file import scenario_of\nprint(scenario_of({!r}).identity())"
     for name in ("packed", "packed-quadruple-tank", "sustained"):
         there = subprocess.run(
             [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True

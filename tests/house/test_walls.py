@@ -97,6 +97,20 @@ def test_the_protocol_imports_no_other_room() -> None:
         assert rooms_of(path) <= {"protocol"}, name_of(path)
 
 
+def test_the_rooms_of_the_protocol_stand_on_one_another() -> None:
+    """Each imports those before it; what stands in no room is below all, or of the rooms named."""
+    order = ("schemes", "secret", "messages", "scenario", "link", "runtime")
+    allowed = {room: set(order[:place]) for place, room in enumerate(order)}
+    allowed |= {"knowledge": {"secret"}, "topics": {"messages"}}
+    seen = set()
+    for path in inside("protocol"):
+        room = path.relative_to(ROOT / "protocol").parts[0].removesuffix(".py")
+        others = {name.split(".")[1] for name in imports_of(path) if name.startswith("protocol.")}
+        assert others & set(order) - {room} <= allowed.get(room, set()), name_of(path)
+        seen.add(room)
+    assert seen > set(order)
+
+
 def test_what_is_installed_needs_nothing_of_the_checkout() -> None:
     for path in inside("wyner"):
         assert rooms_of(path) <= {"protocol", *SERVICES, "wyner"}, name_of(path)

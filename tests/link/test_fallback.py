@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from protocol.agreement import Gauge
 from protocol.link.fallback import Fallback, clip
-from protocol.scenario.files import scenario_of
+from protocol.runtime.scenario_file import scenario_of
 from protocol.vectors import Vector
 
 BOX = Gauge(half_widths=(1.0, 2.0, 0.5))

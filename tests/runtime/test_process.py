@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime import run_folder
+from protocol import files
+from protocol.files import write_atomically, write_status
 from protocol.runtime.process import (
     Pace,
     RateLimitedLog,
@@ -24,7 +25,6 @@ from protocol.runtime.process import (
     proquint,
     stop_on_signals,
 )
-from protocol.runtime.run_folder import write_atomically, write_status
 
 
 @pytest.mark.parametrize(
@@ -98,12 +98,12 @@ def test_a_status_takes_the_place_of_the_one_before_last(
     path = tmp_path / "status.json"
     for data in (b"first", b"second"):
         write_status(path, data)
-    files = {file.stat().st_ino for file in tmp_path.iterdir()}
-    monkeypatch.setattr(run_folder, "READ_S", 0.0)
+    before = {file.stat().st_ino for file in tmp_path.iterdir()}
+    monkeypatch.setattr(files, "READ_S", 0.0)
     for data in (b"third, and longer", b"4"):
         write_status(path, data)
         assert path.read_bytes() == data
-        assert {file.stat().st_ino for file in tmp_path.iterdir()} == files
+        assert {file.stat().st_ino for file in tmp_path.iterdir()} == before
 
 
 def test_whoever_has_opened_a_status_reads_it_though_two_more_are_written(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
 def test_a_status_is_replaced_where_names_cannot_be_exchanged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_folder, "_renameat2", None)
+    monkeypatch.setattr(files, "_renameat2", None)
     for data in (b"old", b"new"):
         write_status(tmp_path / "f", data)
     assert (tmp_path / "f").read_bytes() == b"new"

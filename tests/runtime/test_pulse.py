@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime import run_folder
+from protocol import files
+from protocol.files import write_status
 from protocol.runtime.pulse import Pulse, Space
-from protocol.runtime.run_folder import write_status
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -113,7 +113,7 @@ def test_the_check_of_the_containers_reads_it_without_python(tmp_path: Path) -> 
 def test_a_line_that_says_the_same_is_as_new(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_folder, "READ_S", 0.0)  # each takes the place of the one before last
+    monkeypatch.setattr(files, "READ_S", 0.0)  # each takes the place of the one before last
     path = tmp_path / "health"
     for _ in range(4):
         write_status(path, b"ok: none missed lately\n")

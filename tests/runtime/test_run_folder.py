@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.journal import PlantJournal
-from protocol.runtime.jsonl import LONGEST, LineWriter, decode, read_lines
-from protocol.runtime.run_folder import (
+from protocol.files import (
     PUBLIC_FILE,
     make_folder,
     open_private,
@@ -16,6 +14,8 @@ from protocol.runtime.run_folder import (
     write_atomically,
     write_status,
 )
+from protocol.runtime.journal import PlantJournal
+from protocol.runtime.jsonl import LONGEST, LineWriter, decode, read_lines
 from protocol.runtime.trace import TraceWriter
 
 

@@ -326,7 +326,7 @@ def test_the_version_covers_what_the_numbers_come_from(
 ) -> None:
     # These say which runs there are and what they add up to; a task does not use them.
     others = others | {
-        "protocol/runtime/run_folder.py",  # where a law's tables are cached
+        "protocol/files.py",  # where a law's tables are cached
         "protocol/shipped.py",
         "wyner/shipped.py",
         "wyner/scoring/statistics.py",

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from protocol.files import write_atomically
 from protocol.link.endpoint import Keep
 from protocol.runtime.journal import ControllerJournal, PlantJournal
 from protocol.runtime.run_folder import (
@@ -11,7 +12,6 @@ from protocol.runtime.run_folder import (
     MANIFEST,
     PLANT_JOURNAL,
     TAP_STATUS,
-    write_atomically,
 )
 from tests.support.small_run import SmallRun, read_lines
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from benchmarks.check import make_run
+from protocol.files import write_atomically
 from protocol.runtime.run_folder import (
     BELIEFS,
     CONTROLLER_JOURNAL,
@@ -24,7 +25,6 @@ from protocol.runtime.run_folder import (
     SCENARIO,
     SUMMARY,
     TAP_STATUS,
-    write_atomically,
 )
 from protocol.scenario import load_scenario
 from tests.verify.mutants import ALTERATIONS

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the table."""
     from controller_service.sets.capacity import capacity
     from controller_service.sets.design import SynthesisError
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
 
     scenario = scenario_of(args.scenario)
     alphas = _alphas(args.alpha, scenario.secrecy.alpha)

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from controller_service.laws.registry import cached_design, make_law, synthesise
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
 
     scenario = scenario_of(args.scenario)
     begin = time.perf_counter()

@@ -32,8 +32,8 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
+    from protocol.files import PUBLIC_FILE, replacing
     from protocol.runtime.process import DONE, Failure, UsageError
-    from protocol.runtime.run_folder import PUBLIC_FILE, replacing
     from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.reading import CaptureError, CaptureReader
 
@@ -74,8 +74,8 @@ def _steps(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
+    from protocol.files import PUBLIC_FILE, replacing
     from protocol.runtime.process import DONE, Failure, UsageError, needs
-    from protocol.runtime.run_folder import PUBLIC_FILE, replacing
     from tap_service.capture.reading import CaptureError, CaptureReader
     from wyner.scoring.score import ScoreError
     from wyner.scoring.step_table import step_rows, truth_by_step, write_csv, write_parquet

@@ -6,8 +6,8 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.files import write_atomically
 from protocol.runtime.process import DONE, Failure, UsageError
-from protocol.runtime.run_folder import write_atomically
 
 if TYPE_CHECKING:
     from wyner.studies.fit.fitting import Plan

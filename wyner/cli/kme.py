@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(needs("kme", "aiohttp")) from None
     import asyncio
 
-    from protocol.runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS, write_atomically
+    from protocol.files import write_atomically
+    from protocol.runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS
     from protocol.secret.records import StoreError
     from protocol.secret.store import KeyStore
     from wyner.kme.entity import KeyManagementEntity, Names

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
+from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.runtime.process import DONE, Failure
-from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -25,7 +25,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Read the scenario and write its public part."""
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
 
     text = scenario_of(args.scenario).knowledge().model_dump_json(indent=2) + "\n"
     if args.output is None:

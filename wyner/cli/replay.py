@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.process import DONE, UsageError
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError

@@ -132,7 +132,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
 
 def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
     from protocol.runtime.process import UsageError
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError
     from tap_service.eavesdroppers import KnowledgeError
     from wyner.scoring.replay import Replay

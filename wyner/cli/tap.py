@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         return run_told(args, told_by(args.knowledge))
     if args.scenario is None and args.fleet is None:
         raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
-    from protocol.scenario.files import scenario_of
+    from protocol.runtime.scenario_file import scenario_of
 
     def told_of(name: str) -> ToldKnowledge:
         scenario = scenario_of(name)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
+from protocol.files import write_atomically
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
 from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
@@ -20,9 +21,8 @@ from protocol.runtime.run_folder import (
     MANIFEST,
     PLANT_JOURNAL,
     SUMMARY,
-    write_atomically,
 )
-from protocol.scenario.files import scenario_of
+from protocol.runtime.scenario_file import scenario_of
 from protocol.topics import DEFAULT_LOOP, key_of
 
 if TYPE_CHECKING:

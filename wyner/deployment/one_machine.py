@@ -7,15 +7,9 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
+from protocol.files import make_folder, write_atomically
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import (
-    KNOWLEDGE,
-    MANIFEST,
-    MESSAGE,
-    SCENARIO,
-    make_folder,
-    write_atomically,
-)
+from protocol.runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
 from protocol.scenario import Scenario
 from protocol.secret.authentication import make_secret
 from protocol.shipped import scenario_file_of

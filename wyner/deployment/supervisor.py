@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from protocol.files import make_folder, open_private, replacing
 from protocol.runtime.process import STOP_WITH_STDIN, Failure
-from protocol.runtime.run_folder import make_folder, open_private, replacing
 from protocol.runtime.services import SERVICES
 
 RESTART_S: Final = 0.2

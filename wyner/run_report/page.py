@@ -11,7 +11,8 @@ import numpy as np
 
 from protocol.agreement import predict
 from protocol.convex import corners
-from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE, write_atomically
+from protocol.files import write_atomically
+from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE
 from protocol.scenario import Scenario
 from protocol.text import readable
 from wyner.run_report.chart import Curve, Mark, chart, plane

@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.messages import Sealed
-from protocol.runtime.run_folder import (
-    CAPTURE,
-    CONTROLLER_KEYS,
-    PLANT_KEYS,
-    PLANT_TRACE,
-)
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_KEYS, PLANT_KEYS, PLANT_TRACE
 from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule

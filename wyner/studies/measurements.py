@@ -13,7 +13,7 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.arrays import Array
 from protocol.convex import Polytope, planar_vertices
-from protocol.runtime.run_folder import PUBLIC_FILE, replacing
+from protocol.files import PUBLIC_FILE, replacing
 from protocol.scenario import Scenario, load_scenario
 from protocol.shipped import SCENARIOS
 from wyner.shipped import SWEEPS

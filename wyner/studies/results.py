@@ -11,7 +11,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final
 
-from protocol.runtime.run_folder import PUBLIC_FILE, write_atomically
+from protocol.files import PUBLIC_FILE, write_atomically
 from wyner.scoring.statistics import Interval, bootstrap_mean, wilson
 from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
 

@@ -14,8 +14,8 @@ from controller_service.sets.capacity import dither_price
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import feedback_gain
 from protocol.arrays import Array
+from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, parse_scenario
-from protocol.scenario.files import scenario_of
 from wyner.scoring.statistics import Interval, bootstrap_mean, normal_mean
 from wyner.simulate.engine import Runs, follow, simulate_runs
 from wyner.studies.two_step import best_codes, single_step_keys

@@ -11,13 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.run_folder import (
-    CONTROLLER_KEYS,
-    MANIFEST,
-    PLANT_KEYS,
-    SUMMARY,
-    write_atomically,
-)
+from protocol.files import write_atomically
+from protocol.runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
 
 FILES: Final = "files"
 ITSELF: Final = "manifest"

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from protocol.files import write_atomically
 from protocol.runtime.options import unwritable
 from protocol.runtime.process import UsageError
-from protocol.runtime.run_folder import SCENARIO, write_atomically
+from protocol.runtime.run_folder import SCENARIO
 from protocol.scenario.reading import ScenarioError, load_scenario
 from protocol.scenario.system import Scenario
 from protocol.shipped import SCENARIOS, scenario_file_of
