@@ -240,7 +240,8 @@ def test_every_offset_pair_is_apart_and_together() -> None:
 @pytest.mark.slow
 def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
     """The plant's recordings name the scenario that the controller's do."""
-    lines = "from protocol.runtime.scenario_file import scenario_of\nprint(scenario_of({!r}).identity())"
+    lines = "from protocol.runtime.scenario_file import scenario_of\n"
+    lines += "print(scenario_of({!r}).identity())"
     for name in ("packed", "packed-quadruple-tank", "sustained"):
         there = subprocess.run(
             [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True
