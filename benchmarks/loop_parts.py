@@ -239,7 +239,7 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
         finally:
             stopping.set()
 
-    controller_config = ControllerConfig(scenario, law, folder, "loop", message=MESSAGE)
+    controller_config = ControllerConfig(scenario, folder, "loop", law, message=MESSAGE)
     controller = ControllerService(controller_config, MemoryBus(field), MemoryBus(ops), stopping)
     time_status("controller", controller.endpoint.status)
     thread = threading.Thread(target=run_plant)

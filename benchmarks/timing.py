@@ -264,7 +264,7 @@ def open_end(
     with patch.multiple(controllers, **ids), patch.multiple(plants, **ids, **winds):
         if side == "controller":
             law = make_law(scenario, cached_design(scenario))
-            config = controllers.ControllerConfig(scenario, law, folder, "loop", b"x" * 60_000)
+            config = controllers.ControllerConfig(scenario, folder, "loop", law, b"x" * 60_000)
             controller, files = controllers.open_controller(config)
             return controller, files, controller.sender
         fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
-    from controller_service.service import ControllerConfig, run_controller, run_controllers
+    from controller_service.service import ControllerConfig, ControllerService, run_controllers
     from protocol.runtime.scenario_file import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     )
     with buses_of(args, "controller") as (stopping, field, ops):
         keep_scenario(config.run_dir, args.scenario)
-        return run_controller(config, field, ops, stopping)
+        return ControllerService(config, field, ops, stopping).run()
 
 
 def _law_of(scenario: "Scenario") -> "OnlineLaw":

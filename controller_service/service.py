@@ -3,8 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from controller_service.endpoint import ControllerEndpoint
@@ -14,12 +13,11 @@ from protocol.link.pacing import STATUS_S
 from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
-from protocol.runtime.beside import Beside
 from protocol.runtime.bus import Bus
+from protocol.runtime.end_service import EndConfig, EndService
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.fleet_host import run_fleet
-from protocol.runtime.host import Host
 from protocol.runtime.journal import ControllerJournal
 from protocol.runtime.journal_files import JournalError
 from protocol.runtime.key_opening import open_keeper, refusal
@@ -38,29 +36,18 @@ from protocol.runtime.trace import TraceWriter
 from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
 from protocol.secret.sealed_book import SealedBook
-from protocol.secret.store import KeyStore
 from protocol.streams import CIPHER, symbols
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerConfig:
+class ControllerConfig(EndConfig):
     """What the controller service is started with.
 
-    ``message`` is queued once in a journal's life, however often the service is started with it;
-    ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
-    are signed; ``folder`` is where the file of a nonlinear f_c is looked for; ``bounds`` are the
-    trace's.
+    ``message`` is queued once in a journal's life, however often the service is started with it.
     """
 
-    scenario: Scenario
     law: OnlineLaw
-    run_dir: Path
-    loop: str
     message: bytes | None = None
-    seed: int | None = None
-    secret: Path | None = None
-    folder: Path = Path()
-    bounds: Bounds = field(default_factory=Bounds)
 
 
 def open_controller(
@@ -115,18 +102,10 @@ def open_controller(
     return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, keeper)
 
 
-class ControllerService:
+class ControllerService(EndService[ControllerEndpoint]):
     """Answers one plant's measurements with offers until it is told to stop.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-    field, ops : Bus
-        Already open; closed by whoever opened them.
-    stopping : threading.Event
-        Ends :meth:`run`.
-    clock : callable
-        Monotonic seconds.
+    Its parameters are those of :class:`EndService`.
 
     Raises
     ------
@@ -142,19 +121,12 @@ class ControllerService:
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        def sealing(book: SealedBook) -> SealingEnd:
+            return SealingEnd(book, clock())
+
         log = logger("controller")
-        self.endpoint, files = open_controller(config)
-        self.trace = files.trace
+        super().__init__(config, open_controller(config), sealing, log, field, ops, stopping, clock)
         self.sender = self.endpoint.sender
-        self._host = Host(field, ops, stopping, clock)
-        self._host.add(config.loop, self.endpoint, files, log)
-        self._beside: AbstractContextManager[object] = nullcontext()
-        if files.keeper is not None:
-            store = KeyStore(config.run_dir / CONTROLLER_KEYS, "controller")
-            book = SealedBook(store)
-            self._beside = Beside(SealingEnd(book, clock()), store, config.loop, field, ops, log)
-        if config.seed is not None:
-            log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
             self.sender.record.session or "none yet",
@@ -162,18 +134,6 @@ class ControllerService:
             self.endpoint.messages.queued,
             self.sender.record.message,
         )
-
-    def run(self) -> int:
-        """Answer until stopped; returns the exit code."""
-        with self._beside:
-            return self._host.run()
-
-
-def run_controller(
-    config: ControllerConfig, field: Bus, ops: Bus, stopping: threading.Event
-) -> int:
-    """Run the controller service on open buses; returns the exit code."""
-    return ControllerService(config, field, ops, stopping).run()
 
 
 def run_controllers(
@@ -196,7 +156,7 @@ def run_controllers(
             laws[loop.scenario] = (scenario, law_of(scenario))
         scenario, law = laws[loop.scenario]
         config = ControllerConfig(
-            scenario, law, folder, loop.id, loop.payload, loop.seed, bounds=bounds
+            scenario, folder, loop.id, law, loop.payload, seed=loop.seed, bounds=bounds
         )
         return open_controller(config, status_s=FLEET_STATUS_S)
 

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
-    from plant_service.service import PlantConfig, run_plant, run_plants
+    from plant_service.service import PlantConfig, PlantService, run_plants
     from protocol.runtime.scenario_file import keep_scenario, scenario_of
     from protocol.shipped import scenario_file_of
 
@@ -81,4 +81,4 @@ def run(args: argparse.Namespace) -> int:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
     with buses_of(args, "plant") as (stopping, field, ops):
         keep_scenario(config.run_dir, args.scenario)
-        return run_plant(config, field, ops, stopping)
+        return PlantService(config, field, ops, stopping).run()

@@ -3,8 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from plant_service.adapters.base import PlantError
@@ -15,12 +14,11 @@ from plant_service.status import PlantTelemetry
 from protocol.files import write_atomically
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.sealing import OpeningEnd
-from protocol.runtime.beside import Beside
 from protocol.runtime.bus import Bus
+from protocol.runtime.end_service import EndConfig, EndService
 from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet_host import run_fleet
-from protocol.runtime.host import Host
 from protocol.runtime.journal import PlantJournal
 from protocol.runtime.journal_files import JournalError
 from protocol.runtime.key_opening import open_keeper, refusal
@@ -36,31 +34,16 @@ from protocol.runtime.run_folder import (
 )
 from protocol.runtime.scenario_file import keep_scenario, scenario_of
 from protocol.runtime.trace import TraceWriter
-from protocol.scenario import Scenario
-from protocol.secret.sealed_book import SealedBook
-from protocol.secret.store import KeyStore
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
 
 
 @dataclass(frozen=True, slots=True)
-class PlantConfig:
-    """What the plant service is started with.
+class PlantConfig(EndConfig):
+    """What the plant service is started with; ``steps`` ends it when k reaches that number."""
 
-    ``steps`` ends it when k reaches that number; ``seed`` is for experiments only;
-    ``secret`` is a file that both ends share, by which key blocks are signed; ``folder`` is where
-    the files that the scenario's plant names are looked for; ``bounds`` are the trace's.
-    """
-
-    scenario: Scenario
-    run_dir: Path
-    loop: str
     pace: Pace
     steps: int | None = None
-    seed: int | None = None
-    secret: Path | None = None
-    folder: Path = Path()
-    bounds: Bounds = field(default_factory=Bounds)
 
 
 def open_plant(
@@ -119,18 +102,10 @@ def open_plant(
     return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
 
 
-class PlantService:
+class PlantService(EndService[PlantEndpoint]):
     """Runs one plant until it is told to stop, or has made its steps.
 
-    Parameters
-    ----------
-    config : PlantConfig
-    field, ops : Bus
-        Already open; closed by whoever opened them.
-    stopping : threading.Event
-        Ends :meth:`run`.
-    clock : callable
-        Monotonic seconds.
+    Its parameters are those of :class:`EndService`.
 
     Raises
     ------
@@ -152,22 +127,12 @@ class PlantService:
             raise UsageError(
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
-        log = logger("plant")
-        self.endpoint, files = open_plant(config, clock())
-        self.trace = files.trace
-        self._host = Host(field, ops, stopping, clock)
-        self._host.add(config.loop, self.endpoint, files, log)
-        self._beside: AbstractContextManager[object] = nullcontext()
-        if files.keeper is not None:
-            store = KeyStore(config.run_dir / PLANT_KEYS, "plant")
-            book = SealedBook(store)
-            self._beside = Beside(OpeningEnd(book), store, config.loop, field, ops, log)
+        log, opened = logger("plant"), open_plant(config, clock())
+        super().__init__(config, opened, OpeningEnd, log, field, ops, stopping, clock)
         record = self.endpoint.plant.receiver.record
         code = getattr(config.scenario.plant, "object", None)
         if code is not None:
             log.info("plant.object: running %s, from %s", code, config.folder.resolve())
-        if config.seed is not None:
-            log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
         log.info(
             "session %s, model %s, step %d, pace %s",
             record.session,
@@ -186,16 +151,10 @@ class PlantService:
             the run's folder keeps it there.
         """
         try:
-            with self._beside:
-                return self._host.run()
+            return super().run()
         except PlantError as error:
             write_atomically(self._safe_state, f"{error}\n".encode())
             raise
-
-
-def run_plant(config: PlantConfig, field: Bus, ops: Bus, stopping: threading.Event) -> int:
-    """Run the plant service on open buses; returns the exit code."""
-    return PlantService(config, field, ops, stopping).run()
 
 
 def run_plants(

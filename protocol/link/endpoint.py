@@ -48,6 +48,12 @@ class Keep(NamedTuple):
     raw: Raw | None = None
     settled: tuple[range, ...] = ()
 
+    @property
+    def for_tables(self) -> bool:
+        """Whether it has more than a record and rows: messages or symbols, in tables of theirs."""
+        more = self.queued is not None or self.received is not None
+        return more or bool(self.chunk) or self.drop_chunks
+
 
 Write = Append | Keep
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter
 
-from protocol.link.endpoint import Append, Write
+from protocol.link.endpoint import Keep
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
-from protocol.runtime.journal_files import JournalError, JournalFiles, check_of
+from protocol.runtime.journal_files import JournalError, JournalFiles
+from protocol.secret.store_file import check_of
 
 
 class SenderStep(NamedTuple):
@@ -62,18 +63,9 @@ class ControllerJournal(JournalFiles[SenderRecord]):
         found = self._step(Measurement, Offer)
         return None if found is None else SenderStep(*found[:2])
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
-        if isinstance(write, Append):
-            self._append(write.heard, write.said, write.coin)
-            return
-        self._stage(write)
-        if write.queued is not None:
-            with self._transaction():
-                self.enqueue(*write.queued)
-        elif not write.later:
-            self._keep()
-        self._steps.make_ready()
+    def _add_to_tables(self, keep: Keep) -> None:
+        if keep.queued is not None:
+            self.enqueue(*keep.queued)
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
@@ -163,23 +155,13 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
         )
         return [payload for (payload,) in reversed(rows)]
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
-        if isinstance(write, Append):
-            self._append(write.heard, write.said, write.coin)
-            return
-        self._stage(write)
-        if write.chunk or write.drop_chunks or write.received is not None:
-            with self._transaction():
-                if write.drop_chunks:
-                    self._execute("DELETE FROM chunk")
-                if write.chunk:
-                    self._add("chunk", "symbols", write.chunk)
-                if write.received is not None:
-                    self._add("inbox", "payload", write.received)
-        elif not write.later:
-            self._keep()
-        self._steps.make_ready()
+    def _add_to_tables(self, keep: Keep) -> None:
+        if keep.drop_chunks:
+            self._execute("DELETE FROM chunk")
+        if keep.chunk:
+            self._add("chunk", "symbols", keep.chunk)
+        if keep.received is not None:
+            self._add("inbox", "payload", keep.received)
 
     def _add(self, table: str, name: str, value: object) -> None:
         row = (value, check_of(value))

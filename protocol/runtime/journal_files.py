@@ -13,21 +13,22 @@ together and the session ends, as rule 6 says. A journal is held by one process 
 
 import os
 import sqlite3
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
-from zlib import crc32
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
 from protocol.files import make_folder, open_private
-from protocol.link.endpoint import Keep
+from protocol.link.endpoint import Append, Keep, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.runtime.process import Failure
 from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
 from protocol.secret.nonces import Raw
+from protocol.secret.store_file import check_of
 
 JOURNAL_VERSION: Final = 8
 
@@ -43,16 +44,11 @@ _RAW: Final = (
 """Rows of key blocks under way; they cannot be in the record, which is rewritten at each step."""
 
 
-def check_of(*values: object) -> int:
-    """What is kept beside the values of a row, to see whether they are as they were written."""
-    return crc32(repr(values).encode())
-
-
 class JournalError(Failure):
     """A journal that cannot be used; the text names the file and what is wrong with it."""
 
 
-class JournalFiles(Generic[R]):
+class JournalFiles(ABC, Generic[R]):
     """A SQLite file with what is rare, and beside it the steps since; held exclusively.
 
     Parameters
@@ -205,6 +201,23 @@ class JournalFiles(Generic[R]):
         found = {row[0]: Raw(*row) for of, *row in rows if of == session}
         found |= {raw.j: raw for raw in self._logged}
         return [found[j] for j in sorted(found)]
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
+        if isinstance(write, Append):
+            self._append(*write)
+            return
+        self._stage(write)
+        if write.for_tables:
+            with self._transaction():
+                self._add_to_tables(write)
+        elif not write.later:
+            self._keep()
+        self._steps.make_ready()
+
+    @abstractmethod
+    def _add_to_tables(self, keep: Keep) -> None:
+        """Put what ``keep`` has beside its record into this side's own tables."""
 
     def _stage(self, keep: Keep) -> None:
         """What ``keep`` has goes with the next write, its record as what the next step follows."""

@@ -35,7 +35,7 @@ class Fleet:
         plant, files = open_plant(PlantConfig(scenario, folder, "a", Pace("realtime")), 0.0)
         files.close()
         self.plant = plant.status(0.0).model_copy(update={"phase": "running"})
-        config = ControllerConfig(scenario, law, folder, "a")
+        config = ControllerConfig(scenario, folder, "a", law)
         controller, files = open_controller(config)
         files.close()
         self.controller = controller.status()

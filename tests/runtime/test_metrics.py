@@ -43,7 +43,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
         put = bus.publisher(key_of(PlantStatus, loop)).put
         put(status.model_copy(update={"k": 1}).wire())
         put(status.wire())
-    config = ControllerConfig(sustained, sustained_law, tmp_path / "a", "a")
+    config = ControllerConfig(sustained, tmp_path / "a", "a", sustained_law)
     controller, files = open_controller(config)
     files.close()
     told = controller.status().model_copy(update={"delivered": 2})

@@ -114,7 +114,7 @@ class RecordedLoop:
             plant = PlantConfig(self._scenario, self.folder, "loop", Pace("fast"))
             endpoint, files = open_plant(plant, self.now)
         else:
-            made = ControllerConfig(self._scenario, self._law, self.folder, "loop", self._message)
+            made = ControllerConfig(self._scenario, self.folder, "loop", self._law, self._message)
             endpoint, files = open_controller(made)  # type: ignore[assignment]
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
         tasks: deque[Task] = deque()
