@@ -31,7 +31,7 @@ def _files(room: str, names: str) -> tuple[str, ...]:
 
 
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
-    "protocol/schemes": ("tests/schemes",),
+    "protocol/schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "protocol/link": (
         *_files("link", "tallies refusals keying events model fallback pacing sealing timers"),
         *_files("link", "transcripts meeting predictions perform session_machine"),
