@@ -71,7 +71,7 @@ class Composition:
         self.project = project
         self.profile = profile
         self.environment = {**os.environ, **(variables or {})}
-        self.environment |= {"WYNER_IMAGE": self.image, "COMPOSE_PROGRESS": "plain"}
+        self.environment["WYNER_IMAGE"] = self.image
         base = base_image()
         if base is not None:
             self.environment["BASE_IMAGE"] = base
@@ -89,7 +89,7 @@ class Composition:
         return subprocess.run(
             self.command(*arguments),
             cwd=ROOT,
-            env=self.environment,
+            env=self.environment | {"COMPOSE_PROGRESS": "plain"},
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,
