@@ -104,9 +104,9 @@ class LoopPorts:
         write_status(path.with_name(HEALTH), f"{beat.line}\n".encode())
         if self.space is None:
             self.space = Space(path.parent)
-        for line in (beat.notice, self.space.look()):
+        for line, good in ((beat.notice, beat.good), self.space.look()):
             if line:
-                self.log.warning("%s", line)
+                self.log.log(logging.INFO if good else logging.WARNING, "%s", line)
 
 
 _LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

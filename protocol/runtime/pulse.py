@@ -18,9 +18,8 @@ WINDOW_S: Final = 10.0
 SILENT_S: Final = 5.0
 """Seconds without a transition after which the loop stands still."""
 
-PAUSE_S: Final = 2.0
-"""Seconds without a transition after which missed steps are not called slowness any more: whether
-the partner is gone will be known at `SILENT_S`."""
+STILL_S: Final = 2.0
+"""Seconds without a transition that are told as a stop rather than as slowness."""
 
 MISSED_AT_MOST: Final = 0.2
 """Share of missed steps from which an end does not keep up."""
@@ -34,20 +33,29 @@ class Beat(NamedTuple):
 
     line: str
     notice: str
+    good: bool = False
+    """Whether the notice is good news."""
 
 
 class _Seen(NamedTuple):
     at_s: float
     transitions: int
     missed: int
+    still_s: float
+    """How long nothing had moved before this beat's transitions."""
 
 
 @dataclass(slots=True)
 class Pulse:
-    """Judges what an end counts; time is an argument."""
+    """Judges what an end counts; time is an argument.
+
+    Slow is who makes transitions and misses others, at two beats running: steps that are missed
+    while nothing moves may be those of a partner that is gone, which is known at `SILENT_S`.
+    """
 
     _seen: deque[_Seen] = field(default_factory=deque)
     _moved_s: float | None = None
+    _missed_many: bool = False
     _trouble: str = ""
 
     def beat(self, now_s: float, transitions: int, missed: int) -> Beat:
@@ -63,11 +71,15 @@ class Pulse:
         if last is not None and (transitions < last.transitions or missed < last.missed):
             self._seen.clear()
             last = None
-        if transitions > (last.transitions if last is not None else 0):
+        moved = transitions > (last.transitions if last is not None else 0)
+        still_s = 0.0
+        if moved:
+            still_s = now_s - self._moved_s if self._moved_s is not None else 0.0
             self._moved_s = now_s
             if self._trouble == "silent":
                 self._seen.clear()  # what was missed meanwhile is no slowness
-        self._seen.append(_Seen(now_s, transitions, missed))
+                still_s = 0.0
+        self._seen.append(_Seen(now_s, transitions, missed, still_s))
         while len(self._seen) > 2 and self._seen[1].at_s <= now_s - WINDOW_S:
             self._seen.popleft()
         first = self._seen[0]
@@ -75,17 +87,23 @@ class Pulse:
         if self._moved_s is None:
             return Beat("bad: waiting for the other end, no transition yet", "")
         silent_s = now_s - self._moved_s
+        many = lost > MISSED_AT_MOST * (made + lost)
+        slow = many and (self._missed_many if moved else self._trouble == "slow")
+        if moved:
+            self._missed_many = many
         if silent_s >= SILENT_S:
             trouble = "silent"
             why = (
                 f"no transition for {silent_s:.0f} s: the other end is frozen, gone or off the "
                 "network"
             )
-        elif lost > MISSED_AT_MOST * (made + lost) and silent_s < PAUSE_S:
+        elif slow:
             trouble = "slow"
-            why = (
-                f"{100 * lost // (made + lost)} % of the last {made + lost} steps missed: this "
-                "machine or its network is too slow for the pace"
+            stop_s = max(seen.still_s for seen in self._seen)
+            why = f"{100 * lost // (made + lost)} % of the last {made + lost} steps missed: " + (
+                f"the other end, its network or this machine stood still for about {stop_s:.0f} s"
+                if stop_s >= STILL_S
+                else "this machine or its network is too slow for the pace"
             )
         else:
             trouble, why = "", f"keeps up again, {transitions} transitions"
@@ -94,7 +112,7 @@ class Pulse:
         if trouble:
             return Beat(f"bad: {why}", notice)
         share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
-        return Beat(f"ok: {share} missed lately", notice)
+        return Beat(f"ok: {share} missed lately", notice, good=True)
 
 
 @dataclass(slots=True)
@@ -104,16 +122,16 @@ class Space:
     folder: Path
     _full: bool = False
 
-    def look(self) -> str:
-        """A line for the log where something changed."""
+    def look(self) -> tuple[str, bool]:
+        """A line for the log where something changed, and whether it is good news."""
         try:
             free = shutil.disk_usage(self.folder).free
         except OSError:
-            return ""
+            return "", True
         if not self._full and free < FULL_BYTES:
             self._full = True
-            return f"disk nearly full: {free >> 20} MiB left below {self.folder}"
+            return f"disk nearly full: {free >> 20} MiB left below {self.folder}", False
         if self._full and free > 2 * FULL_BYTES:
             self._full = False
-            return f"room again: {free >> 20} MiB left below {self.folder}"
-        return ""
+            return f"room again: {free >> 20} MiB left below {self.folder}", True
+        return "", True

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def lines(beats: Sequence[tuple[float, int, int]]) -> list[tuple[str, str]]:
     judge = Pulse()
-    return [tuple(judge.beat(*beat)) for beat in beats]  # type: ignore[misc]
+    return [judge.beat(*beat)[:2] for beat in beats]
 
 
 def test_before_the_first_transition_it_waits() -> None:
@@ -57,6 +57,44 @@ def test_a_partner_that_freezes_is_not_called_slow() -> None:
     ]
 
 
+@pytest.mark.parametrize("lost_before", [0, 1])
+def test_a_partner_that_freezes_early_is_not_called_slow(lost_before: int) -> None:
+    """In a record of three seconds, one frozen second is a third; some steps were missed before."""
+    before = [(t, (10 - lost_before) * t, lost_before * t) for t in range(1, 4)]
+    made, lost = before[-1][1] + 4, before[-1][2] + 6  # it freezes between two beats
+    frozen = [(3 + t, made, lost + 10 * (t - 1)) for t in range(1, 20)]
+    notices = [notice for _, notice in lines([*before, *frozen]) if notice]
+    assert len(notices) == 1
+    assert notices[0].startswith("no transition for 5 s")
+
+
+def test_a_short_stop_is_told_as_a_stop() -> None:
+    """Ten steps a second; the other end stops for four seconds, too short to be called gone."""
+    before = [(t, 10 * t, 0) for t in range(1, 21)]
+    frozen = [(20 + t, 200, 10 * t) for t in range(1, 5)]
+    after = [(24 + t, 200 + 10 * t, 40) for t in range(1, 21)]
+    told = [notice for _, notice in lines([*before, *frozen, *after]) if notice]
+    assert len(told) == 2
+    assert told[0].endswith("the other end, its network or this machine stood still for about 5 s")
+    assert told[1].startswith("keeps up again")
+
+
+def test_steps_made_now_and_then_are_no_health() -> None:
+    """A collapse: one transition in three seconds, every other step missed."""
+    collapse = [(t, 100 + t // 3, 10 * t - t // 3) for t in range(1, 60)]
+    assert all(line.startswith("bad") for line, _ in lines(collapse)[10:])
+
+
+def test_good_news_are_no_warning() -> None:
+    judge = Pulse()
+    beats = [
+        judge.beat(t, 12 * t if t < 20 else 240 + 100 * (t - 20), 88 * min(t, 20))
+        for t in range(1, 60)
+    ]
+    told = [(beat.notice[:4], beat.good) for beat in beats if beat.notice]
+    assert told == [("88 %", False), ("keep", True)]
+
+
 def test_many_missed_steps_are_no_health() -> None:
     told = lines([(t, 12 * t, 88 * t) for t in range(1, 20)])
     assert told[-1][0].startswith("bad: 88 % of the last ")
@@ -76,14 +114,11 @@ def test_a_disk_that_fills_is_told_once(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(next(free)))
     space = Space(tmp_path)
     told = [space.look() for _ in range(6)]
-    assert [line.split(":")[0] for line in told] == [
-        "",
-        "disk nearly full",
-        "",
-        "",
-        "room again",
-        "",
+    assert [(line.split(":")[0], good) for line, good in told if line] == [
+        ("disk nearly full", False),
+        ("room again", True),
     ]
+    assert [bool(line) for line, _ in told] == [False, True, False, False, True, False]
 
 
 def healthy(folder: Path) -> tuple[int, str]:
