@@ -60,7 +60,7 @@ def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.integration
 def test_a_small_fleet_is_measured() -> None:
-    result = fleet.measure(loops=2, seconds=1.0)
+    result = fleet.measure(loops=2, seconds=5.0)
     assert result["running"] == 2
     assert result["steps"] > 0
     assert 0 <= result["missed"] <= result["steps"]

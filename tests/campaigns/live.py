@@ -45,7 +45,7 @@ PR_SET_PDEATHSIG: Final = 1
 CLONE_NEWTIME: Final = 0x80
 """Of unshare(2) and setns(2): the monotonic clock is the process's own."""
 
-ZENOH_THREAD: Final = "net-0"
+ZENOH_THREAD: Final = "app-0"
 
 LATEST_BOOT_S: Final = 10**7
 
