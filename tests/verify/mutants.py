@@ -83,9 +83,19 @@ def shorter(value: object) -> object:
     return value[:-1] if isinstance(value, list) and value else [value]
 
 
+def huge(value: object) -> object:
+    """Numbers beyond what 64 bits hold, and about the largest there are; what has none stays."""
+    if isinstance(value, int):
+        return 2**70
+    if isinstance(value, float):
+        return 1.7e308
+    return [huge(v) for v in value] if isinstance(value, list) else value
+
+
 ALTERATIONS: dict[str, Callable[[object], object]] = {
     "small": small,
     "large": large,
+    "huge": huge,
     "shorter": shorter,
     "null": lambda _value: None,
     "text": str,

@@ -211,6 +211,10 @@ class Break(NamedTuple):
 Item = Walked | MissedLine | Told | Again | Break
 
 
+LARGEST: Final = 2**63 - 1
+"""Of a step's number, and a transition's: what is kept of each has room for no larger one."""
+
+
 class Shape(NamedTuple):
     """The sizes of the plant: states, inputs, candidates."""
 
@@ -221,6 +225,8 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size = self
+        if not max(abs(t.j), abs(t.k)) <= LARGEST:
+            return "j, k: expected numbers of 64 bits"
         if len(t.x) != n:
             return f"x: got {len(t.x)} numbers, expected {n}"
         if len(t.x_next) != n:
@@ -243,6 +249,8 @@ class Shape(NamedTuple):
 
     def unlike_missed(self, step: MissedLine) -> str:
         """The same of a missed step."""
+        if not abs(step.k) <= LARGEST:
+            return "k: expected a number of 64 bits"
         if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
             return f"expected {self.n} states and {self.m} inputs"
         if step.event == "missed" and (step.candidates or step.coin != -1):

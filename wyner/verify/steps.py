@@ -1,4 +1,4 @@
-"""The plant's steps in some 40 bytes each: what the capture is compared with."""
+"""The plant's steps in some 45 bytes each: what the capture is compared with."""
 
 import struct
 from array import array
@@ -27,10 +27,10 @@ class _Session:
 
     def __init__(self, first: int) -> None:
         self.first = first
-        self.j = array("i")
+        self.j = array("q")
         self.cipher = array("h")
         self.pad = array("h")
-        self.last_applied = array("i")
+        self.last_applied = array("q")
         self.x = array("q")
         self.candidates = array("q")
         self.x_next = array("q")
@@ -43,7 +43,7 @@ class _Session:
 class Steps:
     """Every step of a plant's trace, by session and k.
 
-    Vectors are kept as 64-bit hashes of their bytes, so that a million steps take 40 MB whatever
+    Vectors are kept as 64-bit hashes of their bytes, so that a million steps take 45 MB whatever
     the plant's size.
 
     Parameters
