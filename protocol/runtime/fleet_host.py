@@ -32,13 +32,15 @@ def run_fleet(
     """
     known: dict[str, FleetLoop] = {}
 
-    def open_one(loop: FleetLoop) -> None:
+    def open_one(loop: FleetLoop) -> bool:
+        known[loop.id] = loop
         try:
             endpoint, files = open_end(loop, len(known))
         except (UsageError, Failure, OSError) as error:
             log.error("loop %s: %s", loop.id, str(error).replace("\n", "; "))
-            return
+            return False
         host.add(loop.id, endpoint, files, log.getChild(loop.id))
+        return True
 
     def follow() -> None:
         try:
@@ -52,14 +54,11 @@ def run_fleet(
             del known[name]
             log.info("loop %s has left", name)
         for name, loop in fleet.loops.items():
-            if name not in known:
-                known[name] = loop
-                open_one(loop)
+            if name not in known and open_one(loop):
                 log.info("loop %s has joined", name)
 
     host = Host(field, ops, stopping, fleet=True, chore=follow)
-    for name, loop in fleet.loops.items():
-        known[name] = loop
+    for loop in fleet.loops.values():
         open_one(loop)
     freeze_startup()
     log.info("%d of %d loops run", len(host.loops), len(known))

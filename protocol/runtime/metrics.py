@@ -171,7 +171,7 @@ def served(address: str, board: Board) -> Iterator[int]:
         When the address is none or in use, or the client is not installed.
     """
     host, _, port = address.rpartition(":")
-    if not host or not port.isdigit() or int(port) > 65535:
+    if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(f"--metrics: got {address!r}, expected HOST:PORT")
     try:
         from prometheus_client import CollectorRegistry, start_http_server

@@ -2,12 +2,13 @@
 
 import argparse
 import json
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
+from typing import NoReturn, cast
 
 import pytest
 
@@ -15,9 +16,9 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
-from protocol.runtime import host
+from protocol.runtime import fleet_host, host
 from protocol.runtime.bus_options import fleet_of
-from protocol.runtime.fleet import Fleet, numbered, read_fleet
+from protocol.runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.options import add_fleet_arguments, add_message_arguments, message_of
 from protocol.runtime.parts import Bounds
@@ -216,6 +217,33 @@ def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_
     with hosts.running("x20"):
         hosts.wait(lambda: hosts.delivered("one"))
     assert hosts.status("two") is None
+
+
+@pytest.mark.slow
+def test_a_loop_that_could_not_be_opened_has_not_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(loop: FleetLoop, _number: int) -> NoReturn:
+        raise UsageError(f"{loop.id} is not to be had")
+
+    monkeypatch.setattr(fleet_host, "freeze_startup", lambda: None)
+    path = tmp_path / "fleet.toml"
+    path.write_text(ONE)
+    stopping, buses = threading.Event(), (MemoryBus(MemoryHub()), MemoryBus(MemoryHub()))
+    rest = (Fleet.of_file(path), refuse, *buses, stopping, logging.getLogger("refused"))
+    thread = threading.Thread(target=fleet_host.run_fleet, args=rest)
+    with caplog.at_level(logging.INFO):
+        thread.start()
+        path.write_text(ONE + TWO)
+        until = time.monotonic() + 60
+        while "two is not to be had" not in caplog.text and time.monotonic() < until:
+            time.sleep(0.05)
+        stopping.set()
+        thread.join()
+    assert "loop one: one is not to be had" in caplog.text
+    assert "loop two: two is not to be had" in caplog.text
+    assert "0 of 1 loops run" in caplog.text
+    assert "joined" not in caplog.text
 
 
 class Slow:

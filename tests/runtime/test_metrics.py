@@ -79,7 +79,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
     assert samples["wyner_keys_bits_held_total" + other] == 0
 
 
-@pytest.mark.parametrize("address", ["", "9100", "127.0.0.1:x", "127.0.0.1:70000"])
+@pytest.mark.parametrize("address", ["", "9100", "127.0.0.1:x", "127.0.0.1:²", "127.0.0.1:70000"])
 def test_an_address_that_is_none_is_told(address: str) -> None:
     with pytest.raises(UsageError, match="expected HOST:PORT"), served(address, {}):
         pass

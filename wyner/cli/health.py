@@ -86,7 +86,7 @@ def takes_connections(endpoint: str, within_s: float) -> None:
     """
     address = endpoint.partition("/")[2].partition("#")[0]
     host, _, port = address.rpartition(":")
-    if not host or not port.isdigit():
+    if not host or not port.isdecimal():
         raise UsageError(f"--endpoint: got {endpoint!r}, expected PROTOCOL/HOST:PORT")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=within_s).close()

@@ -54,6 +54,6 @@ def host_port(option: str, text: str) -> tuple[str, int]:
     UsageError
     """
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise UsageError(f"{option}: got {text!r}, expected HOST:PORT")
     return host.strip("[]"), int(port)
