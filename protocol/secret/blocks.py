@@ -17,6 +17,7 @@ from typing import Final, Literal, NamedTuple
 
 from protocol.secret.bound import Assumption, least
 from protocol.secret.nonces import Raw
+from protocol.secret.records import block_name
 
 LARGEST: Final = 16384
 """Transitions of a block: two nonces of each and the rows fit the field."""
@@ -136,11 +137,11 @@ class Closed(NamedTuple):
     @property
     def name(self) -> str:
         """SESSION/NUMBER, the block's name in ids and ledgers."""
-        return f"{self.session}/{self.number}"
+        return block_name(self.session, self.number)
 
     def message(self) -> bytes:
         """Everything that the two ends must agree on, as bytes that say it in one way only."""
-        head = f"{self.session}/{self.number}/{self.transitions}/{self.steps}/{self.pattern}/"
+        head = f"{self.name}/{self.transitions}/{self.steps}/{self.pattern}/"
         return head.encode() + b"".join(self.nonces)
 
 
@@ -149,7 +150,7 @@ class OpenBlock:
 
     def __init__(self, assumption: Assumption) -> None:
         self._assumption = assumption
-        self._transitions = self._steps = 0
+        self._steps = 0
         self._nonces: list[bytes] = []
         self._pattern: list[str] = []
 
@@ -161,12 +162,11 @@ class OpenBlock:
         if counts & 2 and raw.measurement is not None:
             self._nonces.append(raw.measurement)
         self._pattern.append(str(counts))
-        self._transitions += 1
         self._steps += raw.steps
 
     def close(self, session: str, number: int, last: int) -> Closed:
         """The block ``number`` once the row of transition ``last`` has been taken."""
-        n, steps, counted = self._transitions, self._steps, len(self._nonces)
+        n, steps, counted = len(self._pattern), self._steps, len(self._nonces)
         return Closed(
             session,
             number,

@@ -23,32 +23,8 @@ NONCE_BITS: Final = 8 * NONCE_BYTES
 Directions = Literal["both", "offers", "measurements"]
 
 
-def tail(n: int, e: float, m: int) -> float:
-    """P[Bin(n, e) < m].
-
-    Parameters
-    ----------
-    n : int
-        Trials.
-    e : float
-        Probability of one, in [0, 1].
-    m : int
-
-    Returns
-    -------
-    float
-        To some 1e-11, relative.
-    """
-    if m <= 0:
-        return 0.0
-    if m > n:
-        return 1.0
-    if e in (0.0, 1.0):
-        return 1.0 - e
-    return min(1.0, math.fsum(_term(n, e, k) for k in range(m)))
-
-
 def _term(n: int, e: float, k: int) -> float:
+    """P[Bin(n, e) = k], to some 1e-11, relative."""
     choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
     return math.exp(choices + k * math.log(e) + (n - k) * math.log1p(-e))
 

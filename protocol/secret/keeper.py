@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from protocol.secret.blocks import NO_PAD, Closed, Judgement, Stored
 from protocol.secret.ledger import Authentication, pads_of
-from protocol.secret.records import BlockRow, Side, StoreError
+from protocol.secret.records import BlockRow, Side, StoreError, block_name
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Broken, Done, Judged, Task
 
@@ -85,12 +85,12 @@ class Keeper:
 
     def judge(self, session: str, judgement: Judgement) -> None:
         """Confirm a block or erase it, as the partner's word has it."""
-        name = f"{session}/{judgement.number}"
         if judgement.what == "unequal":
             self.store.drop(session, judgement.number)
             return
         self.store.confirm(session, judgement.number)
         if self.authentication is not None:
+            name = block_name(session, judgement.number)
             if judgement.pad != NO_PAD:
                 self.authentication.spend(name, judgement.pad)
             self.authentication.settle(name)

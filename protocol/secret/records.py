@@ -107,6 +107,11 @@ class PadCounts(NamedTuple):
     left: int
 
 
+def block_name(session: str, number: int) -> str:
+    """The name of a block in ids and ledgers."""
+    return f"{session}/{number}"
+
+
 def key_id(session: str, number: int, row: int) -> str:
     """The id of row ``row`` of a block, the same at both ends."""
-    return str(uuid.uuid5(NAMESPACE, f"{session}/{number}/{row}"))
+    return str(uuid.uuid5(NAMESPACE, f"{block_name(session, number)}/{row}"))

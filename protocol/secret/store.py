@@ -33,6 +33,7 @@ from protocol.secret.records import (
     StoreError,
     TooFewKeys,
     UnknownKeys,
+    block_name,
     key_id,
 )
 from protocol.secret.store_file import StoreFile, check_of
@@ -135,7 +136,7 @@ class KeyStore(StoreFile):
                 "INSERT INTO key VALUES (NULL, ?, ?, ?, ?, 'stored', ?, ?, NULL, NULL)",
                 ((row[0], place, *row[1:], check_of(*row)) for row in rows),
             )
-            origin = f"{block.session}/{block.number}"
+            origin = block_name(block.session, block.number)
             db.executemany(
                 "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', NULL, ?, ?)",
                 ((side, origin, body, check_of(side, origin, body)) for side, body in pads),
@@ -173,7 +174,7 @@ class KeyStore(StoreFile):
             self._change(db, session, number, "confirmed")
             db.execute(
                 "UPDATE pad SET state = 'ready' WHERE origin = ? AND state = 'held'",
-                (f"{session}/{number}",),
+                (block_name(session, number),),
             )
 
     def drop(self, session: str, number: int) -> None:
@@ -183,7 +184,7 @@ class KeyStore(StoreFile):
             db.execute(
                 "UPDATE pad SET state = 'spent', body = NULL, check_ = NULL "
                 "WHERE origin = ? AND state = 'held'",
-                (f"{session}/{number}",),
+                (block_name(session, number),),
             )
 
     @staticmethod

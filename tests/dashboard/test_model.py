@@ -37,6 +37,7 @@ from wyner.dashboard.score import (
     wilson_lower,
 )
 from wyner.dashboard.source import BusSource
+from wyner.scoring.statistics import wilson
 
 
 @cache
@@ -261,6 +262,8 @@ def test_too_few_steps_quote_no_probability() -> None:
 def test_wilson_lower_end_is_below_the_share_and_tightens(a: int, b: int) -> None:
     right, scored = min(a, b), max(a, b)
     low = wilson_lower(right, scored)
+    if scored:
+        assert low == pytest.approx(wilson(right, scored).low, rel=1e-4, abs=1e-12)
     assert 0 <= low <= (right / scored if scored else 0)
     if right:
         assert wilson_lower(right * 10, scored * 10) > low
