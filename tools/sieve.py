@@ -24,6 +24,8 @@ from typing import Any, Final
 
 import pytest
 
+from protocol.runtime.processor_time import used_s
+
 ARGUMENTS: Final = (
     "-q",
     "-s",
@@ -37,7 +39,10 @@ ARGUMENTS: Final = (
 )
 MEMORY: Final = 4 << 30
 WAIT_S: Final = 120.0
-"""Of sleeping, for a mutant that waits for what never comes."""
+"""For a mutant that waits for what never comes: it and all that it started stand still so long."""
+
+LOOK_S: Final = 1.0
+"""How often it is looked whether they do."""
 
 UNTOLD: Final = 200
 """Exit code of a fork in which a mutant died, where the number of the test is not told."""
@@ -174,20 +179,29 @@ class Sieve:
                     code = 0
             finally:
                 os._exit(code)
-        waited, nap = 0.0, 0.002
-        while waited < WAIT_S:
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                code = os.waitstatus_to_exitcode(status)
-                fate = (
-                    "survived" if code == 0 else "timeout" if code == -signal.SIGPROF else "killed"
-                )
-                return fate, items[code - 1] if 0 < code < UNTOLD else None
-            time.sleep(nap)
-            waited, nap = waited + nap, min(0.02, nap * 1.5)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        return "timeout", None
+        ended = waited_for(child)
+        if ended is None:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return "timeout", None
+        fate = "survived" if ended == 0 else "timeout" if ended == -signal.SIGPROF else "killed"
+        return fate, items[ended - 1] if 0 < ended < UNTOLD else None
+
+
+def waited_for(child: int) -> int | None:
+    """The exit code of a process; None once it has stood still for `WAIT_S`, and lives."""
+    waited, nap, looked, used = 0.0, 0.002, 0.0, 0.0
+    while waited < WAIT_S:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(nap)
+        waited, nap = waited + nap, min(0.02, nap * 1.5)
+        if waited - looked >= LOOK_S:
+            now = used_s()
+            waited, looked = (0.0, 0.0) if now > used else (waited, waited)
+            used = now
+    return None
 
 
 def afforded(items: list[pytest.Item], cost: Mapping[pytest.Item, float]) -> list[pytest.Item]:

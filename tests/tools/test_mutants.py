@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tools import sieve
 from tools.mutants import ROOMS, Mutant, drawn, fates, generate, told
 from tools.sieve import AFFORDED_S, afforded
 
@@ -57,6 +59,23 @@ def test_a_mutant_is_judged_by_the_quickest_that_its_budget_is_enough_for() -> N
     cost: dict[Any, float] = {"a": AFFORDED_S / 2, "b": 0.0, "c": AFFORDED_S / 4, "d": AFFORDED_S}
     judges: list[Any] = afforded(list(cost), cost)
     assert judges == ["b", "c", "a"]
+
+
+@pytest.mark.slow
+def test_who_works_is_waited_for_and_who_stands_still_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a busy machine a second of work takes minutes."""
+    monkeypatch.setattr(sieve, "WAIT_S", 2.0)
+    monkeypatch.setattr(sieve, "LOOK_S", 0.3)
+    work = "import time\nwhile time.process_time() < 4: pass\nraise SystemExit(3)"
+    for code, expected in ((work, 3), ("import time; time.sleep(1000)", None)):
+        command = [sys.executable, "-c", code]
+        child = os.posix_spawn(sys.executable, command, os.environ)
+        assert sieve.waited_for(child) == expected
+        if expected is None:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
 
 
 SOURCE = """
