@@ -168,7 +168,7 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
 
 
 def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
-    behind = reader.behind_bytes
+    behind = reader.behind_steps
     for listener in listeners.listeners:
         if last:
             listeners.review(listener)

@@ -264,7 +264,7 @@ class TapService:
             belief = listener.belief()
             record = belief_record(self._listeners.session, listener, belief, last=last)
             self._records[listener.name] = record
-            counts = self._counts() | {"behind": len(self._queue)}
+            counts = self._counts() | {"behind": self._behind()}
             statuses.append(status_of(listener, belief, counts))
         for report in () if self._heavy is None else self._heavy.reports():
             self._note(*report)
@@ -276,9 +276,13 @@ class TapService:
             for status in statuses:
                 self._put(status.wire())
 
+    def _behind(self) -> int:
+        """Steps, of two messages each, that the light eavesdroppers have not heard yet."""
+        return -(-len(self._queue) // 2)
+
     def _health(self) -> str:
         """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
-        behind = max(len(self._queue), *(s.behind for s in self._heavy_status.values()), 0)
+        behind = max(self._behind(), *(s.behind for s in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
         return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"

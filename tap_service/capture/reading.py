@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from math import ceil
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +25,9 @@ class CaptureError(Exception):
 
 
 END_BEGINS: Final = b'{"event":"end",'
+
+MESSAGE_BYTES: Final = 250
+"""What a message's line takes, until one was given out."""
 
 SETTINGS: Final = ("loop", "knowledge", "view")
 """What the messages of a capture mean depends on: all its parts' headers must agree on it."""
@@ -62,6 +66,8 @@ class CaptureReader:
     _part: LineReader = field(init=False)
     _lines: deque[bytes] = field(init=False, default_factory=deque)
     _headed: bool | None = field(init=False, default=None)  # None: its first line was not read yet
+    _given: int = field(init=False, default=0)
+    _given_bytes: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         if self.path.is_dir():
@@ -96,10 +102,19 @@ class CaptureReader:
                 behind += max(_size_of(path) - read, 0)
         return behind
 
+    @property
+    def behind_steps(self) -> int:
+        """About how many steps that is: two messages each, as long as those given out were."""
+        mean = self._given_bytes / self._given if self._given else MESSAGE_BYTES
+        return ceil(self.behind_bytes / (2 * mean))
+
     def records(self) -> Iterator[tuple[int, FieldMessage]]:
         """The messages that are there and were not given out yet: time (ns) and message."""
         while self._lines or self._read_on():
-            record = self._decode(self._lines.popleft())
+            line = self._lines.popleft()
+            self._given += 1
+            self._given_bytes += len(line) + 1
+            record = self._decode(line)
             if record is not None:
                 yield record
 

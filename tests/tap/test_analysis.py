@@ -90,6 +90,7 @@ def status_when_caught_up(pipe: Connection) -> TapStatus:
     while True:
         assert pipe.poll(20.0)
         status: TapStatus = pipe.recv()[0]
+        assert status.behind < 1000  # about 300 steps, and no bytes
         if status.behind == 0:
             return status
 

@@ -323,6 +323,20 @@ def test_reading_follows_a_capture_that_grows_and_rotates(tmp_path: Path) -> Non
     assert len(parts_of(tmp_path / CAPTURE)) > 3
 
 
+def test_what_is_not_read_yet_is_told_in_steps_of_two_messages(tmp_path: Path) -> None:
+    log = RotatingLog(
+        tmp_path / CAPTURE, {}, Limits(part_bytes=10**6, total_bytes=10**7, free_bytes=0), LOG
+    )
+    for k in range(400):
+        log.write(line_of(measurement(k)))
+    log.close()
+    reader = CaptureReader(tmp_path)
+    told = [reader.behind_steps for _ in of_the_loop(reader)]
+    for read_so_far in (100, 200, 300):
+        assert told[read_so_far - 1] == pytest.approx((400 - read_so_far) / 2, rel=0.05)
+    assert reader.behind_steps == 0
+
+
 @pytest.mark.parametrize("part_bytes", [2048, 10**6])
 @pytest.mark.parametrize("keep", [0, 3000])
 def test_skipping_ahead_counts_every_line_that_it_leaves_out(
