@@ -6,13 +6,16 @@
 import io
 import os
 import re
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
@@ -522,6 +525,38 @@ def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
     for line in screen(board, 100, 40, PLAIN, board.plant_seen_ns):
         assert cell_len(line.plain) == 100
         assert all(c.isprintable() for c in line.plain)
+
+
+@pytest.mark.parametrize("keys_made", [0, 3])
+def test_no_text_of_any_status_moves_a_cursor(keys_made: int) -> None:
+    board = with_plant(board_after(700), keys_made=keys_made)
+    assert board.model is not None
+    board = replace(board, model=board.model.model_copy(update={"keys_claim": "a claim"}))
+    tap = board.taps["list-decoder"]
+    board = replace(board, taps={"list-decoder": tap})
+    boards = [
+        replace(board, **{part: said})
+        for part in ("model", "plant", "controller")
+        for said in hostile(getattr(board, part))
+    ] + [replace(board, taps={s.name: replace(tap, status=s)}) for s in hostile(tap.status)]
+    assert len(boards) > 12
+    for told in boards:
+        (name,) = told.taps
+        for wishes in (PLAIN, Wishes(detail=True), Wishes(detail=True, tap=name)):
+            for size in ((80, 24), (200, 60)):
+                for line in screen(told, *size, wishes, told.plant_seen_ns):
+                    assert line.plain.isprintable(), line.plain
+
+
+def hostile(status: Any) -> list[Any]:
+    """The status with each of its texts replaced, as far as it is let in so."""
+    found = []
+    for name, known in type(status).model_fields.items():
+        if known.annotation is str:
+            with suppress(ValidationError):
+                fields = {**status.model_dump(), name: "\x1b[31m\u202e"}
+                found.append(type(status).model_validate(fields))
+    return found
 
 
 def test_the_strongest_taps_name_moves_no_cursor_in_the_verdict() -> None:

@@ -70,9 +70,9 @@ def distilled(board: Board, width: int) -> list[Text]:
     if plant is None or model is None or not (model.keys_claim or plant.keys_refused):
         return []
     room = width - LABEL - 1
-    claim = drawn(model.keys_claim)
-    if plant.keys_refused and not plant.keys_made:
-        told = longest(room, f"none: {plant.keys_refused}", "none")
+    claim, refused = drawn(model.keys_claim), drawn(plant.keys_refused)
+    if refused and not plant.keys_made:
+        told = longest(room, f"none: {refused}", "none")
         return [row("distilled", Text(told, style=STYLES["bad"])), row("assumption", Text(claim))]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
@@ -83,8 +83,8 @@ def distilled(board: Board, width: int) -> list[Text]:
     against = [*contradictions(board)]
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
-    if plant.keys_refused:
-        against.insert(0, f"refused: {plant.keys_refused}")
+    if refused:
+        against.insert(0, f"refused: {refused}")
     if against:
         heads = [text.partition(":")[0] for text in against]
         fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
