@@ -26,7 +26,15 @@ def test_the_figures_stand_there_also_where_a_test_failed(
     }.items():
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(0o755)
-    command = ["make", "coverage", f"BIN={tmp_path}", f"STAMPS={tmp_path}", "-o", f"{tmp_path}/dev"]
+    command = [
+        "make",
+        "--no-print-directory",
+        "coverage",
+        f"BIN={tmp_path}",
+        f"STAMPS={tmp_path}",
+        "-o",
+        f"{tmp_path}/dev",
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     rooms = [line for line in done.stdout.splitlines() if line.endswith(" 90.0 %")]
     assert "protocol/link 90.0 %" in rooms

@@ -111,7 +111,8 @@ def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
                     threads_per_worker=1,
                     dashboard_address=None,
                     host="127.0.0.1",
-                    silence_logs=logging.ERROR,
+                    # A worker whose scheduler ends first writes a traceback as an error.
+                    silence_logs=logging.CRITICAL,
                 )
                 client = distributed.Client(stack.enter_context(cluster))
             finally:
