@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     run_dir = _run_dir(args.run_dir)
     plant, controller = _statuses(run_dir)
     claim = _claim(run_dir)
-    pads = _pads(run_dir)
+    pads, unread = _pads(run_dir)
     now_ns = time.time_ns()
     warnings = [
         *_warnings_of_plant(plant),
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
             if status.phase != "stopped" and now_ns - status.t_ns > OLD_S * 1e9
         ),
     ]
-    warnings += _warnings_of_taps(run_dir)
+    warnings += [*_warnings_of_taps(run_dir), *unread]
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     served = _key_servers(run_dir)
@@ -124,22 +124,28 @@ def _claim(run_dir: Path) -> str:
     return "" if keys is None else keys.assumption().sentence()
 
 
-def _pads(run_dir: Path) -> "dict[Side, dict[Side, dict[str, int]]]":
-    """What each end's ledger says of the pads for each side's tags; without a secret, nothing."""
+def _pads(run_dir: Path) -> "tuple[dict[Side, dict[Side, dict[str, int]]], list[str]]":
+    """What each end's ledger says of the pads for each side's tags, and what cannot be read.
+
+    Without a secret, nothing. The store of an end that was killed while it wrote cannot be read
+    before that end has opened it again.
+    """
     from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
     from protocol.secret.ledger import pad_counts
     from protocol.secret.records import StoreError
 
     stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
     found: dict[Side, dict[Side, dict[str, int]]] = {}
+    unread = []
     for end, path in stores.items():
         try:
             counts = pad_counts(run_dir / path) if (run_dir / path).exists() else {}
         except StoreError as error:
-            raise Failure(str(error)) from None
+            unread.append(str(error))
+            continue
         if counts:
             found[end] = {side: pads._asdict() for side, pads in counts.items()}
-    return found
+    return found, unread
 
 
 def _lines_of_pads(pads: "dict[Side, dict[Side, dict[str, int]]]") -> list[str]:
