@@ -126,6 +126,16 @@ class Composition:
         """``starting``, ``healthy`` or ``unhealthy``."""
         return str(self.inspect(service)["State"]["Health"]["Status"])
 
+    def told(self, service: str) -> str:
+        """A service's state, its health and what its last check said, in a line."""
+        try:
+            state = self.inspect(service)["State"]
+            health = state["Health"]
+            last = health["Log"][-1]["Output"].strip() if health["Log"] else "not checked yet"
+            return f"{service}: {state['Status']}, {health['Status']}: {last}"
+        except (subprocess.CalledProcessError, LookupError) as error:
+            return f"{service}: {error!r}"
+
     def execute(
         self, service: str, *command: str, stdin: str = "", check: bool = True
     ) -> subprocess.CompletedProcess[str]:
@@ -174,8 +184,10 @@ class Composition:
         )  # fmt: skip
 
 
-def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
-    """The condition's first true value; fails when there is none in time."""
+def wait_for(
+    condition: Callable[[], Any], within_s: float, what: str, told: Callable[[], str] = str
+) -> Any:
+    """The condition's first true value; where there is none in time, it fails with what is told."""
     until = time.monotonic() + within_s
     while True:
         try:
@@ -184,7 +196,7 @@ def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
             value = None  # a container that starts or restarts right now
         if value:
             return value
-        assert time.monotonic() < until, f"not within {within_s:g} s: {what}"
+        assert time.monotonic() < until, f"not within {within_s:g} s: {what}\n{told()}"
         time.sleep(0.3)
 
 
@@ -199,6 +211,7 @@ def all_healthy(system: Composition, services: Sequence[str], within_s: float = 
         lambda: {system.health(service) for service in services} == {"healthy"},
         within_s,
         f"{', '.join(services)} healthy",
+        lambda: "\n".join(map(system.told, services)),
     )
 
 

@@ -1,14 +1,9 @@
 """``wyner router``: a Zenoh router for one or several buses, with access control where asked."""
 
 import argparse
-import os
-import re
-import sys
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
 
 from protocol.runtime.process import DONE, RateLimitedLog, UsageError, logger, stop_on_signals
 from protocol.runtime.services import BUSES
@@ -109,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     from protocol.runtime.endpoints import TlsFiles
     from protocol.runtime.zenoh_bus import log_access, open_router
     from wyner.deployment.access import access_control
+    from wyner.deployment.denials import denials_told
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
     check_guards(args.guard, listens, folders)
@@ -133,42 +129,3 @@ def run(args: argparse.Namespace) -> int:
     except TransportError as error:
         raise UsageError(str(error)) from None
     return DONE
-
-
-_DENIED: Final = re.compile(
-    r"CertCommonName\((?P<name>[^)]*)\).* is unauthorized to (?P<what>Put|Delete) \(ingress\) on "
-    r"(?P<key>\S+)"
-)
-
-
-def denied(line: str) -> str:
-    """What a line of Zenoh's log says of a message that was not let in; empty if nothing."""
-    found = _DENIED.search(line)
-    if found is None:
-        return ""
-    return f"denied: {found['name']} may not {found['what'].lower()} on {found['key']}"
-
-
-@contextmanager
-def denials_told(complaints: RateLimitedLog) -> Iterator[None]:
-    """Read Zenoh's log, which it writes to standard output, and tell what was denied."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    reading, writing = os.pipe()
-    os.dup2(writing, 1)
-    os.close(writing)
-
-    def read() -> None:
-        with open(reading, encoding="utf-8", errors="replace") as lines:  # noqa: PTH123
-            for line in lines:
-                if told := denied(line):
-                    complaints.add(told)
-
-    thread = threading.Thread(target=read, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)  # the pipe's last end closes, and the thread ends
-        os.close(kept)
-        thread.join(1.0)
