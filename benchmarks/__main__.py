@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from benchmarks import record
 from protocol.runtime.command import Parser, carry_out, entered
-from protocol.runtime.process import DONE, FAILED, UsageError
+from protocol.runtime.errors import DONE, FAILED, UsageError
 
 
 class Benchmark(NamedTuple):

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
 from protocol.runtime.bus import ChannelClosed
+from protocol.runtime.collection import freeze_startup
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.process import Failure, freeze_startup
+from protocol.runtime.errors import Failure
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
 
@@ -116,7 +117,7 @@ def bare_round(measurement: bytes, offer: bytes, trips: int, way: str) -> float:
 
     Raises
     ------
-    protocol.runtime.process.Failure
+    protocol.runtime.errors.Failure
         When a process fails, or the listener does not hear what passes.
     """
     context = multiprocessing.get_context("spawn")

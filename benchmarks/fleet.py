@@ -19,7 +19,7 @@ from benchmarks.loop import EAVESDROPPERS, ServiceProcess
 from protocol.files import write_atomically
 from protocol.messages import LATENCY_BOUNDS_S
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
 
 SETTLE_S: Final = 3.0

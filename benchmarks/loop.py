@@ -23,7 +23,7 @@ from typing import Any, Final
 from benchmarks.bare import bare_round
 from protocol.messages import Measurement, Offer
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.run_folder import CAPTURE
 
 TARGET_RATIO: Final = 0.65
@@ -173,7 +173,7 @@ def loop_round(scenario: Path, steps: int) -> LoopRound:
 
     Raises
     ------
-    protocol.runtime.process.Failure
+    protocol.runtime.errors.Failure
         When a service fails, or the capture does not show the steps.
     """
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
@@ -248,7 +248,7 @@ def measure(
 
     Raises
     ------
-    protocol.runtime.process.Failure
+    protocol.runtime.errors.Failure
         When a process fails.
     protocol.scenario.ScenarioError
         When the scenario cannot be used.

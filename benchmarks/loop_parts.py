@@ -136,9 +136,9 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from protocol.link.perform import perform
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
+    from protocol.runtime.ids import new_id
     from protocol.runtime.journal import ControllerJournal, PlantJournal
     from protocol.runtime.ports import Files
-    from protocol.runtime.process import new_id
     from protocol.runtime.run_folder import (
         CONTROLLER_JOURNAL,
         CONTROLLER_TRACE,
@@ -212,8 +212,9 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.service import ControllerConfig, ControllerService
     from plant_service.service import PlantConfig, PlantService
+    from protocol.runtime.logs import logger
     from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-    from protocol.runtime.process import Pace, logger
+    from protocol.runtime.pace import Pace
 
     logs = [logger(name) for name in ("plant", "controller")]
     levels = [log.level for log in logs]

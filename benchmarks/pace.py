@@ -44,7 +44,7 @@ def run_at(rate_hz: float, steps: int, scenario: Path = SCENARIO) -> dict[str, A
 
     Raises
     ------
-    protocol.runtime.process.Failure
+    protocol.runtime.errors.Failure
         When a service fails.
     """
     factor = rate_hz * load_scenario(scenario).plant.period_s

@@ -251,7 +251,7 @@ def open_end(
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
     from plant_service.endpoint import PlantEndpoint
-    from protocol.runtime.process import Pace
+    from protocol.runtime.pace import Pace
     from protocol.scenario import parse_scenario
     from protocol.shipped import SCENARIOS
     from protocol.streams import noise

@@ -10,6 +10,7 @@ from protocol.runtime.bus_options import (
     fleet_of,
     loop_of,
 )
+from protocol.runtime.errors import DONE, UsageError
 from protocol.runtime.options import (
     add_message_arguments,
     at_least,
@@ -18,7 +19,6 @@ from protocol.runtime.options import (
     run_dir_of,
 )
 from protocol.runtime.parts import Bounds
-from protocol.runtime.process import DONE, UsageError
 
 if TYPE_CHECKING:
     from controller_service.laws.online import OnlineLaw

@@ -26,7 +26,8 @@ from protocol.messages import (
     SendReply,
     Status,
 )
-from protocol.runtime.process import USAGE, proquint
+from protocol.runtime.errors import USAGE
+from protocol.runtime.ids import proquint
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.tasks import Done
 

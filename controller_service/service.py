@@ -15,16 +15,18 @@ from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.runtime.bus import Bus
 from protocol.runtime.end_service import EndConfig, EndService
+from protocol.runtime.errors import UsageError
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.fleet_host import run_fleet
+from protocol.runtime.ids import new_id, proquint
 from protocol.runtime.journal import ControllerJournal
 from protocol.runtime.journal_files import JournalError
 from protocol.runtime.key_opening import open_keeper, refusal
+from protocol.runtime.logs import logger
 from protocol.runtime.model import load_model
 from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
-from protocol.runtime.process import UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,

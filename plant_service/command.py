@@ -9,6 +9,7 @@ from protocol.runtime.bus_options import (
     fleet_of,
     loop_of,
 )
+from protocol.runtime.errors import DONE, UsageError
 from protocol.runtime.options import (
     at_least,
     checked,
@@ -16,7 +17,6 @@ from protocol.runtime.options import (
     run_dir_of,
 )
 from protocol.runtime.parts import Bounds
-from protocol.runtime.process import DONE, UsageError
 from protocol.runtime.run_folder import PLANT_SAFE
 
 

@@ -30,7 +30,8 @@ from protocol.messages import (
     PlantModel,
     PlantStatus,
 )
-from protocol.runtime.process import DONE, USAGE, proquint
+from protocol.runtime.errors import DONE, USAGE
+from protocol.runtime.ids import proquint
 from protocol.schemes.framing import Frame
 from protocol.secret.tasks import Done
 

@@ -12,8 +12,8 @@ from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.records import ReceiverRecord
+from protocol.runtime.errors import UsageError
 from protocol.runtime.journal import BegunStep, ReceiverStep
-from protocol.runtime.process import UsageError
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource

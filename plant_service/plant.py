@@ -17,7 +17,7 @@ from protocol.link.receiver import Receiver, ReceiverEffects
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource

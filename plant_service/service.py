@@ -16,15 +16,18 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.sealing import OpeningEnd
 from protocol.runtime.bus import Bus
 from protocol.runtime.end_service import EndConfig, EndService
+from protocol.runtime.errors import UsageError
 from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
 from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
 from protocol.runtime.fleet_host import run_fleet
+from protocol.runtime.ids import new_id, proquint
 from protocol.runtime.journal import PlantJournal
 from protocol.runtime.journal_files import JournalError
 from protocol.runtime.key_opening import open_keeper, refusal
+from protocol.runtime.logs import logger
+from protocol.runtime.pace import Pace
 from protocol.runtime.parts import Bounds
 from protocol.runtime.ports import Files
-from protocol.runtime.process import Pace, UsageError, logger, new_id, proquint
 from protocol.runtime.run_folder import (
     PLANT_JOURNAL,
     PLANT_KEYS,

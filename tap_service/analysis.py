@@ -113,7 +113,7 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
 
 def _analyse(assignment: Assignment, pipe: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
-    from protocol.runtime.process import RateLimitedLog, logger
+    from protocol.runtime.logs import RateLimitedLog, logger
 
     complaints = RateLimitedLog(logger("tap.analysis"))
     log = RotatingLog(

@@ -111,7 +111,7 @@ def find_each(names: Iterable[str], find: Callable[[str], object], where: str = 
     UsageError
         With one line for each that ``find`` has not; ``where`` tells where the names stand.
     """
-    from protocol.runtime.process import UsageError
+    from protocol.runtime.errors import UsageError
     from tap_service.eavesdroppers import KnowledgeError
 
     problems = []
@@ -152,7 +152,7 @@ def read_knowledge(path: str) -> "Knowledge":
     from pydantic import ValidationError
 
     from protocol.knowledge import Knowledge
-    from protocol.runtime.process import UsageError
+    from protocol.runtime.errors import UsageError
 
     try:
         text = Path(path).read_bytes()
@@ -199,8 +199,8 @@ def run_told(
 
     from protocol.runtime.bus import TransportError
     from protocol.runtime.bus_options import endpoints_of, fleet_of, loop_of, noted
+    from protocol.runtime.errors import DONE, UsageError
     from protocol.runtime.options import alone_in, checked, run_dir_of
-    from protocol.runtime.process import DONE, UsageError
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names

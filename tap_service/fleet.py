@@ -12,16 +12,12 @@ from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
+from protocol.runtime.collection import freeze_startup
+from protocol.runtime.errors import DONE, Failure, UsageError
 from protocol.runtime.fleet import Fleet, FleetLoop
-from protocol.runtime.process import (
-    DONE,
-    Failure,
-    Throttle,
-    UsageError,
-    freeze_startup,
-    logger,
-    stop_on_signals,
-)
+from protocol.runtime.logs import logger
+from protocol.runtime.rates import Throttle
+from protocol.runtime.signals import stop_on_signals
 from protocol.topics import every_loop
 from tap_service.config import TapConfig
 from tap_service.service import NICENESS, Note, TapService

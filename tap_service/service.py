@@ -19,16 +19,13 @@ from pydantic_core import to_json
 
 from protocol.files import write_status
 from protocol.messages import FIELD, FieldMessage, TapStatus
+from protocol.runtime.collection import freeze_startup
+from protocol.runtime.errors import DONE
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.process import (
-    DONE,
-    RateLimitedLog,
-    Throttle,
-    freeze_startup,
-    logger,
-    stop_on_signals,
-)
+from protocol.runtime.logs import RateLimitedLog, logger
+from protocol.runtime.rates import Throttle
 from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
+from protocol.runtime.signals import stop_on_signals
 from protocol.topics import key_of
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel

@@ -16,7 +16,7 @@ from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
 from protocol.files import write_atomically
 from protocol.link.session import CountedTransition
-from protocol.runtime.process import DONE, USAGE
+from protocol.runtime.errors import DONE, USAGE
 from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
 from wyner.simulate.network import Simulation

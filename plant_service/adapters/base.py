@@ -7,7 +7,7 @@ ends. What most people write is one call, ``step``; :class:`SimulatedPlant` make
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.vectors import Vector
 
 

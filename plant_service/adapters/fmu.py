@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
-from protocol.runtime.process import needs
+from protocol.runtime.errors import needs
 from protocol.vectors import Vector
 
 if TYPE_CHECKING:

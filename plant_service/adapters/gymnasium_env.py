@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
-from protocol.runtime.process import needs
+from protocol.runtime.errors import needs
 from protocol.vectors import Vector
 
 if TYPE_CHECKING:

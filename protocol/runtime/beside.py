@@ -12,7 +12,7 @@ from protocol.link.sealing import End
 from protocol.messages import FIELD, Message
 from protocol.runtime.bus import Bus, TransportError
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.process import RateLimitedLog
+from protocol.runtime.logs import RateLimitedLog
 from protocol.secret.records import StoreError
 from protocol.secret.store import KeyStore
 from protocol.topics import key_of

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from protocol.runtime.process import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from protocol.runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
 from protocol.runtime.services import SERVICES
 from protocol.text import printable
 

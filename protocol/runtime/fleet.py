@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 from protocol.link.endpoint import Endpoint
 from protocol.runtime.bus import Bus
+from protocol.runtime.collection import freeze_startup
+from protocol.runtime.errors import Failure, UsageError
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.host import Host
 from protocol.runtime.ports import Files
-from protocol.runtime.process import Failure, UsageError, freeze_startup
 
 Open = Callable[[FleetLoop, int], tuple[Endpoint, Files]]
 """Opens one end of a loop, the nth of its host, as its journal has it.

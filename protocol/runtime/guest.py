@@ -28,7 +28,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.processor_time import PROCESSOR_S, Meter, processes, used_s
 
 START_S: Final = 20.0

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.services import Look
 

@@ -23,9 +23,9 @@ from protocol.link.perform import perform
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.runtime.bus import Bus, Channel, ChannelClosed
+from protocol.runtime.errors import DONE
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.ports import Files, LoopPorts
-from protocol.runtime.process import DONE
 from protocol.secret.tasks import Done
 from protocol.secret.worker import KeyWorker
 from protocol.topics import every_loop, key_of

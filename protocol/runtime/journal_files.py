@@ -25,7 +25,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.files import make_folder, open_private
 from protocol.link.endpoint import Append, Keep, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
 from protocol.secret.nonces import Raw
 from protocol.secret.store_file import check_of

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Protocol
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.scenario import Scenario
 from protocol.secret.authentication import SecretError
 from protocol.secret.keeper import KeeperAt

@@ -12,7 +12,7 @@ from pydantic_core import from_json
 
 from protocol.messages import LATENCY_BOUNDS_S, ControllerStatus, PlantStatus, TapStatus
 from protocol.runtime.bus import Bus, Channel, Deliver, Publisher
-from protocol.runtime.process import UsageError, needs
+from protocol.runtime.errors import UsageError, needs
 
 if TYPE_CHECKING:
     from prometheus_client import Metric

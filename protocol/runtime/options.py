@@ -13,7 +13,8 @@ from typing import Final, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from protocol.files import PRIVATE_FOLDER, make_folder, open_private
-from protocol.runtime.process import Pace, UsageError
+from protocol.runtime.errors import UsageError
+from protocol.runtime.pace import Pace
 from protocol.schemes.framing import MAX_PAYLOAD
 
 STDIN: Final = "-"

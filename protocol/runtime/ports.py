@@ -12,8 +12,9 @@ from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
 from protocol.messages import Message, PlantStatus, Status
 from protocol.runtime.bus import Publisher
-from protocol.runtime.process import Burst, RateLimitedLog
+from protocol.runtime.logs import RateLimitedLog
 from protocol.runtime.pulse import Pulse, Space
+from protocol.runtime.rates import Burst
 from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import KeeperAt

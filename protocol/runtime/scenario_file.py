@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from protocol.files import write_atomically
+from protocol.runtime.errors import UsageError
 from protocol.runtime.options import unwritable
-from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import SCENARIO
 from protocol.scenario.reading import ScenarioError, load_scenario
 from protocol.scenario.system import Scenario

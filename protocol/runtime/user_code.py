@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 
 
 class UserCodeError(Failure):

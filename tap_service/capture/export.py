@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from protocol.messages import FIELD, FieldMessage, Measurement, Offer, Sealed
+from protocol.runtime.errors import needs
 from protocol.runtime.parts import first_part, parts_of
-from protocol.runtime.process import needs
 from protocol.topics import key_of
 from tap_service.capture.reading import CaptureReader
 

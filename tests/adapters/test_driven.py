@@ -24,8 +24,8 @@ from protocol.link.endpoint import Actions, Append, Keep
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.messages import ControllerHello, Measurement, Offer
+from protocol.runtime.errors import UsageError
 from protocol.runtime.memory_journal import MemoryPlantJournal
-from protocol.runtime.process import UsageError
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
 from tests.adapters.plants import Device, PythonLine
@@ -381,7 +381,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
 
     from plant_service.service import PlantConfig, PlantService
     from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-    from protocol.runtime.process import Pace
+    from protocol.runtime.pace import Pace
     from protocol.runtime.run_folder import PLANT_SAFE
 
     scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.bare import bare_round
 from benchmarks.loop import ServiceProcess, measure, render
 from benchmarks.loop_parts import Stopwatch
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.scenario import ScenarioError
 
 ROUNDS = 2

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from benchmarks.check import make_run
 from protocol.files import write_atomically
 from protocol.runtime.command import carry_out
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.runtime.run_folder import (
     BELIEFS,
     CAPTURE,

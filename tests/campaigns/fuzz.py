@@ -19,7 +19,7 @@ from protocol.files import write_atomically
 from protocol.link.perform import perform
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
 from protocol.runtime.inbox import Inbox
-from protocol.runtime.process import logger
+from protocol.runtime.logs import logger
 from tests.campaigns.listeners import LISTENERS, listener
 from tests.campaigns.world import World, quiet
 from tests.support.line_ends import ToldPorts

@@ -10,7 +10,8 @@ from functools import partial
 
 from protocol.messages import Measurement, Offer, Sealed
 from protocol.runtime.bus import TransportError
-from protocol.runtime.process import DONE, stop_on_signals
+from protocol.runtime.errors import DONE
+from protocol.runtime.signals import stop_on_signals
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
 

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.secret.records import Side, StoreError, TooFewKeys, UnknownKeys
 from protocol.secret.store import KeyStore
 from tests.campaigns.resumable import Results, options, seeds

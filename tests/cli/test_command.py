@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.runtime.scenario_file import keep_scenario
 from protocol.runtime.services import BUSES, SERVICES
 from wyner.cli.main import commands, main

@@ -9,7 +9,7 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.process import Pace
+from protocol.runtime.pace import Pace
 from protocol.scenario import Scenario
 from protocol.topics import key_of
 from wyner.dashboard import fleet as fleet_module

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from wyner.deployment.running import (
     RunningLoop,
     announced,

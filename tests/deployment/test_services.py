@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from protocol.runtime.process import Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
@@ -31,7 +31,7 @@ def add_arguments(parser):
     add_endpoint_arguments(parser, "counting")
 
 def run(args):
-    from protocol.runtime.process import stop_on_signals
+    from protocol.runtime.signals import stop_on_signals
     count = 0
     with stop_on_signals() as stopping:
         while not stopping.wait(0.02):

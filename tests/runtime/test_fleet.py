@@ -18,11 +18,12 @@ from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.runtime import fleet_host, host
 from protocol.runtime.bus_options import fleet_of
+from protocol.runtime.errors import DONE, UsageError
 from protocol.runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.options import add_fleet_arguments, add_message_arguments, message_of
+from protocol.runtime.pace import Pace
 from protocol.runtime.parts import Bounds
-from protocol.runtime.process import DONE, Pace, UsageError
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import read_trace
 from protocol.topics import DEFAULT_LOOP

@@ -313,7 +313,7 @@ def imported(statement: str) -> set[Path]:
             (*SOURCES, *TAP_SOURCES),
             {  # they hold a user's eavesdropper; the shipped ones answer themselves
                 "protocol/runtime/guest.py",
-                "protocol/runtime/process.py",
+                "protocol/runtime/errors.py",
                 "protocol/runtime/processor_time.py",
                 "protocol/text.py",
                 "tap_service/guests.py",

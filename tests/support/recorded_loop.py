@@ -20,8 +20,8 @@ from protocol.link.events import Event
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import Sender
 from protocol.messages import FIELD, Message, Offer, SendCommand
+from protocol.runtime.pace import Pace
 from protocol.runtime.ports import Files, LoopPorts
-from protocol.runtime.process import Pace
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from protocol.runtime.trace import TraceWriter, read_trace
 from protocol.secret.keeper import Keeper, work

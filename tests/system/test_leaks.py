@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.runtime.errors import UsageError
 from protocol.runtime.options import message_of
 from protocol.runtime.private_arguments import without_message
-from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,

@@ -34,9 +34,10 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
+from protocol.runtime.errors import DONE, USAGE, Failure, UsageError
 from protocol.runtime.journal import ControllerJournal, PlantJournal
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.process import DONE, USAGE, Failure, Pace, UsageError
+from protocol.runtime.pace import Pace
 from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_STATUS,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.runtime.endpoints import Endpoints
+from protocol.runtime.errors import UsageError
 from protocol.runtime.fleet import Fleet, FleetLoop
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.process import UsageError
 from protocol.runtime.run_folder import CAPTURE
 from protocol.scenario import Scenario
 from protocol.topics import key_of

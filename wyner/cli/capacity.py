@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.process import DONE, Failure, UsageError, needs
+from protocol.runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from controller_service.sets.capacity import Capacity

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, Failure, UsageError
 from protocol.runtime.services import BUSES, SERVICES
 
 

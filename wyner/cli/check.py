@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.process import DONE, FAILED, UsageError
+from protocol.runtime.errors import DONE, FAILED, UsageError
 from protocol.text import printable
 
 if TYPE_CHECKING:

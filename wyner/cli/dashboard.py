@@ -32,7 +32,8 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def run(args: argparse.Namespace) -> int:
     """Watch until q or Ctrl-C."""
     from protocol.runtime.bus import TransportError
-    from protocol.runtime.process import DONE, INTERRUPTED, UsageError, stop_on_signals
+    from protocol.runtime.errors import DONE, INTERRUPTED, UsageError
+    from protocol.runtime.signals import stop_on_signals
     from protocol.runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.fleet import FleetTable, watch

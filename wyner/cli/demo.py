@@ -16,9 +16,10 @@ from typing import Any, Final
 
 from protocol.messages import SealCommand, SealReply
 from protocol.runtime.bus import Bus
+from protocol.runtime.errors import DONE, FAILED, INTERRUPTED
+from protocol.runtime.ids import new_id
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.options import run_dir_of
-from protocol.runtime.process import DONE, FAILED, INTERRUPTED, new_id
 from protocol.secret.sealed import keys_needed
 from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of

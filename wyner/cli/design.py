@@ -4,7 +4,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

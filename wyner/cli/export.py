@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.files import PUBLIC_FILE, replacing
-    from protocol.runtime.process import DONE, Failure, UsageError
+    from protocol.runtime.errors import DONE, Failure, UsageError
     from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.reading import CaptureError, CaptureReader
 
@@ -75,7 +75,7 @@ def _steps(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.files import PUBLIC_FILE, replacing
-    from protocol.runtime.process import DONE, Failure, UsageError, needs
+    from protocol.runtime.errors import DONE, Failure, UsageError, needs
     from tap_service.capture.reading import CaptureError, CaptureReader
     from wyner.scoring.score import ScoreError
     from wyner.scoring.step_table import step_rows, truth_by_step, write_csv, write_parquet

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from protocol.runtime.process import DONE, Failure, UsageError, needs
+from protocol.runtime.errors import DONE, Failure, UsageError, needs
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from protocol.files import write_atomically
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
     from wyner.studies.fit.fitting import Plan

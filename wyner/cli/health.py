@@ -11,7 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, Failure, UsageError
 from protocol.runtime.run_folder import HEALTH, loops_below
 from protocol.runtime.services import SERVICES, Look
 from protocol.text import printable

@@ -6,14 +6,9 @@ import time
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.process import (
-    DONE,
-    RateLimitedLog,
-    UsageError,
-    logger,
-    needs,
-    stop_on_signals,
-)
+from protocol.runtime.errors import DONE, UsageError, needs
+from protocol.runtime.logs import RateLimitedLog, logger
+from protocol.runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
 RATE: Final = 200.0

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from protocol.files import PUBLIC_FILE, write_atomically
-from protocol.runtime.process import DONE, Failure
+from protocol.runtime.errors import DONE, Failure
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.process import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, Failure, UsageError
 
 EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 """A mass that is pushed: A, B and the period where none are given; continuous."""

@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from protocol.runtime.services import CONTROLLER_OPS, SERVICES
 from protocol.topics import DEFAULT_LOOP
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.process import DONE, Failure, UsageError, needs
+from protocol.runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

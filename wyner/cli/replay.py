@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.runtime.process import DONE, UsageError
+    from protocol.runtime.errors import DONE, UsageError
     from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of

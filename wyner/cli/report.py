@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.process import DONE, UsageError, reading
+from protocol.runtime.errors import DONE, UsageError, reading
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

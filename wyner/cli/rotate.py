@@ -9,8 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from protocol.runtime.errors import DONE, UsageError
+from protocol.runtime.logs import logger
 from protocol.runtime.options import add_check_argument
-from protocol.runtime.process import DONE, UsageError, logger, stop_on_signals
+from protocol.runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
 if TYPE_CHECKING:

@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from protocol.runtime.process import DONE, RateLimitedLog, UsageError, logger, stop_on_signals
+from protocol.runtime.errors import DONE, UsageError
+from protocol.runtime.logs import RateLimitedLog, logger
 from protocol.runtime.services import BUSES
+from protocol.runtime.signals import stop_on_signals
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -3,7 +3,7 @@
 import argparse
 import json
 
-from protocol.runtime.process import DONE
+from protocol.runtime.errors import DONE
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

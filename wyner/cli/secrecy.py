@@ -35,7 +35,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
-    from protocol.runtime.process import reading
+    from protocol.runtime.errors import reading
 
     with reading(", ".join(args.run_dirs)):
         return _run(args)
@@ -46,7 +46,7 @@ def _run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.runtime.process import DONE, Failure, UsageError, needs
+    from protocol.runtime.errors import DONE, Failure, UsageError, needs
     from protocol.runtime.run_folder import PLANT_TRACE
     from protocol.runtime.trace import TraceReader
     from tap_service.command import names_of
@@ -131,7 +131,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
 
 
 def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
-    from protocol.runtime.process import UsageError
+    from protocol.runtime.errors import UsageError
     from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError
     from tap_service.eavesdroppers import KnowledgeError

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.process import DONE, UsageError
+from protocol.runtime.errors import DONE, UsageError
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
 from protocol.runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from protocol.runtime.errors import DONE, Failure, UsageError
+from protocol.runtime.ids import new_id
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.options import message_of
-from protocol.runtime.process import DONE, Failure, UsageError, new_id
 from protocol.secret.sealed import keys_needed
 from protocol.topics import key_of
 from wyner.cli.options import add_run_argument, joined

@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from protocol.runtime.errors import DONE, FAILED, Failure, UsageError
 from protocol.runtime.health import look_at_line
-from protocol.runtime.process import DONE, FAILED, Failure, UsageError
 from protocol.text import printable
 
 if TYPE_CHECKING:

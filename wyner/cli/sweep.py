@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
+from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
 from wyner.shipped import SWEEPS
 
 if TYPE_CHECKING:

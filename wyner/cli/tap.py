@@ -2,7 +2,7 @@
 
 import argparse
 
-from protocol.runtime.process import UsageError
+from protocol.runtime.errors import UsageError
 from tap_service.command import ToldKnowledge, add_options, run_told, told_by
 
 

@@ -5,7 +5,7 @@ import base64
 import json
 from pathlib import Path
 
-from protocol.runtime.process import DONE, UsageError, reading
+from protocol.runtime.errors import DONE, UsageError, reading
 from protocol.runtime.run_folder import PLANT_KEYS
 from protocol.text import readable
 

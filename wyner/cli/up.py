@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from protocol.files import write_atomically
 from protocol.messages import ControllerStatus, PlantStatus
+from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
-from protocol.runtime.process import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Final
 
 from protocol.files import make_folder, open_private, replacing
-from protocol.runtime.process import STOP_WITH_STDIN, Failure
+from protocol.runtime.errors import Failure
 from protocol.runtime.services import SERVICES
+from protocol.runtime.signals import STOP_WITH_STDIN
 
 RESTART_S: Final = 0.2
 """Seconds before a killed service is started again."""

@@ -1,0 +1,49 @@
+"""How a program ends: exit codes, and errors that are one line."""
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final
+
+DONE: Final = 0
+FAILED: Final = 1
+USAGE: Final = 2
+INTERRUPTED: Final = 130
+
+
+class UsageError(Exception):
+    """Bad usage or configuration, exit code 2; ``lines`` has one line for each wrong field."""
+
+    def __init__(self, lines: Sequence[str] | str) -> None:
+        self.lines = (lines,) if isinstance(lines, str) else tuple(lines)
+        super().__init__("\n".join(self.lines))
+
+
+class Failure(Exception):
+    """Something that was asked for could not be done, exit code 1; the text is one line."""
+
+
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Where a file's fields are taken as their writer left them: one that is otherwise is one line.
+
+    Set ``WYNER_TRACEBACK=1`` to see what it was.
+
+    Raises
+    ------
+    UsageError
+        In place of what a missing, malformed or senseless field raises.
+    """
+    try:
+        yield
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        if os.environ.get("WYNER_TRACEBACK"):
+            raise
+        why = f"{type(error).__name__}: {error}".split("\n")[0]
+        raise UsageError(f"{what}: not as this program writes it ({why})") from None
+
+
+def needs(what: str, package: str) -> str:
+    """One line: ``what`` asks for a package that is not there, and how this very Python gets it."""
+    return f"{what}: needs {package}: {sys.executable} -m pip install {package}"

@@ -1,0 +1,50 @@
+"""The log of a program, and lines of it that are not let to become a flood."""
+
+import logging
+import sys
+import time
+
+from protocol.runtime.rates import Throttle
+from protocol.text import printable
+
+
+class _Printable(logging.Formatter):
+    """A line stays a line, and no terminal obeys it: what a message holds may be a stranger's."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record with everything unprintable as a dot; a traceback keeps its lines."""
+        return "\n".join(map(printable, super().format(record).splitlines()))
+
+
+def logger(service: str) -> logging.Logger:
+    """The log of a program: lines on standard error with the time and the program's name."""
+    log = logging.getLogger(service)
+    if not log.handlers:
+        handler = logging.StreamHandler(sys.stderr)
+        formatter = _Printable("%(asctime)s %(name)s %(levelname)s %(message)s")
+        formatter.default_msec_format = "%s.%03d"
+        handler.setFormatter(formatter)
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        log.propagate = False
+    return log
+
+
+class RateLimitedLog:
+    """Counts what goes wrong and logs it once a second at most, with the count since."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self.total = 0
+        self._log = log
+        self._silent = 0
+        self._throttle = Throttle(1.0)
+
+    def add(self, text: str) -> None:
+        """Count one more, and log it unless one was logged within the last second."""
+        self.total += 1
+        if self._throttle.ready(time.monotonic()):
+            more = f" (and {self._silent} more since the last such line)" if self._silent else ""
+            self._log.warning("%s%s", text, more)
+            self._silent = 0
+        else:
+            self._silent += 1

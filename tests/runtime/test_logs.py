@@ -1,0 +1,42 @@
+"""A log, and what is written to it once a second at most."""
+
+import logging
+import time
+
+import pytest
+
+from protocol.runtime.logs import RateLimitedLog, logger
+from protocol.runtime.rates import Throttle
+
+
+def test_a_throttle_opens_once_a_period() -> None:
+    throttle = Throttle(1.0)
+    assert [t for t in (0.0, 0.5, 0.999, 1.0, 1.5, 3.0, 3.9, 4.0) if throttle.ready(t)] == [
+        0.0,
+        1.0,
+        3.0,
+        4.0,
+    ]
+
+
+def test_complaints_are_counted_and_logged_once_a_second(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    log = logging.getLogger("test-complaints")
+    complaints = RateLimitedLog(log)
+    for i in range(1000):
+        complaints.add(f"offer {i}: garbage")
+    now = 101.0
+    complaints.add("offer 1000: garbage")
+    assert complaints.total == 1001
+    assert [r.message for r in caplog.records] == [
+        "offer 0: garbage",
+        "offer 1000: garbage (and 999 more since the last such line)",
+    ]
+
+
+def test_a_log_is_made_once() -> None:
+    assert logger("test-log") is logger("test-log")
+    assert len(logger("test-log").handlers) == 1

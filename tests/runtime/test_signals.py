@@ -1,0 +1,89 @@
+"""A program stops when it is told to, in each of the ways."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from protocol.runtime.signals import stop_on_signals
+
+
+def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), stop_on_signals() as stopping:
+        assert not stopping.is_set()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stopping.wait(5)
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+STOPS = """
+import sys
+from protocol.runtime.signals import stop_on_signals
+with stop_on_signals() as stopping:
+    print("ready", flush=True)
+    print("stopped" if stopping.wait({wait}) else "still running", flush=True)
+"""
+
+
+def stopping_child(wait: float, **environment: str) -> "subprocess.Popen[str]":
+    child = subprocess.Popen(
+        [sys.executable, "-c", STOPS.format(wait=wait)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+def test_a_service_stops_when_its_standard_input_ends() -> None:
+    with stopping_child(20, WYNER_STOP_WITH_STDIN="1") as child:
+        assert child.communicate(timeout=15)[0] == "stopped\n"
+
+
+def test_without_the_variable_standard_input_does_not_matter() -> None:
+    with stopping_child(0.3, WYNER_STOP_WITH_STDIN="") as child:
+        assert child.communicate(timeout=15)[0] == "still running\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
+    with stopping_child(20) as child:
+        child.send_signal(number)
+        assert child.communicate(timeout=15)[0] == "stopped\n"
+        assert child.returncode == 0
+
+
+HANDED_TO_ANOTHER_THREAD = """
+import os, signal, threading
+from protocol.runtime.signals import stop_on_signals
+with stop_on_signals() as stopping:
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])  # the other thread takes it
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    stopping.wait()
+"""
+
+
+def test_a_signal_that_another_thread_takes_ends_the_wait() -> None:
+    command = [sys.executable, "-c", HANDED_TO_ANOTHER_THREAD]
+    assert subprocess.run(command, timeout=20, check=False).returncode == 0
+
+
+def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
+    with stop_on_signals() as stopping:
+        began = time.monotonic()
+        assert not stopping.wait(0.05)
+        assert 0.05 <= time.monotonic() - began < 5.0
+        threading.Timer(0.01, stopping.set).start()
+        assert stopping.wait()
+        assert stopping.wait(0.0)
