@@ -28,9 +28,8 @@ from wyner.cli.up import Errand, Outcome, conduct
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 SEALED: Final = "The old mill, at nine."
 PACE: Final = "x4"
-"""Fast enough for a minute in all, slow enough to be read."""
+"""Fast enough for a minute in all, slow enough to be read and for a machine with other work."""
 
-KEYS_PACE: Final = "x10"
 REPEAT_S: Final = 0.2
 
 TITLES: Final = {"spoken": "1/3 spoken", "sealed": "2/3 sealed", "control": "3/3 control"}
@@ -80,9 +79,7 @@ def run(args: argparse.Namespace) -> int:
     return DONE if good else FAILED
 
 
-def _options(
-    args: argparse.Namespace, scenario: str, folder: Path, pace: str
-) -> argparse.Namespace:
+def _options(args: argparse.Namespace, scenario: str, folder: Path) -> argparse.Namespace:
     """The options of ``wyner up`` for one of the runs."""
     if not args.json:
         print(f"{TITLES[folder.name]}: {ABOUT[folder.name]}", file=sys.stderr, flush=True)
@@ -90,7 +87,7 @@ def _options(
         scenario=scenario,
         message=SPOKEN,
         message_file=None,
-        pace=pace,
+        pace=PACE,
         steps=MOST_STEPS,
         until_delivered=True,
         eavesdropper=None,
@@ -108,7 +105,7 @@ Act = tuple[Outcome, str, bool]
 
 def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
-    options = _options(args, "packed", folder, PACE)
+    options = _options(args, "packed", folder)
     options.secret = False
     outcome = conduct(options, stays=False, title=TITLES["spoken"])
     summary = outcome.summary
@@ -132,7 +129,7 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
         errands.append(SealedMessage(ops, payload))
         return errands[0]
 
-    options = _options(args, "keys", folder, KEYS_PACE)
+    options = _options(args, "keys", folder)
     outcome = conduct(options, begin, stays=False, title=TITLES["sealed"])
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
@@ -141,7 +138,8 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     line = (
         f"2. Sealed:  {told}. A tap that loses 30 % holds {held} bits."
         if sent
-        else f"2. Sealed:  the message did not reach the plant ({made} keys made)."
+        else f"2. Sealed:  not delivered: {made} keys made, {outcome.summary['missed']} of "
+        f"{outcome.summary['steps']} steps missed."
     )
     return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
 
@@ -159,12 +157,12 @@ def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> A
         made = keys.get("made", 0)
         if made:
             return f"3. Control: {made} keys beside a tap that hears all: that must not be."
-        return "3. Control: beside a tap that hears all nothing is claimed, and no key is made."
+        return "3. Control: beside a tap that hears all no key is made, and none is claimed."
 
     with tempfile.TemporaryDirectory() as where:
         scenario = Path(where) / "wired-tap.toml"
         scenario.write_text(text, encoding="utf-8")
-        options = _options(args, str(scenario), folder, PACE)
+        options = _options(args, str(scenario), folder)
         outcome = conduct(
             options,
             closing=lambda summary: [*before, line_of(summary)],

@@ -115,7 +115,7 @@ def conduct(
     args : argparse.Namespace
         The command's options.
     errand : callable, optional
-        Takes the ops bus; the run is not over before what it gives is.
+        Takes the ops bus; the run is not over before what it gives is, or the plant has ended.
     closing : callable, optional
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
@@ -174,16 +174,12 @@ def conduct(
             ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(ops, intel_bus, DEFAULT_LOOP)
-            done: Errand = (lambda: True) if errand is None else errand(ops)
-
-            def over() -> bool:
-                finished = done()  # asked each time: it goes on while it is asked
-                return watching.over() and finished
-
+            if errand is not None:
+                watching.errand = errand(ops)
             if screen:
                 ending = run_dashboard(
                     source,
-                    until=over,
+                    until=watching.over,
                     run_dir=run_dir,
                     story=args.story,
                     conclude=conclude if stays else None,
@@ -191,7 +187,7 @@ def conduct(
                 )
             else:
                 out = sys.stderr if args.json else sys.stdout
-                ending = run_headless(source, until=over, out=out, story=args.story)
+                ending = run_headless(source, until=watching.over, out=out, story=args.story)
     except Failure as error:
         failure = error
     except KeyboardInterrupt:
@@ -254,6 +250,7 @@ class _Progress:
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
+        self.errand: Errand = lambda: True
         self._received = 0
         self._delivered = 0
         self._waiting = True
@@ -282,7 +279,8 @@ class _Progress:
         self._supervisor.poll()
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
+        done = self.errand()  # asked each time: it goes on while it is asked
         arrived = 0 < self._delivered <= self._received and not self._waiting
-        if self._over_at is None and (ended or (arrived and self._until_delivered)):
+        if self._over_at is None and (ended or (self._until_delivered and arrived and done)):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at
