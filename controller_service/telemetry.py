@@ -38,6 +38,7 @@ class ControllerTelemetry:
         self._keys_refused = keys_refused
         self._law = law
         self._sending = Shown()
+        self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
         self._seq = 0
 
     def status(self, sender: Sender, messages: Messages, garbage: int) -> ControllerStatus:
@@ -45,7 +46,9 @@ class ControllerTelemetry:
         record = sender.record
         idle = record.message >= messages.queued
         shown = min(record.message, messages.queued - 1)
-        payload = messages.payload(shown) if shown >= 0 else None
+        if shown != self._shown[0]:
+            self._shown = shown, messages.payload(shown)
+        payload = self._shown[1]
         length = 0 if payload is None else frame_length(len(payload), sender.rules.size)
         try:
             set_index = self._law.index(record.x) if record.x else -1

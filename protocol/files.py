@@ -11,7 +11,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -136,46 +136,52 @@ READ_S: Final = 0.5
 """How long a reader may take from opening a status to having read it."""
 
 
-def write_status(path: Path, data: bytes) -> None:
-    """Replace a file that is written again and again, whole for every reader, without the disk.
+class StatusFile:
+    """A file that is written again and again, whole for every reader, without the disk.
 
     It is written beside ``path``, over the status before last, and the two exchange names. Renaming
     over a file makes ext4 write the new one out first (1 ms in the median, 5 ms at times), and
     making and removing one each time took 0.1 to 0.7 ms of processor time; this takes 0.03.
-    One that stood there within :data:`READ_S` may still be read, and is left alone.
+    One that stood there within :data:`READ_S` may still be read, and is left alone. What is the
+    same as before is not written again: the file's time says when it was said last.
     What a power cut would leave of a status matters to nobody.
-
-    Raises
-    ------
-    NotRegular
-        When something else stands there; it is left as it is.
-    OSError
-        Also when there is no room.
     """
-    refuse_irregular(path)
-    spare = path.with_name(f".spare-{path.name}")
-    if _young(spare):
-        spare.unlink()
-    file = open_private(spare, os.O_WRONLY | os.O_CREAT)
-    try:
-        if os.write(file, data) < len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.ftruncate(file, len(data))
-    except OSError as error:  # what is done to a file that is open does not name it
-        raise OSError(error.errno, error.strerror, str(path)) from None
-    finally:
-        os.close(file)
-    if not _exchange(spare, path):  # nothing there yet, or a file system that cannot
-        spare.replace(path)
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._spare = path.with_name(f".spare-{path.name}")
+        self._there = b""
+        self._exchanged_s = time.monotonic()  # whatever is there may be read right now
 
-def _young(spare: Path) -> bool:
-    """Whether somebody may still read what stood in a status's place until just now."""
-    try:
-        exchanged_s = spare.stat(follow_symlinks=False).st_ctime
-    except FileNotFoundError:
-        return False
-    return time.time() - exchanged_s < READ_S
+    def write(self, data: bytes) -> None:
+        """Replace the file.
+
+        Raises
+        ------
+        NotRegular
+            When something else stands there; it is left as it is.
+        OSError
+            Also when there is no room.
+        """
+        refuse_irregular(self._path)
+        if data == self._there:
+            with suppress(FileNotFoundError):
+                os.utime(self._path, follow_symlinks=False)
+                return
+        if time.monotonic() - self._exchanged_s < READ_S:
+            self._spare.unlink(missing_ok=True)
+        file = open_private(self._spare, os.O_WRONLY | os.O_CREAT)
+        try:
+            if os.write(file, data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            os.ftruncate(file, len(data))
+        except OSError as error:  # what is done to a file that is open does not name it
+            raise OSError(error.errno, error.strerror, str(self._path)) from None
+        finally:
+            os.close(file)
+        if not _exchange(self._spare, self._path):  # nothing there yet, or a system that cannot
+            self._spare.replace(self._path)
+        self._there, self._exchanged_s = data, time.monotonic()
 
 
 def _exchange(one: Path, other: Path) -> bool:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from protocol.files import write_status
+from protocol.files import StatusFile
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.runtime.collection import freeze_startup
 from protocol.runtime.errors import DONE
@@ -123,6 +123,9 @@ class TapService:
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
         self._heavy_status: dict[str, TapStatus] = {}
+        self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
+        self._status_file = StatusFile(config.run_dir / TAP_STATUS)
+        self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
         self._heavy: HeavyProcess | None = None
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
@@ -293,9 +296,9 @@ class TapService:
             "dropped": self._queue.dropped + self._capture.dropped,
         }
         try:
-            write_status(self._config.run_dir / BELIEFS, beliefs_json(self._records))
-            write_status(self._config.run_dir / TAP_STATUS, to_json(captured))
-            write_status(self._config.run_dir / "tap" / HEALTH, self._health().encode())
+            self._beliefs_file.write(beliefs_json(self._records))
+            self._status_file.write(to_json(captured))
+            self._health_file.write(self._health().encode())
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

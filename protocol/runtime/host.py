@@ -24,6 +24,7 @@ from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.runtime.bus import Bus, Channel, ChannelClosed
 from protocol.runtime.errors import DONE
+from protocol.runtime.health_files import HealthFiles, HealthWriter
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.ports import Files, LoopPorts
 from protocol.secret.tasks import Done
@@ -61,6 +62,13 @@ class _Kept(NamedTuple):
 
     loop: str
     done: Done
+
+
+class _Unwritten(NamedTuple):
+    """Why a loop's status cannot be written."""
+
+    loop: str
+    error: Exception
 
 
 @dataclass(slots=True)
@@ -132,11 +140,14 @@ class Host:
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _Kept | None] = Inbox()
+        self._inbox: Inbox[tuple[str, bytes] | _Kept | _Unwritten | None] = Inbox()
         self._channels: dict[str, Channel] = {}
         self._heard_on_ops: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._worker: KeyWorker | None = None
+        self._health = HealthWriter(
+            lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
+        )
         self._turns = Turns()
         self._sleeps_until = -inf
         self._dropped = 0
@@ -165,7 +176,8 @@ class Host:
                     files.keeper,
                     lambda done: self._inbox.put(_Kept(loop, done), None),
                 )
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, keeper))
+            told = partial(self._health.put, loop, HealthFiles(files.health, log))
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, keeper))
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
@@ -288,10 +300,14 @@ class Host:
         if item is None:
             return
         with self._turns:
-            if not isinstance(item, _Kept):
+            if not isinstance(item, _Kept | _Unwritten):
                 self._hear(*item)
             elif item.loop in self._loops:
-                self._do(item.loop, partial(self._loops[item.loop].endpoint.kept, item.done))
+                if isinstance(item, _Kept):
+                    act = partial(self._loops[item.loop].endpoint.kept, item.done)
+                else:
+                    act = partial(_cannot, item.error)
+                self._do(item.loop, act)
 
     # --- under the lock ---------------------------------------------------------------------------
 
@@ -356,5 +372,11 @@ class Host:
         with self._turns.last():
             for name in self.loops:
                 self._end(name)
+        self._health.close(LAST_S)
         if self._worker is not None:
             self._worker.close()
+
+
+def _cannot(error: Exception, _now: float) -> Actions:
+    """What an end does that cannot go on."""
+    raise error

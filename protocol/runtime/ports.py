@@ -7,15 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from protocol.files import write_status
 from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
-from protocol.messages import Message, PlantStatus, Status
+from protocol.messages import Message, Status
 from protocol.runtime.bus import Publisher
 from protocol.runtime.logs import RateLimitedLog
-from protocol.runtime.pulse import Pulse, Space
 from protocol.runtime.rates import Burst
-from protocol.runtime.run_folder import HEALTH
 from protocol.runtime.trace import TraceWriter
 from protocol.secret.keeper import KeeperAt
 from protocol.secret.tasks import Task
@@ -55,10 +52,9 @@ class LoopPorts:
     files: Files
     publishers: dict[type[Message], Publisher]
     log: logging.Logger
+    tell_health: Callable[[Status], None]
     keeper: Callable[[Task], None] | None = None
     limited: dict[str, RateLimitedLog] = field(default_factory=dict)
-    pulse: Pulse = field(default_factory=Pulse)
-    space: Space | None = None
     burst: Burst = field(default_factory=Burst)
 
     def write(self, write: Write) -> None:
@@ -94,20 +90,8 @@ class LoopPorts:
         return self.limited[subject]
 
     def health(self, status: Status) -> None:
-        """Replace the status file, and the line beside it that says whether this end keeps up.
-
-        The file holds no text, key or coin: whoever may read it need not be on ops.
-        """
-        path = self.files.health
-        write_status(path, status.on_file())
-        missed = status.missed if isinstance(status, PlantStatus) else 0
-        beat = self.pulse.beat(time.monotonic(), status.transitions, missed)
-        write_status(path.with_name(HEALTH), f"{beat.line}\n".encode())
-        if self.space is None:
-            self.space = Space(path.parent)
-        for line, good in ((beat.notice, beat.good), self.space.look()):
-            if line:
-                self.log.log(logging.INFO if good else logging.WARNING, "%s", line)
+        """Have the status and the health line replaced."""
+        self.tell_health(status)
 
 
 _LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

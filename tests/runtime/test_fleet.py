@@ -15,6 +15,7 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
+from protocol.files import StatusFile
 from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
 from protocol.runtime import fleet_host, host
 from protocol.runtime.bus_options import fleet_of
@@ -218,6 +219,43 @@ def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_
     with hosts.running("x20"):
         hosts.wait(lambda: hosts.delivered("one"))
     assert hosts.status("two") is None
+
+
+@pytest.mark.slow
+def test_a_disk_that_holds_up_statuses_holds_up_no_step(
+    sustained_law: CandidateLaw, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
+    names = list(hosts.fleet().loops)
+    free, write = threading.Event(), StatusFile.write
+
+    def slow(file: StatusFile, data: bytes) -> None:
+        assert free.wait(60)
+        write(file, data)
+
+    def recovered(name: str) -> bool:
+        trace = tmp_path / name / PLANT_TRACE
+        return trace.exists() and b'"recovered"' in trace.read_bytes()
+
+    monkeypatch.setattr(StatusFile, "write", slow)
+    with hosts.running("x10"):
+        hosts.wait(lambda: all(map(recovered, names)))
+        assert list(map(hosts.status, names)) == [None, None]
+        free.set()
+    assert all(map(hosts.delivered, names))
+
+
+@pytest.mark.slow
+def test_a_loop_whose_status_cannot_be_written_is_over_and_no_other(
+    sustained_law: CandidateLaw, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
+    bad, good = hosts.fleet().loops
+    (tmp_path / bad / PLANT_STATUS).mkdir(parents=True)
+    with hosts.running("x10"):
+        hosts.wait(lambda: hosts.delivered(good))
+        hosts.wait(lambda: f"loop {bad} is over: IsADirectoryError" in caplog.text)
+    assert f"loop {good} is over" not in caplog.text
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from protocol import files
-from protocol.files import write_status
+from protocol.files import StatusFile
 from protocol.runtime.pulse import Pulse, Space
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,8 +150,9 @@ def test_a_line_that_says_the_same_is_as_new(
 ) -> None:
     monkeypatch.setattr(files, "READ_S", 0.0)  # each takes the place of the one before last
     path = tmp_path / "health"
+    line = StatusFile(path)
     for _ in range(4):
-        write_status(path, b"ok: none missed lately\n")
+        line.write(b"ok: none missed lately\n")
         assert time.time() - path.stat().st_mtime < 30
         os.utime(path, (time.time() - 60,) * 2)
 

@@ -8,11 +8,11 @@ import pytest
 
 from protocol.files import (
     PUBLIC_FILE,
+    StatusFile,
     make_folder,
     open_private,
     replacing,
     write_atomically,
-    write_status,
 )
 from protocol.runtime.journal import PlantJournal
 from protocol.runtime.jsonl import LONGEST, LineWriter, decode, read_lines
@@ -61,7 +61,7 @@ def test_what_is_no_regular_file_is_left_as_it_is(tmp_path: Path, kind: str) -> 
         target.write_bytes(b"mine")
     for write in (
         lambda: write_atomically(path, b"x"),
-        lambda: write_status(path, b"x"),
+        lambda: StatusFile(path).write(b"x"),
         lambda: open_private(path, os.O_WRONLY | os.O_CREAT),
     ):
         with pytest.raises(OSError, match="not a regular file") as error:

@@ -7,6 +7,7 @@ kill an end at any of its ports, spoil a file between two lives, and ask ``wyner
 
 import base64
 import logging
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from protocol.link.events import Event
 from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import Sender
 from protocol.messages import FIELD, Message, Offer, SendCommand
+from protocol.runtime.health_files import HealthFiles
 from protocol.runtime.pace import Pace
 from protocol.runtime.ports import Files, LoopPorts
 from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
@@ -119,7 +121,14 @@ class RecordedLoop:
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
         tasks: deque[Task] = deque()
         keeper = None if files.keeper is None else files.keeper.open()
-        ports = LoopPorts(files, publishers, log, tasks.append)  # type: ignore[arg-type]
+        health = HealthFiles(files.health, log)
+        ports = LoopPorts(
+            files,
+            publishers,  # type: ignore[arg-type]
+            log,
+            lambda status: health.write(status, time.monotonic()),
+            tasks.append,
+        )
         self._ends[side] = _End(endpoint, files, _Ports(ports), keeper, tasks)
         self._do(side, endpoint.start)
 
