@@ -1,5 +1,6 @@
 """How much processor time a guest may use, and that what goes on between its answers ends."""
 
+import os
 import pickle
 import subprocess
 import sys
