@@ -9,6 +9,7 @@ again only where the function or the tests have changed: stop it with Ctrl-C, an
 """
 
 import argparse
+import ast
 import difflib
 import hashlib
 import json
@@ -18,6 +19,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -60,12 +62,16 @@ class Mutant(NamedTuple):
         Hash of the function before and after: the same key is the same mutant.
     before, after : str
         The function's text.
+    first, last : int
+        Lines of the statement that is changed, in the file with all mutants, as it is without one.
     """
 
     name: str
     key: str
     before: str
     after: str
+    first: int
+    last: int
 
     @property
     def function(self) -> str:
@@ -85,17 +91,38 @@ def generate(source: str, path: Path) -> tuple[str, list[Mutant]]:
 
     made = mutate_file_contents(str(path), source)
     lines = made.code.splitlines()
-    text = {
-        name: "\n".join(lines[span.start - 1 : span.end])
-        for name, span in made.line_span_by_function_name.items()
-    }
+    spans = made.line_span_by_function_name
+    text = {name: "\n".join(lines[span.start - 1 : span.end]) for name, span in spans.items()}
     module = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
     mutants = []
     for name in made.mutant_names:
         original = name.partition("__mutmut_")[0] + "__mutmut_orig"
         key = hashlib.sha256(f"{module}\n{text[original]}\n{text[name]}".encode()).hexdigest()
-        mutants.append(Mutant(f"{module}.{name}", key[:16], text[original], text[name]))
+        first, last = (spans[original].start + at for at in changed(text[original], text[name]))
+        row = Mutant(f"{module}.{name}", key[:16], text[original], text[name], first, last)
+        mutants.append(row)
     return made.code, mutants
+
+
+def changed(before: str, after: str) -> tuple[int, int]:
+    """First and last line, from 0, of the innermost statement of a function that a mutant changed.
+
+    Of a statement with a body that is what stands before the body; a change of the function's own
+    head is one of the whole function.
+    """
+    old, new = (_NUMBER.sub("", text).splitlines() for text in (before, after))
+    found = difflib.SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
+    places = [op for op in found if op[0] != "equal"]
+    first, last = places[0][1], max(places[0][1], places[-1][2] - 1)
+    spot = (0, len(old) - 1)
+    for node in list(ast.walk(ast.parse(textwrap.dedent(before))))[2:]:  # inside the function
+        if isinstance(node, ast.stmt | ast.ExceptHandler):
+            start, end = node.lineno - 1, (node.end_lineno or node.lineno) - 1
+            if body := getattr(node, "body", None):
+                end = max(start, body[0].lineno - 2)
+            if start <= first and last <= end and end - start < spot[1] - spot[0]:
+                spot = start, end
+    return spot
 
 
 def prepare() -> dict[str, list[Mutant]]:
@@ -114,7 +141,7 @@ def prepare() -> dict[str, list[Mutant]]:
         if room not in ROOMS or path.suffix != ".py":
             shutil.copy2(path, TREE / path)
             continue
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(path.read_bytes() + Path(__file__).read_bytes()).hexdigest()
         if index.get(name, {}).get("digest") != digest:
             code, mutants = generate(path.read_text(), path)
             (TREE / path).write_text(code)
@@ -172,7 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for room in [args.room] if args.room else ROOMS:
         chosen = drawn(rooms[room], args.sample, args.seed)
         chart = BUILD / "chosen.json"
-        chart.write_text(json.dumps([[m.name, m.function, m.key] for m in chosen]))
+        chart.write_text(json.dumps([[m.name, m.key, m.first, m.last] for m in chosen]))
         started = time.monotonic()
         known = len(fates(TRIED))
         subprocess.run(

@@ -1,10 +1,11 @@
 """Runs mutants against tests, a test file at a time.
 
 ``python -m tools.sieve CHOSEN TRIED TESTS...`` is what ``tools.mutants`` calls. A test file's tests
-run once as they are; that says which functions each reaches, and what it takes. Then each mutant
-that still lives is switched on in a fork, where those tests run that reach it, until one fails:
-first those that noticed another mutant of its function, then the quickest. Limits are of processor
-time, so that a machine that is busy or a job that is paused kills nothing.
+run once as they are, which says what each takes, and once more while it is noted which lines each
+reaches. Then each mutant that still lives is switched on in a fork, where those tests run that
+reach the statement it changes, until one fails: first those that noticed another mutant of its
+function, then the quickest. Limits are of processor time, so that a machine that is busy or a job
+that is paused kills nothing.
 """
 
 import gc
@@ -14,13 +15,15 @@ import os
 import resource
 import signal
 import sys
+import threading
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from functools import partial
+from contextlib import contextmanager
 from itertools import accumulate, groupby
 from pathlib import Path
-from typing import Any, Final
+from types import FrameType
+from typing import Any, Final, NamedTuple
 
 import pytest
 
@@ -51,23 +54,46 @@ AFFORDED_S: Final = 12.0
 """Of processor time, which the tests of one file that judge one mutant take, the quickest first."""
 
 
+class Chosen(NamedTuple):
+    """A mutant to be tried: its name, its key, and the lines of the statement that it changes."""
+
+    name: str
+    key: str
+    first: int
+    last: int
+
+    @property
+    def module(self) -> str:
+        """Where it is."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def function(self) -> str:
+        """The function that it changes."""
+        return self.name.partition("__mutmut_")[0]
+
+    def is_reached(self, lines: Mapping[str, set[int]]) -> bool:
+        """Whether its statement is among the lines, by module."""
+        return not lines.get(self.module, set()).isdisjoint(range(self.first, self.last + 1))
+
+
 class Sieve:
     """Pytest's loop over the tests, in which mutants die.
 
     Parameters
     ----------
-    chosen : list of (name, function, key)
+    chosen : list of Chosen
     tried : Path
         What became of each so far, and which test files it has outlived; lines are added.
     """
 
-    def __init__(self, chosen: list[tuple[str, str, str]], tried: Path) -> None:
+    def __init__(self, chosen: list[Chosen], tried: Path) -> None:
         self._tried = tried
         lines = tried.read_text().splitlines() if tried.exists() else []
         rows = [json.loads(line) for line in lines]
         self._outlived = {tuple(row["outlived"]) for row in rows if "outlived" in row}
         fate = {row["key"]: row["fate"] for row in rows if "fate" in row}
-        self._alive = [m for m in chosen if fate.get(m[2]) not in ("killed", "timeout")]
+        self._alive = [m for m in chosen if fate.get(m.key) not in ("killed", "timeout")]
         self._reached: set[str] = set()
 
     @pytest.hookimpl(tryfirst=True)
@@ -95,9 +121,9 @@ class Sieve:
             self._file(path, items)
             session._setupstate.teardown_exact(after)
         with self._tried.open("a") as log:
-            for _name, function, key in self._alive:
-                fate = "survived" if function in self._reached else "not reached"
-                print(json.dumps({"key": key, "fate": fate}), file=log)
+            for m in self._alive:
+                fate = "survived" if m.key in self._reached else "not reached"
+                print(json.dumps({"key": m.key, "fate": fate}), file=log)
         return True
 
     def _file(self, path: Path, items: list[pytest.Item]) -> None:
@@ -106,52 +132,55 @@ class Sieve:
         )
         digest = hashlib.sha256(text).hexdigest()[:12]
         reach, cost = self._as_it_is(items)
-        self._reached |= set().union(*reach.values())
-        due = [m for m in self._alive if (m[2], path.name, digest) not in self._outlived]
+        reached = {m.key: [i for i in items if m.is_reached(reach[i])] for m in self._alive}
+        self._reached |= {key for key, tests in reached.items() if tests}
+        due = [m for m in self._alive if (m.key, path.name, digest) not in self._outlived]
         if self._fate("", afforded(items, cost), cost)[0] != "survived":
             raise SystemExit(f"{path.name} fails in a fork without a mutant")
         gc.collect()
         gc.freeze()
-        began, dead = time.process_time(), set()
+        began, dead, parted = time.process_time(), set(), 0
         noticed: Counter[tuple[str, pytest.Item]] = Counter()
-        for name, function, key in due:
-            tests = afforded([i for i in items if function in reach[i]], cost)
-            tests.sort(key=lambda i: -noticed[function, i])
-            fate, by = self._fate(name, tests, cost) if tests else ("survived", None)
+        for m in due:
+            tests = afforded(reached[m.key], cost)
+            tests.sort(key=lambda i: -noticed[m.function, i])
+            fate, by = self._fate(m.name, tests, cost) if tests else ("survived", None)
             if by is not None:
-                noticed[function, by] += 1
+                noticed[m.function, by] += 1
             with self._tried.open("a") as log:
                 row = (
-                    {"outlived": [key, path.name, digest]}
+                    {"outlived": [m.key, path.name, digest]}
                     if fate == "survived"
-                    else {"key": key, "fate": fate}
+                    else {"key": m.key, "fate": fate}
                 )
                 print(json.dumps(row), file=log)
             if fate != "survived":
-                dead.add(key)
-        self._alive = [m for m in self._alive if m[2] not in dead]
+                dead.add(m.key)
+            else:
+                parted += len(tests) < len(reached[m.key])
+        self._alive = [m for m in self._alive if m.key not in dead]
         took = time.process_time() - began + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
         print(
-            f"{path.name}: {len(dead)} of {len(due)} died, {len(self._alive)} live on "
+            f"{path.name}: {len(dead)} of {len(due)} died, {len(self._alive)} live on, "
+            f"{parted} of them for a part of the tests that reach them "
             f"({took:.0f} s of processor so far)",
             flush=True,
         )
 
     def _as_it_is(
         self, items: list[pytest.Item]
-    ) -> tuple[dict[pytest.Item, set[str]], dict[pytest.Item, float]]:
-        from mutmut.mutation import trampoline
-
+    ) -> tuple[dict[pytest.Item, dict[str, set[int]]], dict[pytest.Item, float]]:
+        """The lines that each reaches, by module, and what it takes."""
         reach, cost = {}, {}
-        trampoline.set_mutant_under_test("stats")
         for item, following in _in_turn(items):
-            reached: set[str] = set()
-            vars(trampoline)["record_trampoline_hit"] = partial(_note, reached)
             began = time.process_time()
             if not _passes(item, following, say=True):
                 raise SystemExit(f"{item.nodeid} fails without a mutant")
-            reach[item], cost[item] = reached, time.process_time() - began
-        trampoline.set_mutant_under_test("")
+            cost[item] = time.process_time() - began
+        for item, following in _in_turn(items):
+            with _lines_noted() as lines:
+                _passes(item, following)
+            reach[item] = dict(lines)
         return reach, cost
 
     def _fate(
@@ -211,8 +240,29 @@ def afforded(items: list[pytest.Item], cost: Mapping[pytest.Item, float]) -> lis
     return [i for i, spent in zip(items, until, strict=True) if spent <= AFFORDED_S]
 
 
-def _note(reached: set[str], name: str, *, caller: str | None = None) -> None:  # noqa: ARG001
-    reached.add(name)
+@contextmanager
+def _lines_noted() -> Iterator[dict[str, set[int]]]:
+    """The lines of unmutated functions that are reached meanwhile, by module."""
+    lines: dict[str, set[int]] = defaultdict(set)
+
+    def called(frame: FrameType, _event: str, _told: object) -> Any:
+        if "__mutmut_orig" not in frame.f_code.co_qualname:
+            return None
+        note = lines[frame.f_globals["__name__"]].add
+
+        def went(frame: FrameType, _event: str, _told: object) -> Any:
+            note(frame.f_lineno)
+            return went
+
+        return went
+
+    threading.settrace(called)
+    sys.settrace(called)
+    try:
+        yield lines
+    finally:
+        sys.settrace(None)
+        threading.settrace(None)
 
 
 def _in_turn(items: list[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item]]:
@@ -232,7 +282,7 @@ def _passes(item: pytest.Item, following: pytest.Item, *, say: bool = False) -> 
 def main(argv: Iterable[Any]) -> int:
     """Sift the chosen mutants through the tests."""
     chosen, tried, *tests = map(str, argv)
-    sieve = Sieve([tuple(row) for row in json.loads(Path(chosen).read_text())], Path(tried))
+    sieve = Sieve([Chosen(*row) for row in json.loads(Path(chosen).read_text())], Path(tried))
     apart = f"--basetemp={Path(tried).with_name('tmp')}"  # other runs' clean-ups leave it alone
     return int(pytest.main([*ARGUMENTS, apart, *tests], plugins=[sieve]))
 

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from tools import sieve
-from tools.mutants import ROOMS, Mutant, drawn, fates, generate, told
+from tools.mutants import ROOMS, Mutant, changed, drawn, fates, generate, told
 from tools.sieve import AFFORDED_S, afforded
 
-MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b") for i in range(50)]
+MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b", 1, 1) for i in range(50)]
 
 
 def test_a_sample_is_that_of_its_seed_and_a_larger_one_holds_it() -> None:
@@ -78,10 +78,36 @@ def test_who_works_is_waited_for_and_who_stands_still_is_not(
             os.waitpid(child, 0)
 
 
+FUNCTION = """    def x_f__mutmut_orig(a):
+        if (
+            a
+            > 1
+        ):
+            return [
+                1,
+                2]
+        return a
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "lines"),
+    [("> 1", ">= 1", (1, 4)), ("2]", "3]", (5, 7)), ("return a", "return -a", (8, 8))],
+)
+def test_a_mutant_is_reached_where_the_statement_that_it_changes_is(
+    old: str, new: str, lines: tuple[int, int]
+) -> None:
+    mutant = FUNCTION.replace("orig", "1").replace(old, new)
+    assert changed(FUNCTION, mutant) == lines
+    assert changed(FUNCTION, FUNCTION.replace("(a)", "(b)")) == (0, 8)
+
+
 SOURCE = """
 def lowered(n):
     while n > 9:
         n -= 3
+    if n < -9:
+        n += 1
     return n
 
 
@@ -117,7 +143,7 @@ def test_mutants_die_by_the_tests_that_reach_them(tmp_path: Path) -> None:
         (tmp_path / name).write_text(TESTS if "test_m" in name else "")
     code, mutants = generate(SOURCE, Path("room/m.py"))
     (tmp_path / "room/m.py").write_text(code)
-    rows = [[m.name, m.function, m.key] for m in mutants]
+    rows = [[m.name, m.key, m.first, m.last] for m in mutants]
     (tmp_path / "chosen.json").write_text(json.dumps(rows))
     tried = tmp_path / "tried.jsonl"
     root = str(Path(__file__).resolve().parents[2])
@@ -133,8 +159,10 @@ def test_mutants_die_by_the_tests_that_reach_them(tmp_path: Path) -> None:
     assert set(fate) == {m.key for m in mutants}
     by = {m.name.removeprefix("room.m."): (fate[m.key], m.difference()) for m in mutants}
     of_lowered = {name: (f, d) for name, (f, d) in by.items() if name.startswith("x_lowered")}
-    survivors = [d for f, d in of_lowered.values() if f == "survived"]
-    assert survivors == [["-    while n > 9:", "+    while n >= 9:"]]
+    survivors = [d[0] for f, d in of_lowered.values() if f == "survived"]
+    assert set(survivors) == {"-    while n > 9:", "-    if n < -9:"}
+    unreached = [d[0] for f, d in of_lowered.values() if f == "not reached"]
+    assert set(unreached) == {"-        n += 1"}
     assert "timeout" in {f for f, _ in of_lowered.values()}
     assert {f for name, (f, _) in by.items() if name.startswith("x_unheard_of")} == {"not reached"}
     outlived = [line for line in tried.read_text().splitlines() if "outlived" in line]
