@@ -35,6 +35,8 @@ Fault = Literal[
     "offer lost",
     "plant dies",
     "plant forgets",
+    "journal copied",
+    "journal put back",
     "controller dies",
     "controller forgets",
 ]
@@ -90,6 +92,7 @@ class SmallRun:
         self._queue = Queue(payloads)
         self._t_ns = 0
         self.received: list[bytes] = []
+        self._copied: tuple[ReceiverRecord, str, Offer]
         self._tell_queue()
         self.sender = self._new_sender(None)
         record = first_record(self.scenario, "0" * 15 + "1")
@@ -140,9 +143,15 @@ class SmallRun:
             session = f"{int(self.receiver.record.session, 16) + 1:016x}"
             self._chunks = ""
             self.plant = self._new_plant(first_record(self.scenario, session), "new journal")
-        if fault in ("plant forgets", "controller forgets", "controller dies"):
+        if fault == "journal put back":  # the plant's, as it was copied; it holds a step
+            record, self._chunks, offer = self._copied
+            self.plant = self._new_plant(record, "resumed from the journal")
+            self._count(self.plant.move(offer), saved=True)
+        if fault in ("plant forgets", "journal put back", "controller forgets", "controller dies"):
             self._meet()
         offer = self._measure()
+        if fault == "journal copied":
+            self._copied = (self.receiver.record, self._chunks, offer)
         if fault == "repeated":
             assert self._measure() == offer
         if fault == "offer lost":

@@ -92,6 +92,15 @@ def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(ru
     assert failed(run) == set()
 
 
+def test_a_run_that_went_on_can_be_sealed_again(run: Path) -> None:
+    """The new seal is for people too: a field a line."""
+    (run / "plant" / "log").write_text("all is well again\n")
+    assert wrong(run) == {"plant/log": "it is not as the run left it"}
+    seal(run)
+    assert wrong(run) == {}
+    assert '\n  "files": {\n' in (run / MANIFEST).read_text()
+
+
 @pytest.mark.parametrize("name", [*OTHERS, MANIFEST])
 def test_every_field_of_every_small_file(run: Path, name: Path) -> None:
     before = (run / name).read_bytes()

@@ -158,8 +158,34 @@ def twice(lines: Lines) -> int:
     raise AssertionError("none was written again")
 
 
+def last_gone(lines: Lines) -> None:
+    """Two of the first session: the controller has counted one of them."""
+    first = next(line["session"] for line in lines if line["event"] == "transition")
+    for _ in range(2):
+        drop("transition", -1, session=first)(lines)
+
+
+def refused(lines: Lines) -> None:
+    """In place of the message that was recovered."""
+    line = nth(lines, "recovered")
+    line.clear()
+    line.update(event="refused", session="0" * 16, p=1)
+
+
+def made_otherwise(lines: Lines) -> None:
+    """Killed when it had traced a missed step, the plant makes that one anew with its offer."""
+    t = nth(lines, "transition", 60)
+    missed = nth(lines, "missed", 1) | {name: t[name] for name in ("session", "k", "x")}
+    resumed = {"event": "session", "session": t["session"], "reason": "resumed"}
+    before("transition", 60, missed, {"event": "continued"}, resumed)(lines)
+
+
 AGREED = {"role": "test", "s": 2}
 CARRIES = {"role": "message"}
+SEALED = {
+    "topic": "sealed",
+    "message": {"v": 2, "id": "m", "key_ids": ["a"], "cipher": "aGk=", "tag": "0" * 32},
+}
 SENT = {"event": "sent", "id": "m7", "payload": text_of(b"c")}
 
 EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
@@ -189,6 +215,9 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "session announced twice": ((PLANT, again("session", 2)),),
     "session not announced": ((PLANT, put("session", 2, session="f" * 16)),),
     "session gone": ((PLANT, drop("session", 2)),),
+    "session gone at the controller": ((CONTROLLER, drop("session")),),
+    "the last transitions of a session gone": ((PLANT, last_gone),),
+    "a missed step that was made after a restart": ((PLANT, made_otherwise),),
     "continued and no session": ((PLANT, before("transition", 60, {"event": "continued"})),),
     "a second header": ((PLANT, before("transition", 60, {"event": "header"})),),
     "an end in the middle": (
@@ -213,6 +242,9 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "a missed step out of reach": ((PLANT, put("missed", 1, x_next=far)),),
     "a candidate beyond U": tuple(
         (p, put("transition", 60, candidates=lambda c: [c[0], [9.0]])) for p in (PLANT, CONTROLLER)
+    ),
+    "a candidate that leads too far": tuple(
+        (p, put("transition", 60, candidates=lambda c: [c[0], [5.9]])) for p in (PLANT, CONTROLLER)
     ),
     "a state beyond every set": tuple(
         (p, put("transition", 60, x=[1e6, 0.0])) for p in (PLANT, CONTROLLER)
@@ -247,6 +279,7 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
             before("transition", -9, {"event": "refused", "session": "0" * 16, "p": 1}),
         ),
     ),
+    "a frame refused, and none recovered": ((PLANT, refused),),
     "a symbol that was never sent": (
         (CONTROLLER, put("transition", 4, where=CARRIES, role="test")),
     ),
@@ -273,6 +306,7 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "another x": ((CAPTURE, put("measurement", 60, x=far)),),
     "another x, after the last step": ((CAPTURE, put("measurement", -1, x=far)),),
     "another state after": ((CAPTURE, put("measurement", 60, x_after=far)),),
+    "another x, and another state after": ((CAPTURE, put("measurement", 60, x=far, x_after=far)),),
     "another step applied": ((CAPTURE, put("measurement", 60, applied_k=0)),),
     "a step beyond": ((CAPTURE, put("measurement", 60, k=100_000)),),
     "an unknown session": ((CAPTURE, put("offer", 60, session="f" * 16)),),
@@ -290,6 +324,9 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
         (CAPTURE, before("offer", 60, {"event": "field", "t_ns": 1, "topic": "x", "message": {}})),
     ),
     "an unknown line": ((CAPTURE, before("offer", 60, {"event": "hum"})),),
+    "a sealed message where no keys are made": (
+        (CAPTURE, before("offer", 60, {"event": "field", "t_ns": 1, **SEALED})),
+    ),
     "garbage": (
         (
             CAPTURE,
@@ -420,6 +457,9 @@ FOLDERS: dict[str, Change] = {
     "marked, and a capture's number changed": edited(EDITS["another x"]),
     "marked, and an empty line more": lambda folder, _run: (folder / PLANT).write_bytes(
         (folder / PLANT).read_bytes() + b"\n"
+    ),
+    "marked, and a message after the end": lambda folder, _run: (folder / CAPTURE).write_bytes(
+        (folder / CAPTURE).read_bytes() + (folder / CAPTURE).read_bytes().splitlines(True)[-2]
     ),
     "a capture's line that is none": lambda folder, _run: (folder / CAPTURE).write_bytes(
         (folder / CAPTURE).read_bytes().replace(b'"k":30,', b'"k":,', 1)
