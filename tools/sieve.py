@@ -15,6 +15,7 @@ import os
 import resource
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter, defaultdict
@@ -41,6 +42,9 @@ ARGUMENTS: Final = (
     "tmp_path_retention_policy=none",
 )
 MEMORY: Final = 4 << 30
+MEMORY_DISK: Final = Path("/dev/shm")
+"""Where tests' files are, if it is there: on a disk, tests waited ten times as long as they worked."""
+
 WAIT_S: Final = 120.0
 """For a mutant that waits for what never comes: it and all that it started stand still so long."""
 
@@ -283,8 +287,9 @@ def main(argv: Iterable[Any]) -> int:
     """Sift the chosen mutants through the tests."""
     chosen, tried, *tests = map(str, argv)
     sieve = Sieve([Chosen(*row) for row in json.loads(Path(chosen).read_text())], Path(tried))
-    apart = f"--basetemp={Path(tried).with_name('tmp')}"  # other runs' clean-ups leave it alone
-    return int(pytest.main([*ARGUMENTS, apart, *tests], plugins=[sieve]))
+    with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as apart:
+        tempfile.tempdir = apart
+        return int(pytest.main([*ARGUMENTS, f"--basetemp={apart}/tmp", *tests], plugins=[sieve]))
 
 
 if __name__ == "__main__":
