@@ -173,7 +173,7 @@ def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, la
         if last:
             listeners.review(listener)
         belief = listener.belief()
-        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "capture_bytes", "garbage"), 0) | {
+        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "garbage"), 0) | {
             "behind": behind,
             "dropped": reader.skipped,
         }

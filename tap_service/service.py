@@ -248,7 +248,6 @@ class TapService:
             "seq": self._seq,
             "t_ns": time.time_ns(),
             "mirrored": self._capture.written,
-            "capture_bytes": self._capture.size,
             "dropped": self._queue.dropped + self._capture.dropped + self._unheard,
             "garbage": self._complaints.total,
         }

@@ -225,7 +225,6 @@ class Rehearsal:
             steps=k,
             lost=0,
             mirrored=2 * k,
-            capture_bytes=400 * k,
             dropped=0,
             behind=0,
             garbage=0,

@@ -43,7 +43,7 @@ ARGUMENTS: Final = (
 )
 MEMORY: Final = 4 << 30
 MEMORY_DISK: Final = Path("/dev/shm")
-"""Where tests' files are, if it is there: on a disk, tests waited ten times as long as they worked."""
+"""Where tests' files are, if it is there: on a disk they wait ten times as long as they work."""
 
 WAIT_S: Final = 120.0
 """For a mutant that waits for what never comes: it and all that it started stand still so long."""

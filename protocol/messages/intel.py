@@ -30,7 +30,6 @@ class TapStatus(Message):
     steps: Count
     lost: Count
     mirrored: Count
-    capture_bytes: Count
     dropped: Count
     behind: Count
     garbage: Count

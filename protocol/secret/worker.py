@@ -45,11 +45,6 @@ class KeyWorker:
         self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._thread.start()
 
-    @property
-    def pid(self) -> int | None:
-        """Of the process; None where there is none."""
-        return None if self._process is None else self._process.pid
-
     def put(self, at: KeeperAt, done: Callable[[Done], None], task: Task) -> None:
         """Hand over a task for a store; returns at once.
 

@@ -81,11 +81,6 @@ class RotatingLog:
         self._begin()
 
     @property
-    def size(self) -> int:
-        """Bytes on disk, all parts together."""
-        return self._parts.bytes + self._size
-
-    @property
     def _size(self) -> int:
         return 0 if self._file is None else self._file.size
 

@@ -18,7 +18,7 @@ from wyner.dashboard.model import TAPS_KEPT
 from wyner.dashboard.source import WAITING_AT_MOST
 
 TAP = TapStatus(
-    seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, capture_bytes=1, dropped=0,
+    seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, dropped=0,
     behind=0, garbage=0, message="hi", confidence=0.97, candidates_left=0,
     solved_k=5,
 )  # fmt: skip

@@ -15,7 +15,7 @@ from tap_service.guests import guarded
 from tap_service.status import Listener, status_of
 from wyner.scoring.score import Said, Step
 
-COUNTS = ("seq", "t_ns", "mirrored", "capture_bytes", "dropped", "behind", "garbage")
+COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "garbage")
 
 
 class Replay:
