@@ -35,25 +35,23 @@ class Kept:
         Of that session, the pending one included.
     pending : dict, optional
         The transition that follows the record, as a trace's event.
-    k : int
-        Step that the end has come to.
     s : int
-        The automaton's state there.
-    x : tuple of float
+        The automaton's state after it.
     messages : tuple of (str, bytes)
         The controller's queue, or what the plant has received (without identifiers).
-    delivered : int
-        Messages that the controller has delivered.
+    k : int
+        Step that the plant has come to.
+    x : tuple of float
+        Its state there.
     """
 
     session: str | None
     transitions: int
     pending: dict[str, Any] | None
-    k: int
     s: int
-    x: tuple[float, ...]
     messages: tuple[tuple[str, bytes], ...]
-    delivered: int = 0
+    k: int = -1
+    x: tuple[float, ...] = ()
 
 
 def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
@@ -76,11 +74,8 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
             session=record.session,
             transitions=record.transitions,
             pending=None if pending is None else pending.as_event(),
-            k=record.k,
             s=record.s,
-            x=record.x,
             messages=messages,
-            delivered=record.message,
         )
 
     return _from_copy(run_dir / CONTROLLER_JOURNAL, read)
@@ -108,10 +103,10 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             session=record.session,
             transitions=record.transitions,
             pending=pending,
-            k=record.k,
             s=record.s,
-            x=record.x,
             messages=messages,
+            k=record.k,
+            x=record.x,
         )
 
     return _from_copy(run_dir / PLANT_JOURNAL, read)

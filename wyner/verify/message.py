@@ -198,7 +198,6 @@ class _Queue:
     begins: set[int] = field(default_factory=set)
     known: dict[str, bytes] = field(default_factory=dict)
     restarted: bool = True
-    delivered: int = 0
     doubtful: dict[str, int] = field(default_factory=dict)
     void: set[int] = field(default_factory=set)
     latest: str = ""
@@ -240,7 +239,6 @@ class _Queue:
         return found | {place}
 
     def _delivered(self, name: str, payload: bytes) -> None:
-        self.delivered += 1
         if self.known.get(name) != payload:
             text = f"message {name} counts as delivered, and was not queued like that"
             self.tally.fail("", -1, -1, text)
@@ -298,15 +296,15 @@ def messages(e: Evidence, tally: Tally) -> Judging:
 
 def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
     """Walk the keys: each is agreed once and used once at most."""
-    sessions = dict.fromkeys(("plant", "controller"), "")
-    unused: dict[str, list[TracedTransition]] = {"plant": [], "controller": []}
+    sessions: dict[str, str] = {}
+    unused: dict[str, list[TracedTransition]] = {}
     while (part := (yield)) is not None:
         for name, items in part.sides():
             for item in items:
                 if not isinstance(item, Walked):
                     continue
                 t = item.t
-                if t.session != sessions[name]:
+                if t.session != sessions.get(name):
                     sessions[name], unused[name] = t.session, []
                 fresh = unused[name]
                 if t.role == "message":
