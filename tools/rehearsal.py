@@ -163,6 +163,7 @@ class Rehearsal:
                 "recovered_symbols": p,
                 "messages": messages,
                 "last_message": recovered,
+                "message_k": solved_k,
                 "partial": partial,
                 "frame_symbols": min(p, len(frame)),
                 "frame_length": len(frame),

@@ -216,6 +216,7 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
     while watch.wishes.press == GO_ON:
         text = text_of(watch)
         assert "…" not in text
+        assert "model was not heard yet" not in text, "each caption stands beside its picture"
         seen.append(watch.wishes.caption[0])
         watch.press(" ", SIZE, 0)
     assert [title.split(",")[0].split(":")[0] for title in seen] == [
@@ -225,6 +226,7 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
         "Her list",
         "She has the message",
     ]
+    assert "The plant has had it since step" in text
     assert "had it at step 1163" in text_of(watch)
     watch.press("s", SIZE, 0)
     left = [watch.quit]

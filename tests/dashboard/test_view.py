@@ -416,6 +416,8 @@ def test_the_time_left_counts_the_symbols_that_are_missing() -> None:
     left = time_left_s(board)
     assert left == pytest.approx(missing / (seen.recovered_symbols / seen.transitions) / 100.0)
     assert time_left_s(board_after(3000)) is None
+    early = with_plant(board, transitions=8, recovered_symbols=1, rate_hz=1.5)
+    assert time_left_s(early) is None, "47 min were told of a message that took 25 s"
     assert rate_of(board) == pytest.approx(seen.recovered_symbols / 70.0)
     assert time_left_s(Board()) is None
     assert rate_of(Board()) is None

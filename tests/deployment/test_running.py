@@ -17,11 +17,17 @@ from wyner.deployment.running import (
     announced,
     chosen,
     listens,
+    names_of,
     notes_folder,
     running_loops,
 )
 
 NOBODY = "tcp/127.0.0.1:9"
+ANNOUNCES = (
+    "import sys; from wyner.deployment.running import RunningLoop, announced;"
+    "loop = RunningLoop(**{!r})\n"
+    "with announced(loop): print(flush=True); sys.stdin.read()"
+)
 
 
 def loop_named(name: str) -> RunningLoop:
@@ -38,11 +44,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def another() -> Iterator[None]:
     """A second process that announces the run ``b``."""
-    code = (
-        "import sys; from wyner.deployment.running import RunningLoop, announced;"
-        f"loop = RunningLoop(**{asdict(loop_named('b'))!r})\n"
-        "with announced(loop): print(flush=True); sys.stdin.read()"
-    )
+    code = ANNOUNCES.format(asdict(loop_named("b")))
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process:
         assert process.stdout is not None
@@ -78,6 +80,28 @@ def test_of_several_runs_one_must_be_named(another: None) -> None:
         assert chosen("b", NOBODY) == loop_named("b")
         with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a, b"):
             chosen("c", NOBODY)
+
+
+def test_two_runs_whose_folders_end_alike_are_told_apart() -> None:
+    """Two demos were both told as `control`, and neither could be chosen."""
+    one, two = loop_named("one/control"), loop_named("two/control")
+    assert names_of([one, two]) == "one/control, two/control"
+    assert names_of([one, loop_named("b")]) == "control, b"
+    assert names_of([one, one]) == "/runs/one/control, /runs/one/control"
+    code = ANNOUNCES.format(asdict(two))
+    pipe = subprocess.PIPE
+    with (
+        announced(one),
+        subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process,
+    ):
+        assert process.stdout is not None
+        process.stdout.readline()
+        with pytest.raises(UsageError, match="2 runs end in 'control' on this machine"):
+            chosen("control", NOBODY)
+        with pytest.raises(UsageError, match="with one of: one/control, two/control"):
+            chosen(None, NOBODY)
+        assert chosen("two/control", NOBODY) == two
+        process.kill()
 
 
 def test_a_run_beside_services_started_by_hand_must_be_named() -> None:

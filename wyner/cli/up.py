@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pydantic import ValidationError
@@ -151,10 +151,12 @@ def conduct(
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
+    note = ExitStack()
 
     def conclude() -> Sequence[str]:
         """Stop the services and sum up: once, and the tap's last thoughts are part of it."""
         if not summary:
+            note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
             summary.update(summarise(run_dir, payload))
         return (closing or verdict_lines)(summary)
@@ -166,8 +168,8 @@ def conduct(
     ops_ends = [loop.plant_ops, loop.controller_ops]
     try:
         supervisor.start()
+        note.enter_context(announced(loop))
         with (
-            announced(loop),
             ZenohBus(connect=ops_ends) as ops,
             ZenohBus(connect=[loop.intel]) as intel_bus,
         ):

@@ -199,6 +199,7 @@ class Panels:
         if shown:
             tap = shown[0][0]
             guessed, marks = Text(), Text()
+            heard = any(k in tap.guesses for k in agreed)
             for k in agreed:
                 guess = tap.guesses.get(k)
                 if guess is None:
@@ -211,7 +212,7 @@ class Panels:
                 marks.append((" " if right else "^").ljust(wide), style=STYLES["bad"])
             lines += [
                 row(tap.status.name, guessed),
-                row(f"{marks.plain.count('^')} wrong", marks),
+                row(f"{marks.plain.count('^')} wrong" if heard else "no guess yet", marks),
             ]
         else:
             lines += self._nobody()
@@ -284,7 +285,7 @@ class Panels:
             hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
             guess, marks = self._marked(hers, truth, start if same else 0)
             lines.append(row(tap.status.name, guess))
-            wrong = f"{marks.plain.count('^')} wrong"
+            wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
             lines.append(row(wrong if same else f"{wrong}, old", marks))
         if not shown:
             lines += self._nobody()

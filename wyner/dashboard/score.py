@@ -183,10 +183,16 @@ def rate_in_words(board: Board) -> str:
     return f"{'-' if rate is None else number(rate)} bit/s"
 
 
+SETTLED: Final = 20
+"""Transitions from which on the time left is said."""
+
+
 def time_left_s(board: Board) -> float | None:
     """Seconds on the wall clock until the message on its way is whole; None: not to be said."""
     plant, controller = board.plant, board.controller
     if plant is None or controller is None or not plant.recovered_symbols or not plant.rate_hz:
+        return None
+    if plant.transitions < SETTLED:  # the first second's pace is that of the start, not of the run
         return None
     missing = controller.frame_length - controller.frame_symbols
     if missing <= 0:

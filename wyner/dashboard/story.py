@@ -30,8 +30,8 @@ Tell = Callable[[Board], Moment | None]
 
 def _first_agreement(board: Board) -> Moment | None:
     shown = board.pictured
-    if shown is None or shown.pictured_symbol < 0:
-        return None
+    if shown is None or shown.pictured_symbol < 0 or board.model is None:
+        return None  # without the plant's model the panel beside the caption has no picture
     key = shown.pictured_symbol
     return Moment(
         f"The first agreement seen, at step {shown.pictured_k}",
@@ -92,13 +92,17 @@ def _list(board: Board) -> Moment | None:
 
 
 def _she_has_it(board: Board) -> Moment | None:
+    plant = board.plant
     for name, tap in board.taps.items():
         if tap.exact and tap.status.solved_k >= 0:
+            both = plant is not None and plant.last_message == tap.status.message
+            k = plant.message_k if plant is not None and both else -1
             return Moment(
                 f"She has the message, at step {tap.status.solved_k}",
                 (
-                    f"{name} is sure of it, and it is the true one: its check fits. No key was",
-                    "broken, nothing was stolen. It followed from what everyone could read.",
+                    f"{name} is sure of it, and it is the true one: its check fits.",
+                    *([f"The plant has had it since step {k}."] if k >= 0 else []),
+                    "No key was broken, nothing was stolen: it follows from what all can read.",
                 ),
             )
     return None

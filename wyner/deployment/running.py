@@ -11,7 +11,7 @@ import os
 import socket
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -47,8 +47,13 @@ class RunningLoop:
 
     @property
     def name(self) -> str:
-        """The last part of the folder, by which ``--run`` finds it."""
+        """The last part of the folder."""
         return Path(self.run_dir).name
+
+    def ends_in(self, name: str) -> bool:
+        """Whether a name is the folder's last parts."""
+        parts = Path(name).parts
+        return bool(parts) and Path(self.run_dir).parts[-len(parts) :] == parts
 
 
 def notes_folder() -> Path:
@@ -112,6 +117,17 @@ def _read(note: Path) -> RunningLoop | None:
     return None
 
 
+def names_of(loops: Sequence[RunningLoop]) -> str:
+    """What ``--run`` takes for each: as many of its folder's last parts as no other shares."""
+    told = []
+    for loop in loops:
+        parts = Path(loop.run_dir).parts
+        tails = [str(Path(*parts[-n:])) for n in range(1, len(parts) + 1)]
+        own = (t for t in tails if sum(other.ends_in(t) for other in loops) == 1)
+        told.append(next(own, loop.run_dir))
+    return ", ".join(told) or "none"
+
+
 def listens(endpoint: str) -> bool:
     """Whether something listens at a TCP endpoint of this machine."""
     host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
@@ -128,23 +144,24 @@ def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
     Parameters
     ----------
     name : str, optional
-        What ``--run`` says: a run's folder, or the last part of it.
+        What ``--run`` says: a run's folder, or the last parts of it.
     by_hand : str
         An endpoint at which services that were started by hand listen.
 
     Raises
     ------
     UsageError
-        When none is named so, or several run and none was named.
+        When none is named so, or several are, or several run and none was named.
     """
     loops = running_loops()
-    names = ", ".join(loop.name for loop in loops) or "none"
+    names = names_of(loops)
     if name is not None:
         wanted = str(Path(name).absolute())
-        for loop in loops:
-            if name == loop.name or wanted == loop.run_dir:
-                return loop
-        raise UsageError(f"--run: no run {name!r} on this machine, running now: {names}")
+        found = [loop for loop in loops if wanted == loop.run_dir or loop.ends_in(name)]
+        if len(found) == 1:
+            return found[0]
+        many = f"{len(found)} runs end in {name!r}" if found else f"no run {name!r}"
+        raise UsageError(f"--run: {many} on this machine, running now: {names}")
     if not loops:
         return None
     if len(loops) > 1:
