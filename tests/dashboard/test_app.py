@@ -466,7 +466,7 @@ def test_headless_lines_tell_the_story_without_control_codes(
         "plant running",
         "controller running",
         "tap nearest-centre heard",
-        f'message 1 recovered at step 1170: "{MESSAGE_TEXT}"',
+        f'message 1 recovered at step 1163: "{MESSAGE_TEXT}"',
         "tap list-decoder holds the true message by step 1100, and is not sure yet: "
         f'"{MESSAGE_TEXT}"',
         "tap list-decoder was sure of a message at step 1163, and it is the true one",
