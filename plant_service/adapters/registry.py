@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
 from plant_service.adapters.isolated import isolated
@@ -62,6 +62,16 @@ class ModelledElsewhere(PlantTable):
         return matrix
 
 
+def _as_it_stands(start: object) -> object:
+    """Refuse a start where the plant brings its own."""
+    if start not in ((), []):
+        raise ValueError("expected none: a plant of this kind begins where its own code says")
+    return start
+
+
+AsItStands = Annotated[tuple[()], BeforeValidator(_as_it_stands)]
+
+
 class OdePlant(ModelledElsewhere):
     """dx/dt = f(t, x, u), the function ``object``, in physical units."""
 
@@ -94,7 +104,7 @@ class PythonPlant(ModelledElsewhere):
     """The object or class, as FILE.py:NAME or module:NAME."""
     settle_s: Positive | None = None
     """Seconds to run at the operating input before step 0."""
-    initial_state: tuple[()] = ()
+    initial_state: AsItStands = ()
     """None: it starts as it stands."""
 
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
@@ -124,7 +134,7 @@ class FmuPlant(ModelledElsewhere):
     """The parameter that takes a session's seed, for a model with chance of its own."""
     settle_s: Positive | None = None
     """Seconds to run at the operating input before step 0."""
-    initial_state: tuple[()] = ()
+    initial_state: AsItStands = ()
     """None: it starts as it stands."""
 
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002

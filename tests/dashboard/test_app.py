@@ -25,6 +25,7 @@ from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen, speaks_unicode
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
 from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.story import next_moment
 from wyner.dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
 
 SIZE = (80, 24)
@@ -204,6 +205,17 @@ def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
     assert text_of(watch).startswith(" wyner  waiting for the plant")
     watch.wishes = replace(watch.wishes, title="2/3 sealed")
     assert text_of(watch).startswith(" 2/3 sealed  waiting for the plant")
+
+
+def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
+    """Its first captions once stood beside a panel without a picture."""
+    board = Board()
+    for batch in Rehearsal().arrivals(100):
+        board = reduce_all(board, batch)
+    assert next_moment(replace(board, model=None), set()) is None
+    first = next_moment(board, set())
+    assert first is not None
+    assert first[0] == 0
 
 
 def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The pages "How to add ..." are true: their programs run as they stand."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 
 from plant_service.adapters.base import stepped
 from protocol.registry import load_file
+from protocol.scenario import load_scenario
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
 from tap_service.capture.transcript import Transcript
@@ -18,10 +20,10 @@ from wyner.studies.secrecy.runs import simulate
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
 
 
-def program(page: str, folder: Path, name: str) -> Path:
-    """The page's first program, written to a file."""
+def program(page: str, folder: Path, name: str, language: str = "python") -> Path:
+    """The page's first program, or other text, written to a file."""
     found = re.search(
-        r"^```python\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE
+        rf"^```{language}\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE
     )
     assert found is not None
     path = folder / name
@@ -66,6 +68,64 @@ def test_the_plant_of_the_page_moves(tmp_path: Path) -> None:
     room = stepped(load_file(tmp_path / "room.py").Room(), "room.py:Room")
     assert room.reset(None) == (20.0,)
     assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
+
+
+def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_path: Path) -> None:
+    program("plant.md", tmp_path, "room.py")
+    path = program("plant.md", tmp_path, "room.toml", "toml")
+    assert main(["design", str(path)]) == 0
+    scenario = load_scenario(path)
+    point = scenario.plant.operating_point
+    assert point is not None
+    assert point.state is not None
+    assert point.input is not None
+    (at,), (rest,) = point.state, point.input
+    room = stepped(load_file(tmp_path / "room.py").Room(), "room.py:Room")
+    x = room.reset(None)[0] - at
+    for u in (0.3, -0.3, 0.1):
+        (t,) = room.step((rest + u,), scenario.plant.period_s)
+        x = scenario.A[0][0] * x + scenario.B[0][0] * u
+        assert t - at == pytest.approx(x)
+
+
+def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = program("plant.md", tmp_path, "room.toml", "toml")
+    path.write_text(path.read_text().replace("period_s", "initial_state = [-1.0]\nperiod_s"))
+    assert main(["design", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "plant.initial_state: got [-1.0], expected none: a plant of this kind begins" in told
+
+
+def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
+    tmp_path: Path,
+) -> None:
+    page = (PAGES / "run-folder.md").read_text()
+    told = {
+        name: row
+        for row in page.splitlines()
+        if row.startswith("| `")
+        for name in re.findall(r"`(\w+)`", row.split("|")[1])
+    }
+    run = SmallRun(tmp_path / "run", (b"two by two",))
+    run.until_received(1)
+    run.close()
+    events = [
+        json.loads(line)
+        for side in ("plant", "controller")
+        for line in (tmp_path / "run" / side / "trace.jsonl").read_text().splitlines()
+    ]
+    seen = {event["event"] for event in events}
+    assert {"transition", "session", "sent", "recovered", "end"} <= seen
+    for event in events:
+        if event["event"] != "header":
+            for field in set(event) - {"event"}:
+                assert f"`{field}`" in told[event["event"]], (event["event"], field)
+    code = (PAGES.parents[1] / "protocol" / "link").rglob("*.py")
+    named = {name for f in code for name in re.findall(r'"event": "(\w+)"', f.read_text())}
+    assert len(named) > 8
+    assert named <= set(told)
 
 
 @pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda page: page.stem)

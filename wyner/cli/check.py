@@ -105,7 +105,7 @@ def lines_of(finding: "Finding") -> list[str]:
     clause, tally = finding.clause, finding.tally
     counted = f"{tally.counted} {clause.of}"
     details = tally.skipped or "; ".join(part for part in (counted, tally.note) if part)
-    lines = [f"{finding.result}  {clause.name:13} {clause.source:13} {clause.says} [{details}]"]
+    lines = [f"{finding.result}  {clause.name:15} {clause.source:13} {clause.says} [{details}]"]
     first = tally.first
     if first is not None:
         where = f"session {first.session}, " if first.session else ""

@@ -30,8 +30,8 @@ Tell = Callable[[Board], Moment | None]
 
 def _first_agreement(board: Board) -> Moment | None:
     shown = board.pictured
-    if shown is None or shown.pictured_symbol < 0 or board.model is None:
-        return None  # without the plant's model the panel beside the caption has no picture
+    if shown is None or shown.pictured_symbol < 0:
+        return None
     key = shown.pictured_symbol
     return Moment(
         f"The first agreement seen, at step {shown.pictured_k}",
@@ -118,7 +118,12 @@ MOMENTS: Final[tuple[Tell, ...]] = (
 
 
 def next_moment(board: Board, told: Set[int]) -> tuple[int, Moment] | None:
-    """The first moment not ``told`` yet that the board shows by now, and its place."""
+    """The first moment not ``told`` yet that the board shows by now, and its place.
+
+    None before the plant's model was heard: a caption stands beside a picture.
+    """
+    if board.model is None:
+        return None
     for place, tell in enumerate(MOMENTS):
         if place not in told and (moment := tell(board)) is not None:
             return place, moment

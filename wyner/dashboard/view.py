@@ -215,7 +215,8 @@ class _Page(Panels):
             if not key.short or (room is not None and line.cell_len + len(key.label) + 3 > room):
                 continue
             line.append(f" {key.label} ", style="reverse")
-            line.append(f" {key.short}  " if named else " ")
+            held = key.action is keymap.Action.FREEZE and self.wishes.frozen
+            line.append(f" {'go on' if held else key.short}  " if named else " ")
         return line
 
     def _top(self, shown: set[str], extra: int) -> list[Text]:
