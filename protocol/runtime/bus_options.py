@@ -100,14 +100,21 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints
     Raises
     ------
     UsageError
-        When an option names a bus that the service does not have.
+        When an option names a bus that the service does not have, or what is no endpoint.
     """
-    from protocol.runtime.endpoints import Endpoints, TlsFiles
+    from protocol.runtime.bus import TransportError
+    from protocol.runtime.endpoints import Endpoints, TlsFiles, check_endpoint
 
     defaults = SERVICES[service].ends
     listens = _split("--listen", args.listen, defaults)
     connects = _split("--connect", args.connect, defaults)
     folders = dict(_split("--tls", args.tls, defaults))
+    for option, pairs in (("--listen", listens), ("--connect", connects)):
+        for name, endpoint in pairs:
+            try:
+                check_endpoint(endpoint, tls=name in folders)
+            except TransportError as error:
+                raise UsageError(f"{option} {name}: {error}") from None
     for name in args.client:
         if name not in defaults:
             raise UsageError(f"--client: got {name!r}, expected one of {', '.join(defaults)}")

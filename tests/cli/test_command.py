@@ -108,6 +108,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["plant", "--seed", "-1"], "--seed: got -1"),
         (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
         (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
+        (["plant", "--listen", "field=foo"], "--listen field: endpoint: got 'foo', expected tcp/"),
         (["plant", "--listen", "intel=tcp/127.0.0.1:1"], "with BUS one of field, ops"),
         (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
         (["controller", "--connect", "ops=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),

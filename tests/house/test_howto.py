@@ -1,16 +1,26 @@
 """The pages "How to add ..." are true: their programs run as they stand."""
 
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
 from pathlib import Path
 
 import pytest
 
 from plant_service.adapters.base import stepped
+from protocol.messages import Measurement
 from protocol.registry import load_file
+from protocol.runtime.endpoints import free_endpoints
+from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.scenario import load_scenario
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
+from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import named
 from tests.support.small_run import SmallRun
@@ -86,6 +96,42 @@ def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_pat
         (t,) = room.step((rest + u,), scenario.plant.period_s)
         x = scenario.A[0][0] * x + scenario.B[0][0] * u
         assert t - at == pytest.approx(x)
+
+
+def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) -> None:
+    text = textwrap.dedent("\n".join((PAGES / "service.md").read_text().split("\n   ")))
+    blocks = re.findall(r"```python\n(.*?)\n```", text, re.DOTALL)
+    package = tmp_path / "logger_service"
+    package.mkdir()
+    for name, block in zip(("row", "__init__", "command", "__main__"), blocks, strict=True):
+        (package / f"{name}.py").write_text(block + "\n")
+    (end,) = free_endpoints(1)
+    measurement = Measurement(
+        session="0" * 16, k=3, x=(1.0,), applied_k=2, x_after=(1.0,), copy_number=0
+    )
+    with (
+        ZenohBus(listen=[end]) as field,
+        subprocess.Popen(
+            [sys.executable, "-m", "logger_service", "--connect", f"field={end}"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(PAGES.parents[1])},
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
+        publisher = field.publisher(key_of(Measurement, DEFAULT_LOOP))
+        assert process.stdout is not None
+        lines: list[str] = []
+        read = process.stdout.readline
+        ready = threading.Thread(target=lambda: lines.append(read()), daemon=True)
+        ready.start()
+        while ready.is_alive():
+            assert process.poll() is None
+            publisher.put(measurement.wire())
+            ready.join(0.1)
+        assert json.loads(lines[0])["k"] == 3
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
 
 
 def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
