@@ -81,6 +81,7 @@ class TapFleet:
         tap.publish_on(self._intel, many=True)
         self._taps[loop.id] = tap
         self._by_key |= dict.fromkeys(tap.keys, tap)
+        self._share()
 
     def _close(self, name: str) -> None:
         del self._known[name]
@@ -90,6 +91,11 @@ class TapFleet:
                 del self._by_key[key]
             tap.finish()
             tap.close()
+            self._share()
+
+    def _share(self) -> None:
+        for tap in self._taps.values():
+            tap.share(len(self._taps))
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""

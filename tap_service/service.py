@@ -56,7 +56,8 @@ NICENESS: Final = 10
 """Guessing gives way to the loop where they share a processor."""
 
 QUEUE_BYTES: Final = 64 * 2**20
-"""Bytes that may wait for the mirror; what comes beyond them is dropped and counted."""
+"""Bytes that may wait for the mirror in one process; what comes beyond them is dropped and
+counted."""
 
 BUSY_LENGTH: Final = 20_000
 """Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
@@ -115,7 +116,8 @@ class TapService:
         self._listeners = Listeners(listeners, self._guesses)
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
-        self._queue: Inbox[tuple[str, bytes, int]] = Inbox(QUEUE_BYTES)
+        self._queue: Inbox[tuple[str, bytes, int]] = Inbox()
+        self.share(1)
         self._complaints = RateLimitedLog(self.log)
         self._types = {key_of(kind, config.loop): kind for kind in FIELD}
         self._put: Callable[[bytes], None] | None = None
@@ -147,6 +149,11 @@ class TapService:
     def publish_on(self, intel_bus: "Bus", *, many: bool = False) -> None:
         """Publish statuses there; of a fleet one of ``many``."""
         self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop), many=many).put
+
+    def share(self, taps: int) -> None:
+        """So many taps are in this process: each may keep a share of what one may keep waiting."""
+        self._queue.room = QUEUE_BYTES // taps
+        self._busy_length = BUSY_LENGTH // taps
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         """Take one message from the transport; runs on its thread, so it only enqueues."""
@@ -216,7 +223,7 @@ class TapService:
         self._hear(message)
 
     def _hear(self, message: FieldMessage) -> None:
-        if len(self._queue) > BUSY_LENGTH:
+        if len(self._queue) > self._busy_length:
             self._unheard += 1
             return
         self._listeners.hear(message, self._transcript.hear(message))

@@ -6,6 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+import tap_service.service
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.runtime.endpoints import Endpoints
 from protocol.runtime.errors import UsageError
@@ -32,10 +35,8 @@ def wait(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def test_each_loop_is_recorded_in_its_own_folder(sustained: Scenario, tmp_path: Path) -> None:
-    path = tmp_path / "fleet.toml"
-    path.write_text('[[loop]]\nid = "a"\n[[loop]]\nid = "b"\n[[loop]]\nid = "bad"\n')
-
+@pytest.fixture
+def config_of(sustained: Scenario, tmp_path: Path) -> Callable[[FleetLoop], TapConfig]:
     def config_of(loop: FleetLoop) -> TapConfig:
         if loop.id == "bad":
             raise UsageError("nothing is known of this one")
@@ -48,6 +49,14 @@ def test_each_loop_is_recorded_in_its_own_folder(sustained: Scenario, tmp_path: 
             loop=loop.id,
         )
 
+    return config_of
+
+
+def test_each_loop_is_recorded_in_its_own_folder(
+    config_of: Callable[[FleetLoop], TapConfig], sustained: Scenario, tmp_path: Path
+) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text('[[loop]]\nid = "a"\n[[loop]]\nid = "b"\n[[loop]]\nid = "bad"\n')
     field, intel = MemoryHub(), MemoryHub()
     statuses: dict[str, TapStatus] = {}
     MemoryBus(intel).subscribe(
@@ -88,3 +97,29 @@ def test_each_loop_is_recorded_in_its_own_folder(sustained: Scenario, tmp_path: 
     assert not (tmp_path / "bad").exists()
     assert not (tmp_path / "unknown").exists()
     assert statuses["b"].dropped == 0
+
+
+def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(
+    config_of: Callable[[FleetLoop], TapConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flood on one loop takes that loop's share, and what another's tap has waiting stays."""
+    monkeypatch.setattr(tap_service.service, "QUEUE_BYTES", 100_000)
+    path = tmp_path / "fleet.toml"
+    path.write_text("".join(f'[[loop]]\nid = "{name}"\n' for name in "abcd"))
+    field = MemoryHub()
+    taps = TapFleet(Fleet.of_file(path), config_of)
+    taps.attach(MemoryBus(field), MemoryBus(MemoryHub()))
+    put = {name: MemoryBus(field).publisher(key_of(Offer, name)).put for name in "ab"}
+    body = bytes(300)  # and OVERHEAD for each: 50 have room
+    put["b"](body)
+    for _ in range(1000):
+        put["a"](body)
+    a, b = (taps._taps[name]._queue for name in "ab")
+    assert (len(a), a.dropped) == (50, 950)
+    assert (len(b), b.dropped) == (1, 0)
+    taps._close("c")
+    taps._close("d")
+    put["a"](body)
+    assert len(a) == 51, "where two have left there is more for each"
+    for name in "ab":
+        taps._close(name)
