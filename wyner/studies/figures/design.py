@@ -37,12 +37,12 @@ def draw_design(figure: Figure, scenario: "Scenario", design: "Design", law: "Ca
     x = run.x[:, :, 0]
     N = design.horizon
     shown = sorted({0, *(i for i in (1, 2, 5, 10, 20, 50, 100, 200) if i < N), N})
-    for place, i in enumerate(shown):
+    for i in shown:
         H, h = (np.asarray(v) for v in design.set(i))
         ring = shadow(H, h)
-        label = f"T_{i}" if i in (0, N) else None
+        rest = f"T_1 to T_{N}: those in sight" if i == 1 else None
         left.fill(*ring, alpha=0.05, color="0.3", lw=0)
-        left.plot(*ring, color="0.75" if 0 < i < N else COLOURS[min(place, 1)], lw=1, label=label)
+        left.plot(*ring, color="0.6" if i else COLOURS[0], lw=1, label=rest if i else "T_0")
     if x.shape[1] > 1:
         left.plot(x[:, 0], x[:, 1], color=COLOURS[2], marker=".", ms=3, lw=0.7, label="a run")
         left.set_ylabel("$x_2$")
@@ -66,8 +66,8 @@ def draw_design(figure: Figure, scenario: "Scenario", design: "Design", law: "Ca
     right.axhline(APART, color=COLOURS[1], lw=1, ls="--", label="from here on each step agrees")
     right.set_xlabel("step")
     right.set_ylabel("closest two predictions, in half-widths of D_c")
-    right.set_ylim(bottom=0)
-    right.legend(fontsize=8)
+    right.set_ylim(0, 1.3 * max(APART, apart.max()))  # the legend stands above what is drawn
+    right.legend(fontsize=8, loc="upper right")
     right.set_title("How far apart the candidates lie", fontsize=10)
     return f"{scenario.name}, law {scenario.control.law}: one run of {STEPS} steps, seed {SEED}"
 
