@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.compose.composition import BASE_IMAGE, Composition, base_image, docker, leftovers
+from tests.compose.composition import BASE_IMAGE, PACE, Composition, base_image, docker, leftovers
 
 NO_ENGINE = (
     "No Docker engine answers, and these tests start containers. To get one: on Debian, as root, "
@@ -37,7 +37,7 @@ def engine() -> str:
 def image(engine: str) -> str:
     """The image that all services run, built from this tree."""
     builder = Composition("wyner-test-build")
-    built = builder.compose("build", "controller", check=False)
+    built = builder.compose("build", "controller", check=False, timeout=1800)
     assert built.returncode == 0, (
         f"building on {base_image()} failed (BASE_IMAGE chooses another base, "
         f"deploy/base-image makes {BASE_IMAGE}):\n{built.stderr[-3000:]}"
@@ -59,13 +59,9 @@ def running(project: str, profile: str, **variables: str) -> Iterator[Compositio
 
 @pytest.fixture(scope="module")
 def direct(image: str) -> Iterator[Composition]:
-    yield from running(
-        "wyner-test-direct", "direct", WYNER_MESSAGE="the first message", WYNER_PACE="x20"
-    )
+    yield from running("wyner-test-direct", "direct", WYNER_MESSAGE="at noon", WYNER_PACE=PACE)
 
 
 @pytest.fixture(scope="module")
 def secure(image: str) -> Iterator[Composition]:
-    yield from running(
-        "wyner-test-secure", "secure", WYNER_MESSAGE="through the router", WYNER_PACE="x20"
-    )
+    yield from running("wyner-test-secure", "secure", WYNER_MESSAGE="at noon", WYNER_PACE=PACE)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
-from tests.compose.composition import ROOT
+from tests.compose.composition import PATIENCE_S, ROOT
 
 
 class Terminal:
@@ -43,6 +43,13 @@ class Terminal:
                     break
                 self.output += shown.decode(errors="replace")
         return self.output
+
+    def read_until(self, *texts: str) -> None:
+        """Read until the program has shown every text; fails when it does not."""
+        until = time.monotonic() + PATIENCE_S
+        while missing := [text for text in texts if text not in self.output]:
+            assert time.monotonic() < until, f"never shown: {missing}:\n{self.output[-2000:]}"
+            self.read(0.2)
 
     def wait(self, within_s: float) -> int:
         """The exit code; fails when the program does not end in time."""

@@ -5,13 +5,13 @@ import subprocess
 
 import pytest
 
-from tests.compose.composition import ROOT, Composition
+from tests.compose.composition import PATIENCE_S, ROOT, Composition
 
 
 def test_compose_v2_reads_the_file_and_starts_the_direct_system_by_default(engine: str) -> None:
     shown = subprocess.run(
         ["docker", "compose", "-f", "compose.yaml", "config", "--services"],
-        cwd=ROOT, capture_output=True, text=True, timeout=60, check=True,
+        cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,
     )  # fmt: skip
     assert sorted(shown.stdout.split()) == ["controller", "knowledge", "plant", "settings", "tap"]
 
@@ -24,7 +24,7 @@ def test_the_older_docker_compose_brings_the_system_up(image: str) -> None:
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [*older, *arguments], cwd=ROOT, env=system.environment,
-            capture_output=True, text=True, timeout=120, check=False,
+            capture_output=True, text=True, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
 
     try:

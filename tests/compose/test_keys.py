@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import RUN, Composition, all_healthy, wait_for
+from tests.compose.composition import PACE, RUN, Composition, all_healthy, wait_for
 from tests.compose.conftest import running
 
 SERVICES = ("keys-controller", "keys-plant", "keys-tap", "kme-controller", "kme-plant")
@@ -36,7 +36,7 @@ with KeyStore(Path("{RUN}") / path, side) as store:
 
 @pytest.fixture(scope="module")
 def keys(image: str) -> Iterator[Composition]:
-    yield from running("wyner-test-keys", "keys", WYNER_PACE="x20", WYNER_KEY_EVERY="1")
+    yield from running("wyner-test-keys", "keys", WYNER_PACE=PACE, WYNER_KEY_EVERY="1")
 
 
 def in_use(system: Composition, application: str) -> list[str]:
@@ -47,9 +47,7 @@ def in_use(system: Composition, application: str) -> list[str]:
 
 def test_both_applications_use_the_same_fresh_keys(keys: Composition) -> None:
     all_healthy(keys, SERVICES)
-    both = wait_for(
-        lambda: ids if len(ids := in_use(keys, "alice")) >= 3 else None, 60, "three keys"
-    )
+    both = wait_for(lambda: ids if len(ids := in_use(keys, "alice")) >= 3 else None, "three keys")
     assert len(set(both)) == len(both)
     assert in_use(keys, "bob")[:3] == both[:3]
     for service, side in (("kme-controller", "controller"), ("kme-plant", "plant")):
@@ -76,7 +74,7 @@ def test_a_key_server_that_is_killed_comes_back_and_the_keys_go_on(keys: Composi
     all_healthy(keys, SERVICES)
     keys.kill("kme-controller")
     before = len(in_use(keys, "alice"))
-    wait_for(lambda: len(in_use(keys, "alice")) > before + 1, 30, "fresh keys")
+    wait_for(lambda: len(in_use(keys, "alice")) > before + 1, "fresh keys")
     alice, bob = in_use(keys, "alice"), in_use(keys, "bob")
     assert set(alice) <= set(bob)
     assert len(set(alice)) == len(alice)

@@ -1,6 +1,6 @@
 """What people run beside the services: the dashboard, and the operator's command."""
 
-from tests.compose.composition import Composition, all_healthy
+from tests.compose.composition import PATIENCE_S, Composition, all_healthy
 from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
@@ -10,12 +10,13 @@ def test_the_dashboard_fills_a_terminal_and_q_leaves_it(direct: Composition) -> 
     all_healthy(direct, SERVICES)
     command = direct.command("run", "--rm", "--no-deps", "dashboard")
     with Terminal(command, direct.environment) as terminal:
-        shown = terminal.read(6)
-        assert "\x1b[?1049h" in shown  # the alternate screen
-        assert "sustained" in shown  # the plant has been heard, over ops
-        assert "nearest-centre" in shown  # and the tap, over intel
+        terminal.read_until(
+            "\x1b[?1049h",  # the alternate screen
+            "sustained",  # the plant has been heard, over ops
+            "nearest-centre",  # and the tap, over intel
+        )
         terminal.press("q")
-        assert terminal.wait(10) == 0
+        assert terminal.wait(PATIENCE_S) == 0
 
 
 def test_an_operator_without_a_controller_is_told_so(direct: Composition) -> None:

@@ -1,20 +1,29 @@
-"""Everything ends when told to, quickly, with exit code 0, and leaves nothing behind."""
+"""Everything ends when told to, with exit code 0, and leaves nothing behind.
 
-import time
+A service that needed more than the grace of the compose file would be killed, and end with 137.
+"""
+
 from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import Composition, advancing, all_healthy, leftovers, wait_for
+from tests.compose.composition import (
+    PACE,
+    PATIENCE_S,
+    Composition,
+    advancing,
+    all_healthy,
+    leftovers,
+    wait_for,
+)
 from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
-GRACE_S = 5.0
 
 
 @pytest.fixture
 def system(image: str) -> Iterator[Composition]:
-    system = Composition("wyner-test-stop", "direct")
+    system = Composition("wyner-test-stop", "direct", {"WYNER_PACE": PACE})
     system.down()
     yield system
     system.down()
@@ -31,12 +40,10 @@ def none_runs(system: Composition) -> bool:
 
 def test_control_c_stops_everything(system: Composition) -> None:
     with Terminal(system.command("up", "--no-build"), system.environment) as terminal:
-        wait_for(lambda: system.container("tap"), 60, "containers")
+        wait_for(lambda: system.container("tap"), "containers")
         all_healthy(system, SERVICES)
-        began = time.monotonic()
         terminal.press("\x03")
-        code = terminal.wait(3 * GRACE_S)
-        assert time.monotonic() - began < GRACE_S
+        code = terminal.wait(PATIENCE_S)
     assert none_runs(system)
     assert exit_codes(system) == dict.fromkeys(SERVICES, 0)
     # 130 would say that Compose got a signal, and not the key that .env makes of it. Compose 2.26
@@ -47,9 +54,7 @@ def test_control_c_stops_everything(system: Composition) -> None:
 def test_stop_is_a_clean_end_for_every_service(system: Composition) -> None:
     system.up()
     all_healthy(system, SERVICES)
-    began = time.monotonic()
     system.compose("stop")
-    assert time.monotonic() - began < GRACE_S
     assert exit_codes(system) == dict.fromkeys(SERVICES, 0)
 
 
@@ -62,7 +67,6 @@ def test_a_restarted_system_goes_on_where_it_was(system: Composition) -> None:
     # The same session, from the journals in the volumes: nothing began anew.
     after = wait_for(
         lambda: (s := system.status("plant", "plant"))["transitions"] > before["transitions"] and s,
-        60,
         "transitions",
     )
     assert after["session"] == before["session"]
