@@ -148,7 +148,7 @@ def _got(tap: dict[str, Any]) -> str:
     def share(value: float | None) -> str:
         return "    -  " if value is None else f"{100 * value:5.1f} %"
 
-    whole = "whole message" if tap["messages_exact"] else "not whole"
+    whole = "whole" if tap["messages_exact"] else "not whole"
     return (
         f"{share(tap['symbol_accuracy'])} of keys, "
         f"{share(tap['message_bit_accuracy'])} of message bits, {whole}"

@@ -1,0 +1,35 @@
+"""The lines that end a run: they fit a terminal, and make its point."""
+
+from pathlib import Path
+
+from tests.support.small_run import SmallRun
+from wyner.scoring.summary import render, summarise
+
+PAYLOAD = b"two by two"
+
+
+def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -> None:
+    """A tap that had it all was told in 82 columns, and the last two stood in a line alone."""
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.until_received(1)
+    run.close()
+    summary = summarise(tmp_path, PAYLOAD)
+    assert summary["delivered"]
+    tap = {"symbol_accuracy": 1.0, "message_bit_accuracy": 1.0, "solved_k": 2563}
+    summary |= {
+        "run_dir": "runs/one",
+        "true_bits": 0.0,
+        "strongest": "set-membership",
+        "taps": {
+            "set-membership": {**tap, "messages_exact": 1},
+            "list-decoder": {**tap, "messages_exact": 0},
+        },
+    }
+    lines = render(summary).splitlines()
+    assert max(map(len, lines)) < 80
+    assert any(line.endswith("100.0 % of message bits, whole") for line in lines)
+    assert any(line.endswith("100.0 % of message bits, not whole") for line in lines)
+    step = summary["delivered_k"]
+    assert lines[-3] == f"The plant  had the message at step {step}."
+    assert lines[-2].startswith("Eve        had it at step 2563, from what everyone can read")
+    assert lines[-1].endswith("True: 0, measured (set-membership).")
