@@ -213,9 +213,15 @@ def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
     for batch in Rehearsal().arrivals(100):
         board = reduce_all(board, batch)
     assert next_moment(replace(board, model=None), set()) is None
-    first = next_moment(board, set())
-    assert first is not None
-    assert first[0] == 0
+    told: set[int] = set()
+    steps = []
+    while (found := next_moment(board, told)) is not None and len(told) < 2:
+        place, moment = found
+        assert place == len(told), "in their order, however late the model was heard"
+        told.add(place)
+        steps.append(moment.step)
+    first = min(k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0)
+    assert steps == [first, first], "both captions stand beside the first agreement"
 
 
 def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path) -> None:
@@ -229,6 +235,9 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
         text = text_of(watch)
         assert "…" not in text
         assert "model was not heard yet" not in text, "each caption stands beside its picture"
+        title = watch.wishes.caption[0]
+        if title.startswith("The first agreement"):
+            assert f"Agreement at {title.rpartition(', at ')[2]} " in text
         seen.append(watch.wishes.caption[0])
         watch.press(" ", SIZE, 0)
     assert [title.split(",")[0].split(":")[0] for title in seen] == [

@@ -95,7 +95,9 @@ class Watch:
         if not self._moments or self.wishes.caption or self._held is not None:
             return
         moment, self._held, self._held_ns = self._moments.popleft()
-        self.wishes = replace(self.wishes, caption=moment.caption, press=GO_ON, frozen=True)
+        self.wishes = replace(
+            self.wishes, caption=moment.caption, press=GO_ON, frozen=True, step=moment.step
+        )
 
     def end(self, lines: Sequence[str]) -> None:
         """The run is over: show its last lines, and what they say."""

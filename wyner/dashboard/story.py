@@ -14,10 +14,14 @@ from wyner.dashboard.score import score
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A title and its lines, for a screen of 80 columns."""
+    """A title and its lines, for a screen of 80 columns, and the step that the picture is of.
+
+    Without a step the picture is the newest.
+    """
 
     title: str
     lines: tuple[str, ...]
+    step: int | None = None
 
     @property
     def caption(self) -> tuple[str, ...]:
@@ -28,23 +32,30 @@ class Moment:
 Tell = Callable[[Board], Moment | None]
 
 
+def _agreed(board: Board) -> list[int]:
+    """The pictured steps in which a key was agreed."""
+    return [k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0]
+
+
 def _first_agreement(board: Board) -> Moment | None:
-    shown = board.pictured
-    if shown is None or shown.pictured_symbol < 0:
+    agreed = _agreed(board)
+    if not agreed:
         return None
-    key = shown.pictured_symbol
+    first = min(agreed)
+    key = board.pictures[first].pictured_symbol
     return Moment(
-        f"The first agreement seen, at step {shown.pictured_k}",
+        f"The first agreement seen, at step {first}",
         (
             f"Two inputs were offered; the plant tossed a coin and applied input {key}.",
             f"The state came into D_c around prediction {key} and around no other, so both",
             f"ends know the coin: key symbol {key}. Every D_e holds it: she cannot tell?",
         ),
+        first,
     )
 
 
 def _first_message_symbol(board: Board) -> Moment | None:
-    agreed = [k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0]
+    agreed = _agreed(board)
     # The one after an agreement that was seen, so that the two captions follow each other.
     its = (k for k, truth in board.truths.items() if truth.role == "message" and agreed)
     steps = [k for k in its if k > min(agreed)]
@@ -57,6 +68,7 @@ def _first_message_symbol(board: Board) -> Moment | None:
             "Everyone reads that sum; whoever has the key subtracts it. In other steps a",
             "random bit stands in its place, so that nobody sees which ones count.",
         ),
+        min(agreed),
     )
 
 
