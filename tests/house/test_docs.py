@@ -152,3 +152,14 @@ def test_every_link_within_the_project_leads_somewhere(page: Path) -> None:
         path = link.partition("#")[0]
         if path and not re.match(r"[a-z]+:", link):
             assert (page.parent / path).exists(), link
+
+
+def test_the_index_has_every_page_once() -> None:
+    """Pages once stood in the contents twice: by name, and again under a pattern."""
+    trees = re.findall(
+        r"```\{toctree\}\n(.*?)```", (ROOT / "docs" / "index.md").read_text(), re.DOTALL
+    )
+    rows = [row for tree in trees for row in tree.splitlines() if row and not row.startswith(":")]
+    named = [row for row in rows if "/" not in row]
+    assert sorted(named) == sorted(p.stem for p in DOCUMENTS if p.stem != "index")
+    assert "howto/*" in rows
