@@ -136,11 +136,16 @@ def _told(line: ssl.SSLSocket, within_s: float) -> dict[str, Any]:
     line.settimeout(within_s)
     try:
         with line.makefile("rb") as lines:
-            said = json.loads(lines.readline(MOST_BYTES))
+            sent = lines.readline(MOST_BYTES)
+        if not sent:
+            raise NotRotated("the other end: hung up without a word")
+        said = json.loads(sent)
     except TimeoutError:
         raise NotRotated(f"the other end: no word within {within_s:g} s") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise NotRotated(f"the other end: {error}") from None
+    except ValueError:
+        raise NotRotated("the other end: expected an object") from None
     if not isinstance(said, dict):
         raise NotRotated("the other end: expected an object")
     return said
