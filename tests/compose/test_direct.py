@@ -148,7 +148,7 @@ def test_a_listener_to_everything_hears_only_field_messages(direct: Composition)
     assert "wyner/v1/loop/ops/plant/status" in heard
 
 
-def test_the_tap_hears_the_first_message_from_its_first_step_on(direct: Composition) -> None:
+def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
     """She listens before anybody speaks. Later a busy machine may cost her a message in twenty."""
     arrives(direct, "plant", "at noon")
     trace = direct.execute("plant", "cat", f"{RUN}/plant/trace.jsonl").stdout.splitlines()
