@@ -354,7 +354,7 @@ class Host:
         try:
             perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
         except OSError as error:
-            loop.ports.log.warning("the last status is lost: %s", error)
+            loop.ports.log.warning("the last word is lost: %s", error)
         finally:
             if self._worker is not None and loop.ports.files.keeper is not None:
                 self._worker.leave(loop.ports.files.keeper)

@@ -117,7 +117,7 @@ def test_the_model_is_the_defenders() -> None:
         ({**FMU, "plant": {**FMU["plant"], "sha256": "12"}}, 'plant.sha256: got "12", string'),
         (
             {**FMU, "plant": {**FMU["plant"], "initial_state": [1.0, 2.0]}},
-            "plant.initial_state: got [1.0, 2.0], tuple should have at most 0 items",
+            "plant.initial_state: got [1.0, 2.0], expected none: a plant of this kind",
         ),
     ],
 )

@@ -33,26 +33,32 @@ TEXT = "The old mill, at nine."
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """It goes on until a sealed message was delivered: blocks are then confirmed at both ends."""
-    folder = tmp_path_factory.mktemp("runs") / "keys"
-    options = Namespace(
-        scenario="keys",
-        message="hi",
-        message_file=None,
-        pace="fast",
-        steps=100_000,
-        until_delivered=True,
-        eavesdropper="nearest-centre,key-solver",
-        story=False,
-        headless=True,
-        json=True,
-        run_dir=str(folder),
-        secret=True,
-        seed=None,
-    )
-    outcome = conduct(options, lambda ops: SealedMessage(ops, TEXT.encode()), stays=False)
-    assert outcome.failure is None
-    return folder
+    """It goes on until a sealed message was delivered: blocks are then confirmed at both ends.
+
+    The tap loses three messages of ten, the sealed one as well: runs are made until she has it.
+    """
+    for _ in range(30):
+        folder = tmp_path_factory.mktemp("runs") / "keys"
+        options = Namespace(
+            scenario="keys",
+            message="hi",
+            message_file=None,
+            pace="fast",
+            steps=100_000,
+            until_delivered=True,
+            eavesdropper="nearest-centre,key-solver",
+            story=False,
+            headless=True,
+            json=True,
+            run_dir=str(folder),
+            secret=True,
+            seed=None,
+        )
+        outcome = conduct(options, lambda ops: SealedMessage(ops, TEXT.encode()), stays=False)
+        assert outcome.failure is None
+        if b'"topic":"sealed"' in (folder / CAPTURE).read_bytes():
+            return folder
+    pytest.fail("she lost the sealed message in every run")
 
 
 @pytest.fixture
