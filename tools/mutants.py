@@ -21,7 +21,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -125,8 +125,8 @@ def changed(before: str, after: str) -> tuple[int, int]:
     return spot
 
 
-def prepare() -> dict[str, list[Mutant]]:
-    """A copy of the checkout with the mutants in it, and every room's mutants."""
+def prepare(wanted: Collection[str]) -> dict[str, list[Mutant]]:
+    """A copy of the checkout with the mutants of these rooms in it, and each room's mutants."""
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard"], capture_output=True, text=True, check=True
     ).stdout.splitlines()
@@ -138,7 +138,7 @@ def prepare() -> dict[str, list[Mutant]]:
             continue
         (TREE / path).parent.mkdir(parents=True, exist_ok=True)
         room = str(path.parent)
-        if room not in ROOMS or path.suffix != ".py":
+        if room not in wanted or path.suffix != ".py":
             shutil.copy2(path, TREE / path)
             continue
         digest = hashlib.sha256(path.read_bytes() + Path(__file__).read_bytes()).hexdigest()
@@ -151,7 +151,7 @@ def prepare() -> dict[str, list[Mutant]]:
         if str(path.relative_to(TREE)) not in listed:
             path.unlink()
     INDEX.write_text(json.dumps(kept))
-    rooms: dict[str, list[Mutant]] = {room: [] for room in ROOMS}
+    rooms: dict[str, list[Mutant]] = {room: [] for room in wanted}
     for name, entry in sorted(kept.items()):
         rooms[str(Path(name).parent)] += [Mutant(*row) for row in entry["mutants"]]
     return rooms
@@ -195,9 +195,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="N mutants of each room")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args(argv)
-    rooms = prepare()
-    for room in [args.room] if args.room else ROOMS:
-        chosen = drawn(rooms[room], args.sample, args.seed)
+    for room, mutants in prepare([args.room] if args.room else list(ROOMS)).items():
+        chosen = drawn(mutants, args.sample, args.seed)
         chart = BUILD / "chosen.json"
         chart.write_text(json.dumps([[m.name, m.key, m.first, m.last] for m in chosen]))
         started = time.monotonic()
@@ -210,7 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         fate = fates(TRIED)
         hours = (time.monotonic() - started) / 3600
-        print(told(room, len(rooms[room]), chosen, fate))
+        print(told(room, len(mutants), chosen, fate))
         print(f"  {(len(fate) - known) / hours:.0f} new ones an hour", flush=True)
     return 0
 
