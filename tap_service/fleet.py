@@ -153,8 +153,8 @@ def run_taps(
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
-        field_bus = stack.enter_context(open_bus(field, many=True))
-        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel, many=True))))
+        field_bus = stack.enter_context(open_bus(field))
+        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel))))
         taps = TapFleet(fleet, config_of)
         taps.attach(field_bus, intel_bus)
         os.nice(NICENESS)

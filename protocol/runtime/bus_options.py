@@ -164,12 +164,11 @@ def buses_of(
     from protocol.runtime.bus import TransportError
     from protocol.runtime.zenoh_bus import open_bus
 
-    many = args.fleet is not None or args.loops is not None
     try:
         with (
             stop_on_signals() as stopping,
-            open_bus(endpoints_of(args, service, "field"), many=many) as field,
-            open_bus(endpoints_of(args, service, "ops"), many=many) as ops,
+            open_bus(endpoints_of(args, service, "field")) as field,
+            open_bus(endpoints_of(args, service, "ops")) as ops,
         ):
             freeze_startup()
             with noted(args, ops) as ops_or_noted:

@@ -288,19 +288,14 @@ class ZenohBus(Bus):
         session.close()
 
 
-def open_bus(endpoints: Endpoints, patience_s: float = inf, *, many: bool = False) -> ZenohBus:
+def open_bus(endpoints: Endpoints, patience_s: float = inf) -> ZenohBus:
     """Open the bus that ``endpoints`` describe; a client waits so long for its router.
-
-    A process of ``many`` loops lets Zenoh have one thread of its own instead of four: what wakes
-    less often takes more at a time. A single loop would gain nothing that lasts.
 
     Raises
     ------
     TransportError
         As :class:`ZenohBus` does.
     """
-    if many:
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
     return ZenohBus(
         listen=endpoints.listen,
         connect=endpoints.connect,
@@ -353,6 +348,8 @@ def _open(
 ) -> "zenoh.Session":
     import zenoh
 
+    if settings["mode"] != "router":  # which has the messages of many to relay
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
     config = zenoh.Config()
     for key, value in settings.items():
         try:

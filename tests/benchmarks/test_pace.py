@@ -83,6 +83,14 @@ def test_a_pace_is_measured() -> None:
 
 @pytest.mark.slow
 @pytest.mark.integration
+def test_a_rate_that_missed_a_step_is_not_run_to_its_end() -> None:
+    row = pace.run_at(5000, 60_000, until_missed=True)
+    assert row["missed"] > 0
+    assert 0 < row["steps"] < 60_000
+
+
+@pytest.mark.slow
+@pytest.mark.integration
 def test_a_small_overload_is_measured() -> None:
     result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)
     assert result["made"] + result["missed"] == result["asked"]
