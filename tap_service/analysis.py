@@ -130,9 +130,11 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
         except CaptureError as error:
             complaints.add(str(error))
         if pipe.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
+            complaints.tell_rest(last=True)
             log.close()
             pipe.send(None)
             return
+    complaints.tell_rest(last=True)
     transcript = Transcript()
     finishing = False
     next_belief = 0.0

@@ -281,6 +281,7 @@ class TapService:
         if self._put is not None:
             for status in statuses:
                 self._put(status.wire())
+        self._complaints.tell_rest(last=last)
 
     def _behind(self) -> int:
         """Steps, of two messages each, that the light eavesdroppers have not heard yet."""
@@ -314,3 +315,4 @@ class TapService:
         self._guesses.close()
         if self._heavy is not None:
             self._heavy.close()
+        self._complaints.tell_rest(last=True)

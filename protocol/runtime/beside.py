@@ -75,6 +75,8 @@ class Beside:
                     self._perform(self._end.wake(now))
             except (StoreError, TransportError) as error:  # a full disk: it may be better next time
                 self._complaints.add(f"sealed messages: {error}")
+            self._complaints.tell_rest()
+        self._complaints.tell_rest(last=True)
 
     def _perform(self, actions: Actions) -> None:
         """What is to be saved was saved by the end itself, in its store."""

@@ -358,7 +358,7 @@ class Host:
         finally:
             if self._worker is not None and loop.ports.files.keeper is not None:
                 self._worker.leave(loop.ports.files.keeper)
-            loop.ports.files.close()
+            loop.ports.close()
         if not self._loops:
             self._inbox.put(None, None)
 

@@ -31,20 +31,36 @@ def logger(service: str) -> logging.Logger:
 
 
 class RateLimitedLog:
-    """Counts what goes wrong and logs it once a second at most, with the count since."""
+    """Counts what goes wrong and logs it once a second at most, with the count since.
+
+    What was not logged yet is not lost: whoever keeps one calls :meth:`tell_rest` now and then
+    where that is simple, and at its end.
+    """
 
     def __init__(self, log: logging.Logger) -> None:
         self.total = 0
         self._log = log
-        self._silent = 0
+        self._text = ""
+        self._untold = 0
         self._throttle = Throttle(1.0)
 
     def add(self, text: str) -> None:
         """Count one more, and log it unless one was logged within the last second."""
         self.total += 1
-        if self._throttle.ready(time.monotonic()):
-            more = f" (and {self._silent} more since the last such line)" if self._silent else ""
-            self._log.warning("%s%s", text, more)
-            self._silent = 0
-        else:
-            self._silent += 1
+        self._text = text
+        self._untold += 1
+        self.tell_rest()
+
+    def tell_rest(self, *, last: bool = False) -> None:
+        """Log the newest that was not logged, with the count before it, once the second is over.
+
+        Parameters
+        ----------
+        last : bool
+            At once, for there is no later.
+        """
+        if self._untold and (last or self._throttle.ready(time.monotonic())):
+            before = self._untold - 1
+            more = f" (and {before} more since the last such line)" if before else ""
+            self._log.warning("%s%s", self._text, more)
+            self._untold = 0

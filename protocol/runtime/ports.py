@@ -90,8 +90,16 @@ class LoopPorts:
         return self.limited[subject]
 
     def health(self, status: Status) -> None:
-        """Have the status and the health line replaced."""
+        """Have the status and the health line replaced; tell what the log still owes."""
         self.tell_health(status)
+        for limited in tuple(self.limited.values()):  # a flood is told beside the turns
+            limited.tell_rest()
+
+    def close(self) -> None:
+        """Tell the rest of the log, and close the files."""
+        for limited in self.limited.values():
+            limited.tell_rest(last=True)
+        self.files.close()
 
 
 _LEVELS: Final = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

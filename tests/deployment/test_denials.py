@@ -1,8 +1,12 @@
 """What a guarded router tells of messages that it did not let in."""
 
+import logging
+import os
+
 import pytest
 
-from wyner.deployment.denials import SESSIONS, Denials
+from protocol.runtime.logs import RateLimitedLog
+from wyner.deployment.denials import SESSIONS, Denials, denials_told
 
 KEY = "wyner/v1/loop/measurement"
 KINDS = ("Query", "Reply", "Put", "Delete", "Declare/Undeclare Subscriber", "Liveliness Query")
@@ -100,3 +104,18 @@ def test_the_names_of_sessions_are_bounded() -> None:
     )
     assert "no name" in first
     assert "tap may not" in last
+
+
+def test_the_last_denials_are_told_with_their_count_at_the_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    said = "".join([line(judged(TAP, "tap", "Put (ingress)"))] * 5)
+    complaints = RateLimitedLog(logging.getLogger("test-denials"))
+    with denials_told(complaints):
+        os.write(1, said.encode())
+    denied = f"denied: tap may not put on {KEY}"
+    assert complaints.total == 5
+    assert [r.message for r in caplog.records] == [
+        denied,
+        f"{denied} (and 3 more since the last such line)",
+    ]

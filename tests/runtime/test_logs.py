@@ -37,6 +37,30 @@ def test_complaints_are_counted_and_logged_once_a_second(
     ]
 
 
+def test_what_was_not_logged_is_told_once_the_second_is_over_or_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    complaints = RateLimitedLog(logging.getLogger("test-rest"))
+    complaints.tell_rest(last=True)
+    for i in range(4):
+        complaints.add(f"offer {i}: garbage")
+    now = 100.9
+    complaints.tell_rest()
+    assert [r.message for r in caplog.records] == ["offer 0: garbage"]
+    now = 101.0
+    for _ in range(3):
+        complaints.tell_rest()
+    told = "offer 3: garbage (and 2 more since the last such line)"
+    assert [r.message for r in caplog.records][1:] == [told]
+    complaints.add("offer 4: garbage")
+    complaints.tell_rest()
+    complaints.tell_rest(last=True)
+    complaints.tell_rest(last=True)
+    assert [r.message for r in caplog.records][2:] == ["offer 4: garbage"]
+
+
 def test_a_log_is_made_once() -> None:
     assert logger("test-log") is logger("test-log")
     assert len(logger("test-log").handlers) == 1

@@ -52,6 +52,7 @@ from protocol.scenario import Scenario
 from protocol.shipped import SCENARIOS
 from protocol.streams import COIN, noise, symbols
 from protocol.topics import key_of
+from tests.support.told import log_of, told
 from wyner.cli.main import main
 
 Service = TypeVar("Service", PlantService, ControllerService)
@@ -176,7 +177,12 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) 
     offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
     measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
     rounds = 20
-    with system.controller(b"one"), system.plant(pace):
+    with (
+        log_of("plant") as plant_said,
+        log_of("controller") as controller_said,
+        system.controller(b"one"),
+        system.plant(pace),
+    ):
         for i in range(rounds):
             for payload in junk:
                 for kind in (Measurement, Offer):
@@ -194,6 +200,8 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) 
     )
     assert plant.garbage == rounds * (2 * len(junk) + 1)
     assert controller.garbage == rounds * (3 * len(junk) + 1)
+    assert told(plant_said, "; ignored") == plant.garbage
+    assert told(controller_said, "; ignored") == controller.garbage
 
 
 def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:

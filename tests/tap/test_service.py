@@ -36,6 +36,7 @@ from tap_service.config import TapConfig
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import TapService
 from tests.support.matched import matched
+from tests.support.told import log_of, told
 from wyner.scoring.replay import Replay
 from wyner.studies.secrecy.runs import Run, simulate
 
@@ -141,12 +142,14 @@ def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> 
         wire.send(message)
         if i < len(junk):
             wire.send_bytes(junk[i])
-    wire.finish()
+    with log_of("tap") as said:
+        wire.finish()
     reader = CaptureReader(tmp_path)
     assert [m for _, m in reader.records()] == list(run.messages)
     kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "garbage"]
     assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
     assert reader.garbage == wire.statuses[-1].garbage == len(junk)
+    assert told(said, "undecodable") == len(junk)
 
 
 def test_the_view_acts_before_the_capture_so_a_replay_hears_the_same(

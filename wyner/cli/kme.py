@@ -117,10 +117,12 @@ def run(args: argparse.Namespace) -> int:
                 if (now := time.monotonic()) - told_at >= HEALTH_S:
                     told_at = now
                     tell(server.health())
+                complaints.tell_rest()
                 await asyncio.sleep(LOOK_S)
             stop.set()
             await serving
             tell(f"stopped: {server.told()}")
+            complaints.tell_rest(last=True)
 
         try:
             asyncio.run(serve())

@@ -111,3 +111,4 @@ def denials_told(complaints: RateLimitedLog) -> Iterator[None]:
         os.dup2(kept, 1)  # the pipe's last end closes, and the thread ends
         os.close(kept)
         thread.join(1.0)
+        complaints.tell_rest(last=True)
