@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         module = importlib.import_module(BENCHMARKS[name].module)
         measure: Callable[..., dict[str, Any]] = module.measure
         render: Callable[[dict[str, Any]], str] = module.render
-        results[name] = measure(**options if name == "fleet" else {})
+        results[name] = measure(progress=_say, **options if name == "fleet" else {})
         if not args.json and args.name not in WATCHES:
             print(render(results[name]))
     if args.name in WATCHES:
@@ -65,6 +65,11 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(results if args.name == "all" else results[args.name]))
     return DONE
+
+
+def _say(line: str) -> None:
+    """A line of progress, of a round or a rate; standard output is for the result."""
+    print(f"  {line}", file=sys.stderr, flush=True)
 
 
 def _names(args: argparse.Namespace) -> list[str]:

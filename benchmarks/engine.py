@@ -113,12 +113,16 @@ def measure(
     steps: int = STEPS,
     scalar_steps: int = SCALAR_STEPS,
     plain_steps: int = PLAIN_STEPS,
+    *,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Alternate the three ways for some rounds; medians, and the ratio of the medians.
 
     ``steps_per_second`` counts seconds of processor time: steps a second a core, whoever else uses
     the machine. ``ratio`` is against the plain way by the same clock, ``wall_ratio`` by the wall's.
+    ``progress`` is told a line a round.
     """
+    say = progress or (lambda _line: None)
     scenario = shipped("sustained")
     design: Design = cached_design(scenario)
     law = make_law(scenario, design)
@@ -133,11 +137,13 @@ def measure(
     engine_run(scenario, law, runs, steps)
     wall: dict[str, list[float]] = {name: [] for name in ways}
     cpu: dict[str, list[float]] = {name: [] for name in ways}
-    for _ in range(rounds):
+    for i in range(rounds):
         for name, (count, call) in ways.items():
             seconds, processor = timed(call)
             wall[name].append(count / seconds)
             cpu[name].append(count / processor)
+        ratio = cpu["engine"][-1] / cpu["plain"][-1]
+        say(f"round {i + 1} of {rounds}: {cpu['engine'][-1]:.0f} steps/s, ratio {ratio:.0f}")
     rate = {name: statistics.median(values) for name, values in cpu.items()}
     wall_rate = {name: statistics.median(values) for name, values in wall.items()}
     plain = plain_run(scenario, design, seed=SEED, run=0, steps=200).symbols

@@ -5,7 +5,6 @@ seed. A violation is by how much A x + B u leaves the target or u leaves U, in t
 """
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -40,7 +39,10 @@ def states_in(design: Design, index: int, count: int, rng: np.random.Generator) 
 
 
 def measure(
-    plants: Sequence[tuple[str, tuple[int, ...]]] = PLANTS, states: int = STATES
+    plants: Sequence[tuple[str, tuple[int, ...]]] = PLANTS,
+    states: int = STATES,
+    *,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Time each way of solving the step's programs.
 
@@ -51,6 +53,8 @@ def measure(
         the horizon. A quick run takes one plant and a small index.
     states : int
         Programs are solved at this many states for each index, one for each cost.
+    progress : callable, optional
+        Told a line for each plant and index.
 
     Returns
     -------
@@ -61,6 +65,7 @@ def measure(
     """
     from protocol.runtime.scenario_file import scenario_of
 
+    say = progress or (lambda _line: None)
     result: dict[str, Any] = {"seed": SEED, "plants": {}}
     for name, indices in plants:
         scenario = scenario_of(name)
@@ -68,7 +73,7 @@ def measure(
         rng = np.random.default_rng(SEED)
         at = result["plants"][scenario.name] = {}
         for index in sorted({min(i, design.horizon) for i in indices}):
-            print(f"  {name}, index {index} ...", file=sys.stderr, flush=True)
+            say(f"{name}, index {index} ...")
             X = states_in(design, index, states, rng)
             solvers, rows = _solvers(scenario, design, index - 1)
             entry: dict[str, Any] = {"rows": rows, "states": len(X), "solvers": {}}

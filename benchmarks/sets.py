@@ -74,6 +74,8 @@ def measure(
     repeats: int = 15,
     rounds: int = 3,
     horizons: tuple[int, int, int] = HORIZONS,
+    *,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Run the comparison; ``seconds`` bounds each of the package's routes.
 
@@ -87,6 +89,8 @@ def measure(
         The fastest right route is timed this often up to the middle horizon.
     horizons : tuple of int
         Where to compare. A quick run takes small ones.
+    progress : callable, optional
+        Told a line for each horizon of ours, and for each of the package's routes.
 
     Returns
     -------
@@ -106,6 +110,7 @@ def measure(
         from protocol.runtime.scenario_file import scenario_of
 
         scenario = scenario_of("paper")
+    say = progress or (lambda _line: None)
     middle, last = horizons[1], horizons[-1]
     result: dict[str, Any] = {
         "scenario": scenario.name,
@@ -128,6 +133,7 @@ def measure(
             "facets": design.facets[N],
             "relative_error": relative_errors(*design.set(N), exact[N]),
         }
+        say(f"T_{N}: {statistics.median(ours.whole):.4f} s, {design.facets[N]} facets")
     result["max_relative_error"] = max(abs(v) for v in result["ours"][last]["relative_error"])
     try:
         routes = _routes(scenario)
@@ -140,6 +146,7 @@ def measure(
         ours = Ours.at(scenario, middle)
         entry = _run_route(route, first, horizons, exact, seconds, ours)
         result["routes"][name] = entry
+        say(f"route {name}: up to T_{max(entry['at'], default=0)}")
         if middle in entry["at"]:
             entry["ratio"], whole_ratio = _ratios(entry["at"][middle]["seconds"], ours)
             if max(abs(v) for v in entry["at"][middle]["relative_error"]) < RIGHT:

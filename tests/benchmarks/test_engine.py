@@ -39,7 +39,7 @@ def test_the_parts_are_the_whole_and_none_counts_twice(result: dict[str, Any]) -
 def test_the_result_for_machines_and_for_people(
     result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bench_engine, "measure", lambda: result)
+    monkeypatch.setattr(bench_engine, "measure", lambda **_: result)
     assert main(["engine", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
     text = render(result)

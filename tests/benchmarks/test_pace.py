@@ -1,15 +1,18 @@
 """The benchmarks in real time: the shape and the arithmetic of their results, never their speed."""
 
+import importlib
 import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 from benchmarks import fleet, overload, pace
-from benchmarks.__main__ import main
+from benchmarks.__main__ import BENCHMARKS, main
 from protocol.messages import LATENCY_BOUNDS_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,6 +58,27 @@ def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
         )
         assert done.returncode == code
         assert (done.stdout or done.stderr).startswith(said)
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+@pytest.mark.parametrize("machine", [False, True])
+def test_what_goes_on_is_said_beside_the_result(
+    name: str, machine: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """``bench pace`` takes minutes: each rate is a line on standard error, with ``--json`` too."""
+    module = importlib.import_module(BENCHMARKS[name].module)
+    assert signature(module.measure).parameters["progress"].default is None
+
+    def measure(progress: Callable[[str], None]) -> dict[str, float]:
+        progress("20 Hz, 600 steps")
+        return {"highest_hz": 20}
+
+    monkeypatch.setattr(module, "measure", measure)
+    monkeypatch.setattr(module, "render", lambda result: f"highest: {result['highest_hz']} Hz")
+    assert main([name, *(["--json"] if machine else [])]) == 0
+    said = capsys.readouterr()
+    assert said.err == f"bench {name}: {BENCHMARKS[name].text} ...\n  20 Hz, 600 steps\n"
+    assert said.out == ('{"highest_hz": 20}\n' if machine else "highest: 20 Hz\n")
 
 
 @pytest.mark.slow

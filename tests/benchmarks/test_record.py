@@ -66,7 +66,7 @@ def test_the_command_ends_with_1_where_a_ratio_fell(
     monkeypatch.setattr(record.read, "__defaults__", (path,))
     monkeypatch.setattr(record.add, "__defaults__", (path,))
     measured = loop([0.6, 0.61, 0.62])["loop"]
-    monkeypatch.setattr(benchmarks.loop, "measure", lambda: measured)
+    monkeypatch.setattr(benchmarks.loop, "measure", lambda **_: measured)
     assert main(["record", "--of", "loop"]) == 0
     assert json.loads(path.read_text())[0]["ratios"] == {"loop": [0.6, 0.61, 0.62]}
     assert main(["compare", "--of", "loop", "--json"]) == 0
