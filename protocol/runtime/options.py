@@ -25,10 +25,15 @@ def add_message_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--message`` and ``--message-file``."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
-        "--message", metavar="TEXT", help="the message to deliver; - reads standard input"
+        "--message",
+        metavar="TEXT",
+        help="the message to deliver; - reads standard input, without its last newline",
     )
     group.add_argument(
-        "--message-file", metavar="F", help="a file that holds the message; - as above"
+        "--message-file",
+        metavar="F",
+        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
+        "- as above",
     )
 
 
@@ -84,7 +89,8 @@ def checked(kind: type[M], **values: object) -> M:
 def message_of(text: str | None, file: str | None) -> bytes | None:
     """The message given as text or as a file, if any; `STDIN` for either is standard input.
 
-    What is typed at a terminal ends without its last Enter; a pipe's bytes stay as they are.
+    Standard input ends without its last newline, of which ``echo`` and a terminal's Enter leave
+    one. A file's bytes stay as they are, and ``/dev/stdin`` names such a file.
 
     Raises
     ------
@@ -96,19 +102,19 @@ def message_of(text: str | None, file: str | None) -> bytes | None:
     if text is not None and text != STDIN:
         payload = text.encode("utf-8", errors="surrogateescape")
     else:
-        path = "/dev/stdin" if file in (None, STDIN) else file
-        typed = path == "/dev/stdin" and os.isatty(0)
-        if typed:
+        given = file in (None, STDIN)
+        path = "/dev/stdin" if given else file
+        if given and os.isatty(0):
             print("type the message; Enter, then Ctrl-D end it", file=sys.stderr, flush=True)
         try:
             with Path(str(path)).open("rb") as source:
-                payload = source.read(MAX_PAYLOAD + 1)
+                payload = source.read(MAX_PAYLOAD + 2)
         except OSError as error:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+        if given:
+            payload = payload.removesuffix(b"\n")
         if len(payload) > MAX_PAYLOAD:
             raise UsageError(f"message: got more than {MAX_PAYLOAD} bytes, expected 1 to so many")
-        if typed:
-            payload = payload.removesuffix(b"\n")
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
     return payload

@@ -70,10 +70,21 @@ def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["-", ""], ["", "-"]])
 def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None:
-    assert read_from_stdin(arguments, b"h\xffi\n") == b"h\xffi\n"
+    """``echo hi | wyner send -`` sends two bytes."""
+    assert read_from_stdin(arguments, b"h\xffi\n") == b"h\xffi"
+    assert read_from_stdin(arguments, b"\nhi\n\n") == b"\nhi\n"
     assert read_from_stdin(arguments, b"") is None
+    assert read_from_stdin(arguments, b"\n") is None
+    assert read_from_stdin(arguments, bytes(65_535) + b"\n") == bytes(65_535)
     assert read_from_stdin(arguments, bytes(65_536)) is None
     assert without_message(["up", "--message", "-"], "F")[1] == "-"
+
+
+@pytest.mark.slow
+def test_a_file_is_sent_byte_for_byte_and_standard_input_can_be_one(tmp_path: Path) -> None:
+    assert read_from_stdin(["", "/dev/stdin"], b"hi\n") == b"hi\n"
+    (tmp_path / "text").write_bytes(b"hi\n")
+    assert message_of(None, str(tmp_path / "text")) == b"hi\n"
 
 
 def test_what_is_typed_ends_without_its_last_enter() -> None:

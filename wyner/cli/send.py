@@ -27,9 +27,17 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     """Register the subcommand."""
     parser = subparsers.add_parser("send", help="hand a running controller a message to deliver")
     parser.add_argument(
-        "text", nargs="?", metavar="TEXT", help="the message; - reads standard input"
+        "text",
+        nargs="?",
+        metavar="TEXT",
+        help="the message; - reads standard input, without its last newline",
     )
-    parser.add_argument("--file", metavar="F", help="a file that holds the message; - as above")
+    parser.add_argument(
+        "--file",
+        metavar="F",
+        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
+        "- as above",
+    )
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument(
         "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
