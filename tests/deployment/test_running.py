@@ -104,6 +104,18 @@ def test_two_runs_whose_folders_end_alike_are_told_apart() -> None:
         process.kill()
 
 
+def test_a_run_is_named_by_its_path_from_here() -> None:
+    """Two runs in ``a/run`` and ``b/run`` were both announced as ``run``."""
+    run = loop_named("a/run")
+    assert run.seen_from(Path("/runs")) == "a/run"
+    assert run.seen_from(Path("/runs/a")) == "run"
+    for elsewhere in ("/runs/b", "/runs/a/run", "/runs/a/ru"):
+        assert run.seen_from(Path(elsewhere)) == "/runs/a/run"
+    with announced(run):
+        assert chosen(run.seen_from(Path("/runs")), NOBODY) == run
+        assert chosen(run.seen_from(Path("/elsewhere")), NOBODY) == run
+
+
 def test_a_run_beside_services_started_by_hand_must_be_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, announced(loop_named("a")):
         by_hand = f"tcp/127.0.0.1:{server.getsockname()[1]}"

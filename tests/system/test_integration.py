@@ -319,7 +319,7 @@ def test_a_run_can_be_joined_without_an_option(
                 text=True,
                 check=False,
             )
-            assert "joining the run joined (sustained)" in watched.stderr
+            assert f"joining the run {tmp_path / 'joined'} (sustained)" in watched.stderr
             assert "plant running" in watched.stdout
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)

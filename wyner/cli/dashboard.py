@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from protocol.runtime.errors import DONE, INTERRUPTED, UsageError
     from protocol.runtime.signals import stop_on_signals
     from protocol.runtime.zenoh_bus import open_bus
+    from protocol.text import printable
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.fleet import FleetTable, watch
     from wyner.dashboard.headless import run_headless
@@ -45,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--run-dir: got {str(args.run_dir)!r}, expected an existing folder")
     run = joined(args, "dashboard")
     if run is not None:
-        print(f"wyner: joining the run {run.name} ({run.scenario})", file=sys.stderr)
+        told = printable(f"joining the run {run.seen_from(Path.cwd())} ({run.scenario})")
+        print(f"wyner: {told}", file=sys.stderr)
     elif (
         not args.connect
         and not args.scouting

@@ -45,10 +45,11 @@ class RunningLoop:
     controller_ops: str
     intel: str
 
-    @property
-    def name(self) -> str:
-        """The last part of the folder."""
-        return Path(self.run_dir).name
+    def seen_from(self, folder: Path) -> str:
+        """The run's folder as a path from ``folder`` where it is inside that one, else whole."""
+        run_dir = Path(self.run_dir)
+        inside = run_dir != folder and run_dir.is_relative_to(folder)
+        return str(run_dir.relative_to(folder)) if inside else self.run_dir
 
     def ends_in(self, name: str) -> bool:
         """Whether a name is the folder's last parts."""
