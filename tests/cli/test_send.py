@@ -1,11 +1,37 @@
 """``wyner send``: what it says on the bus while it waits."""
 
+import argparse
+import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
+import pytest
+
 from protocol.messages import SealCommand, SealReply
+from protocol.runtime.errors import Failure, UsageError
+from wyner.cli import options
+from wyner.cli.main import main
+from wyner.cli.options import joined
 from wyner.cli.send import REPEAT_S, _answers
+from wyner.deployment.running import RunningLoop, announced
+
+RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
+NOBODY = "tcp/127.0.0.1:9"
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user without a run, on a machine without services started by hand."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(options, "CONTROLLER_OPS", NOBODY)
+
+
+def asked(run_name: str | None = None) -> argparse.Namespace:
+    told = {"connect": [], "listen": [], "client": [], "scouting": False, "loop": "loop"}
+    return argparse.Namespace(**told, run_name=run_name)
 
 
 class CrowdedBus:
@@ -39,3 +65,40 @@ def test_answers_to_others_are_no_reason_to_say_it_again() -> None:
     assert 1 <= bus.said <= took / REPEAT_S + 1
     assert len(answers) == bus.said
     assert {reply.id for reply in answers} == {"mine"}
+
+
+@pytest.mark.usefixtures("alone")
+@pytest.mark.parametrize("name", [None, "a/run"])
+def test_a_run_that_is_only_being_started_is_waited_for(
+    name: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """``wyner up & wyner send hi`` found no run, said to start one, and ended with 1."""
+    with ExitStack() as note:
+        later = threading.Timer(0.3, lambda: note.enter_context(announced(RUN)))
+        later.start()
+        assert joined(asked(name), "operator", 30.0) == RUN
+        later.join()
+        which = "no run" if name is None else "no run 'a/run'"
+        said = f"wyner: {which} on this machine yet; waiting 30 s for it\n"
+        assert capsys.readouterr().err == said
+        assert joined(asked(name), "operator", 30.0) == RUN
+        assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("alone")
+def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
+    begun = time.monotonic()
+    with pytest.raises(Failure, match=r"no run on this machine within 0.2 s: start one \(wyner up"):
+        joined(asked(), "operator", 0.2)
+    with pytest.raises(UsageError, match="no run 'b' on this machine, running now: none"):
+        joined(asked("b"), "operator", 0.2)
+    assert 0.4 <= time.monotonic() - begun < 10
+
+
+@pytest.mark.usefixtures("alone")
+def test_a_run_that_does_not_answer_yet_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with announced(RUN):
+        assert main(["send", "--timeout", "0.2", "--id", "mine", "hi"]) == 1
+    said = capsys.readouterr().err
+    assert "mine: the run /runs/a/run did not answer within 0.2 s" in said
+    assert "(--timeout)" in said

@@ -1,14 +1,20 @@
 """Options of those who join a loop that runs already."""
 
 import argparse
-from typing import TYPE_CHECKING
+import sys
+import time
+from typing import TYPE_CHECKING, Final
 
-from protocol.runtime.errors import UsageError
+from protocol.runtime.errors import Failure, UsageError
 from protocol.runtime.services import CONTROLLER_OPS, SERVICES
 from protocol.topics import DEFAULT_LOOP
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
+
+
+LOOK_S: Final = 0.1
+"""Between two looks for a run that is only being started."""
 
 
 def add_run_argument(parser: argparse.ArgumentParser) -> None:
@@ -21,21 +27,42 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def joined(args: argparse.Namespace, service: str) -> "RunningLoop | None":
+def joined(args: argparse.Namespace, service: str, wait_s: float = 0.0) -> "RunningLoop | None":
     """The loop on this machine that is meant where no option says where to connect.
 
     Its endpoints take the place of the defaults in ``args``.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+    service : str
+        Who joins.
+    wait_s : float, optional
+        How long to wait for one that is only being started; standard error is told of it.
 
     Raises
     ------
     UsageError
         When several run and none was named, or the one named does not run.
+    Failure
+        When none runs after ``wait_s``.
     """
-    from wyner.deployment.running import chosen
+    from wyner.deployment.running import chosen, is_there
 
     told = args.connect or args.listen or args.client or args.scouting
     if (told or args.loop != DEFAULT_LOOP) and args.run_name is None:
         return None
+    if wait_s and not is_there(args.run_name, CONTROLLER_OPS):
+        which = "no run" if args.run_name is None else f"no run {args.run_name!r}"
+        print(f"wyner: {which} on this machine yet; waiting {wait_s:g} s for it", file=sys.stderr)
+        until = time.monotonic() + wait_s
+        while time.monotonic() < until and not is_there(args.run_name, CONTROLLER_OPS):
+            time.sleep(LOOK_S)
+        if args.run_name is None and not is_there(None, CONTROLLER_OPS):
+            raise Failure(
+                f"no run on this machine within {wait_s:g} s: start one (wyner up; it is there "
+                "once its design is computed), or say where it is (--connect BUS=tcp/HOST:PORT)"
+            )
     loop = chosen(args.run_name, CONTROLLER_OPS)
     if loop is not None:
         args.loop = loop.loop

@@ -5,6 +5,7 @@ import math
 import queue
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
@@ -14,6 +15,7 @@ from protocol.runtime.ids import new_id
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.options import message_of
 from protocol.secret.sealed import keys_needed
+from protocol.text import printable
 from protocol.topics import key_of
 from wyner.cli.options import add_run_argument, joined
 
@@ -42,7 +44,13 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
     )
-    parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="seconds to wait")
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=5.0,
+        metavar="S",
+        help="seconds to wait for a run to be there, and then for its answer (default: 5)",
+    )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "operator")
     parser.set_defaults(run=run)
@@ -68,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    joined(args, "operator")
+    run = joined(args, "operator", args.timeout)
     loop = loop_of(args)
     ends = endpoints_of(args, "operator", "ops")
     said, until = "no answer", time.monotonic() + args.timeout
@@ -90,6 +98,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from None
     if said != "no answer":
         raise Failure(f"{command.id}: not acknowledged within {args.timeout:g} s; {said}")
+    if run is not None:
+        where = printable(run.seen_from(Path.cwd()))
+        raise Failure(
+            f"{command.id}: the run {where} did not answer within {args.timeout:g} s; where it is "
+            "only being started, try again or give it longer (--timeout)"
+        )
     at = ", ".join((*ends.connect, *ends.listen))
     start = "wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(

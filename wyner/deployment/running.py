@@ -56,6 +56,10 @@ class RunningLoop:
         parts = Path(name).parts
         return bool(parts) and Path(self.run_dir).parts[-len(parts) :] == parts
 
+    def is_called(self, name: str) -> bool:
+        """Whether a name is the run's folder, or the last parts of it."""
+        return str(Path(name).absolute()) == self.run_dir or self.ends_in(name)
+
 
 def notes_folder() -> Path:
     """The user's own folder for notes: below ``XDG_RUNTIME_DIR``, else below the temporary one.
@@ -139,6 +143,16 @@ def listens(endpoint: str) -> bool:
     return True
 
 
+def is_there(name: str | None, by_hand: str) -> bool:
+    """Whether the loop that is named runs; without a name, whether any does.
+
+    As for :func:`chosen`, which says which one it is.
+    """
+    if name is not None:
+        return any(loop.is_called(name) for loop in running_loops())
+    return bool(running_loops()) or listens(by_hand)
+
+
 def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
     """The loop to join: the one named, the only one, or None for services started by hand.
 
@@ -157,8 +171,7 @@ def chosen(name: str | None, by_hand: str) -> RunningLoop | None:
     loops = running_loops()
     names = names_of(loops)
     if name is not None:
-        wanted = str(Path(name).absolute())
-        found = [loop for loop in loops if wanted == loop.run_dir or loop.ends_in(name)]
+        found = [loop for loop in loops if loop.is_called(name)]
         if len(found) == 1:
             return found[0]
         many = f"{len(found)} runs end in {name!r}" if found else f"no run {name!r}"
