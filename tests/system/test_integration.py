@@ -198,7 +198,7 @@ class ByHand:
     def stop(self) -> dict[str, int]:
         for process in self.processes.values():
             process.terminate()
-        return {name: process.wait(15) for name, process in self.processes.items()}
+        return {name: process.wait(60) for name, process in self.processes.items()}
 
 
 @pytest.fixture
