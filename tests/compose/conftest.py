@@ -9,7 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.compose.composition import BASE_IMAGE, PACE, Composition, base_image, docker, leftovers
+from tests.compose.composition import (
+    BASE_IMAGE,
+    PACE,
+    ROUTED_PACE,
+    Composition,
+    base_image,
+    docker,
+    leftovers,
+    wait_for,
+)
 
 NO_ENGINE = (
     "No Docker engine answers, and these tests start containers. To get one: on Debian, as root, "
@@ -52,23 +61,44 @@ def image(engine: str) -> str:
     return builder.image
 
 
-def running(project: str, profile: str, **variables: str) -> Iterator[Composition]:
-    """A system that is up for the tests of a module, and gone afterwards without a trace."""
+def running(project: str, profile: str, *first: str, **variables: str) -> Iterator[Composition]:
+    """A system that is up for some tests, and gone afterwards without a trace.
+
+    Where a service is named first, it starts with what it needs, and the plant once the tap has a
+    connection: what is said from then on reaches her.
+    """
     system = Composition(project, profile, variables)
     system.down()
     try:
-        system.up()
+        if first:
+            system.up(*first)
+            wait_for(lambda: connected(system, "tap", 7466), "somebody connected to the tap")
+            system.up("--no-deps", "plant")
+        else:
+            system.up()
         yield system
     finally:
         system.down()
     assert leftovers(project) == []
 
 
-@pytest.fixture(scope="module")
+def connected(system: Composition, service: str, port: int) -> bool:
+    """Whether a service has a connection to a port on which it listens."""
+    rows = system.execute(service, "cat", "/proc/net/tcp", "/proc/net/tcp6").stdout.splitlines()
+    return any(
+        local.endswith(f":{port:04X}") and state == "01"
+        for _, local, _, state, *_ in map(str.split, rows)
+    )
+
+
+@pytest.fixture(scope="session")
 def direct(image: str) -> Iterator[Composition]:
-    yield from running("wyner-test-direct", "direct", WYNER_MESSAGE="at noon", WYNER_PACE=PACE)
+    """One system for the tests of two files; the last of them stops it."""
+    variables = {"WYNER_MESSAGE": "at noon", "WYNER_PACE": PACE}
+    yield from running("wyner-test-direct", "direct", "controller", **variables)
 
 
 @pytest.fixture(scope="module")
 def secure(image: str) -> Iterator[Composition]:
-    yield from running("wyner-test-secure", "secure", WYNER_MESSAGE="at noon", WYNER_PACE=PACE)
+    variables = {"WYNER_MESSAGE": "at noon", "WYNER_PACE": ROUTED_PACE}
+    yield from running("wyner-test-secure", "secure", **variables)

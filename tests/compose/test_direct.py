@@ -6,7 +6,19 @@ import subprocess
 
 import pytest
 
-from tests.compose.composition import RUN, Composition, all_healthy, arrives, docker, wait_for
+from tests.compose.composition import (
+    FORGE,
+    PATIENCE_S,
+    RUN,
+    Beside,
+    Composition,
+    all_healthy,
+    arrives,
+    docker,
+    forged_under_way,
+    wait_for,
+)
+from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
 
@@ -149,7 +161,10 @@ def test_a_listener_to_everything_hears_only_field_messages(direct: Composition)
 
 
 def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
-    """She listens before anybody speaks. Later a busy machine may cost her a message in twenty."""
+    """She listens before anybody speaks: `direct` starts the plant when the controller is with her.
+
+    Later a busy machine may cost her a message in twenty.
+    """
     arrives(direct, "plant", "at noon")
     trace = direct.execute("plant", "cat", f"{RUN}/plant/trace.jsonl").stdout.splitlines()
     events = [json.loads(line)["event"] for line in trace]
@@ -159,9 +174,9 @@ def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
     for event in map(json.loads, lines[1:-1]):
         if event.get("topic") in heard:
             heard[event["topic"]].add(event["message"]["k"])
-    # The ends open their connections to her and to each other at the same time.
+    # The plant opens its connections to her and to the controller at the same time.
     assert min(heard["measurement"]) < 10
-    assert min(heard["offer"]) < 10
+    assert 0 in heard["offer"]
     assert len(heard["measurement"] & {*range(steps)}) >= 0.95 * steps
 
     def she_has_it() -> bool:
@@ -182,23 +197,38 @@ def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:
     assert '"symbol"' not in text
 
 
-FORGE = """
-import time
-from protocol.runtime.zenoh_bus import ZenohBus
-with ZenohBus(connect=["tcp/plant.field:7461"]) as bus:
-    offer = bus.publisher("wyner/v1/loop/offer")
-    for _ in range(100):  # the first before there is a connection
-        offer.put(b"forged")
-        time.sleep(0.05)
-"""
-
-
 def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     direct: Composition,
 ) -> None:
     """What the profile `secure` prevents. Here it is counted as garbage, and harms nothing."""
     all_healthy(direct, SERVICES)
-    direct.send("she forges")
-    direct.python("tap", FORGE)
-    arrives(direct, "plant", "she forges")
+    text = "she forges meanwhile, all the time"
+    forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v1/loop/offer")
     wait_for(lambda: direct.status("plant", "plant")["garbage"] >= 10, "garbage counted")
+    forged_under_way(direct, forger, text, "controller")
+    arrives(direct, "plant", text)
+
+
+# --- what people run beside the services ---------------------------------------------------------
+
+
+def test_the_dashboard_fills_a_terminal_and_q_leaves_it(direct: Composition) -> None:
+    all_healthy(direct, SERVICES)
+    command = direct.command("run", "--rm", "--no-deps", "dashboard")
+    with Terminal(command, direct.environment) as terminal:
+        terminal.read_until(
+            "\x1b[?1049h",  # the alternate screen
+            "sustained",  # the plant has been heard, over ops
+            "nearest-centre",  # and the tap, over intel
+        )
+        terminal.press("q")
+        assert terminal.wait(PATIENCE_S) == 0
+
+
+def test_an_operator_without_a_controller_is_told_so(direct: Composition) -> None:
+    said = direct.compose(
+        "run", "--rm", "--no-deps", "operator", "send", "to nobody", "--loop", "another",
+        "--timeout", "2", check=False,
+    )  # fmt: skip
+    assert said.returncode == 1
+    assert "no controller of loop 'another' answered within 2 s" in said.stderr

@@ -2,10 +2,11 @@
 
 import shutil
 import subprocess
+from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import PATIENCE_S, ROOT, Composition
+from tests.compose.composition import PATIENCE_S, ROOT, Composition, leftovers
 
 
 def test_compose_v2_reads_the_file_and_starts_the_direct_system_by_default(engine: str) -> None:
@@ -50,6 +51,16 @@ WRONG = {
 }
 
 
+@pytest.fixture(scope="module")
+def project(image: str) -> Iterator[str]:
+    """The name of one project for all mistakes: each `up` makes anew what the mistake changes."""
+    name = "wyner-test-settings"
+    Composition(name).down()
+    yield name
+    Composition(name).down()
+    assert leftovers(name) == []
+
+
 @pytest.mark.parametrize(
     ("profile", "variable"),
     [
@@ -60,16 +71,13 @@ WRONG = {
     ],
 )
 def test_with_a_wrong_variable_nothing_starts_and_it_is_named(
-    image: str, profile: str, variable: str
+    project: str, profile: str, variable: str
 ) -> None:
     value, expected = WRONG[variable]
-    system = Composition("wyner-test-settings", profile, {variable: value})
-    try:
-        started = system.compose("up", "--detach", "--no-build", check=False)
-        assert started.returncode != 0
-        assert "settings" in started.stderr
-        assert f"{variable}: {expected}" in system.compose("logs", "settings").stdout
-        running = system.compose("ps", "--services", "--status", "running").stdout.split()
-        assert set(running) <= {"fleet-router"}
-    finally:
-        system.down()
+    system = Composition(project, profile, {variable: value})
+    started = system.compose("up", "--detach", "--no-build", check=False)
+    assert started.returncode != 0
+    assert "settings" in started.stderr
+    assert f"{variable}: {expected}" in system.compose("logs", "settings").stdout
+    running = system.compose("ps", "--services", "--status", "running").stdout.split()
+    assert set(running) <= {"fleet-router"}

@@ -12,7 +12,7 @@ LOOPS = [f"loop-{n:04d}" for n in range(5)]
 
 @pytest.fixture(scope="module")
 def fleet(image: str) -> Iterator[Composition]:
-    values = {"WYNER_MESSAGE": "to all", "WYNER_LOOPS": str(len(LOOPS)), "WYNER_PACE": "x2"}
+    values = {"WYNER_MESSAGE": "to all", "WYNER_LOOPS": str(len(LOOPS)), "WYNER_PACE": "x4"}
     system = Composition("wyner-test-fleet", "fleet", values)
     system.down()
     try:

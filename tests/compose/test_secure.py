@@ -6,7 +6,16 @@ import time
 
 import pytest
 
-from tests.compose.composition import PATIENCE_S, Composition, all_healthy, arrives, wait_for
+from tests.compose.composition import (
+    FORGE,
+    PATIENCE_S,
+    Beside,
+    Composition,
+    all_healthy,
+    arrives,
+    forged_under_way,
+    under_way,
+)
 
 SERVICES = ("router", "secure-controller", "secure-plant", "secure-tap")
 ROUTER = "tls/router.field:7447"
@@ -41,7 +50,7 @@ WITNESS = (
     heard = {key: set() for key in task}
     for key in task:
         bus.subscribe(key, lambda key, payload, t_ns: heard[key].add(payload.decode()))
-    print("listening", flush=True)
+    print("ready", flush=True)
     sys.stdin.readline()
     print(json.dumps({key: sorted(said) for key, said in heard.items()}))
 """
@@ -55,35 +64,6 @@ def certificates(name: str) -> str:
 def publish(system: Composition, name: str, *puts: tuple[str, str]) -> None:
     """Publish from a service's container, under that service's certificate."""
     system.python(f"secure-{name}", PUBLISH, json.dumps([certificates(name), *puts]))
-
-
-class Witness:
-    """Somebody who listens under the plant's certificate, in the plant's container."""
-
-    def __init__(self, system: Composition, *keys: str) -> None:
-        task = json.dumps([certificates("plant"), *keys])
-        self._process = subprocess.Popen(
-            [
-                "docker",
-                "exec",
-                "-i",
-                system.container("secure-plant"),
-                "python",
-                "-c",
-                WITNESS,
-                task,
-            ],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "listening\n"
-
-    def heard(self) -> dict[str, list[str]]:
-        said, _ = self._process.communicate("enough\n", timeout=30)
-        found: dict[str, list[str]] = json.loads(said)
-        return found
 
 
 def test_the_message_arrives_through_the_router(secure: Composition) -> None:
@@ -102,23 +82,21 @@ def test_the_router_passes_on_what_names_allow_and_drops_the_rest(secure: Compos
     """All three publish everything, on a loop of this test's own; a witness listens."""
     all_healthy(secure, SERVICES)
     offer, measurement = "wyner/v1/witness/offer", "wyner/v1/witness/measurement"
-    witness = Witness(secure, offer, measurement)
+    task = json.dumps([certificates("plant"), offer, measurement])
+    witness = Beside(secure, "secure-plant", WITNESS, task)
     for name in ("tap", "controller", "plant"):
         publish(secure, name, (offer, f"from {name}"), (measurement, f"from {name}"))
-    assert witness.heard() == {offer: ["from controller"], measurement: ["from plant"]}
+    assert witness.enough() == {offer: ["from controller"], measurement: ["from plant"]}
 
 
 def test_forged_publications_from_the_tap_change_nothing(secure: Composition) -> None:
-    """On the live loop, while a message is on its way. (test_direct.py shows them arriving.)"""
+    """On the live loop, while a message is under way. (test_direct.py shows them arriving.)"""
+    text = "she forges meanwhile"
     all_healthy(secure, SERVICES)
-    secure.send("she forges")
-    publish(
-        secure,
-        "tap",
-        ("wyner/v1/loop/offer", "forged"),
-        ("wyner/v1/loop/measurement", "forged"),
-    )
-    arrives(secure, "secure-plant", "she forges")
+    keys = ("wyner/v1/loop/offer", "wyner/v1/loop/measurement")
+    forger = Beside(secure, "secure-tap", FORGE, ROUTER, certificates("tap"), *keys)
+    forged_under_way(secure, forger, text, "secure-controller")
+    arrives(secure, "secure-plant", text)
     assert secure.status("secure-plant", "plant")["garbage"] == 0
     assert secure.status("secure-controller", "controller")["garbage"] == 0
 
@@ -138,17 +116,11 @@ def test_a_certificate_of_another_authority_opens_nothing(secure: Composition) -
     assert (other.returncode, other.stdout) == (124, "")
 
 
-@pytest.mark.parametrize("service", ["router", "secure-controller"])
-def test_the_loop_outlives_the_death_of(secure: Composition, service: str) -> None:
+@pytest.mark.parametrize(
+    ("service", "text"), [("router", "router dies"), ("secure-controller", "sender dies")]
+)
+def test_the_loop_outlives_the_death_of(secure: Composition, service: str, text: str) -> None:
     all_healthy(secure, SERVICES)
-    text = f"{service} dies midway"
-    secure.send(text)
-    wait_for(
-        lambda: (
-            (s := secure.status("secure-controller", "controller"))["frame_symbols"]
-            < s["frame_length"]
-        ),
-        "message under way",
-    )
+    under_way(secure, text, "secure-controller")
     secure.kill(service)
     arrives(secure, "secure-plant", text)
