@@ -7,11 +7,12 @@ import pytest
 
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from protocol.agreement import NO_SYMBOL
+from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, law_of, read_lines, write_lines
 from wyner.verify import check, evidence
-from wyner.verify.clause import Finding
+from wyner.verify.clause import EDGE, Finding, Place
 from wyner.verify.evidence import read_evidence
 
 
@@ -71,10 +72,22 @@ def test_a_first_step_that_is_missed_holds_the_input_zero(tmp_path: Path) -> Non
 
 
 def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Path) -> None:
+    """A key is then unlike the coin now and then, and both clauses say how often."""
     wide = (('kind = "uniform"\n', 'kind = "gaussian"\ndeviation = 0.7\n'),)
-    note = findings(ended(SmallRun(tmp_path / "run", changes=wide), 30))["reachable"].tally.note
-    assert note.startswith("largest gauge ")
-    assert "; the disturbance may leave D_c here, and did in " in note
+    folder = ended(SmallRun(tmp_path / "run", changes=wide), 300)
+    made = [t for t in read_lines(folder / PLANT_TRACE) if t["event"] == "transition"]
+    left = [t for t in made if t["gauges"][t["coin"]] > 1 + EDGE]
+    unlike = [t for t in left if t["symbol"] not in (NO_SYMBOL, t["coin"])]
+    assert len(left) > len(unlike) > 0
+    found = findings(folder)
+    largest = max(t["gauges"][t["coin"]] for t in made)
+    assert found["reachable"].tally.note == (
+        f"largest gauge {largest:.6f}, alpha 8; "
+        f"the disturbance may leave D_c here, and did in {len(left)} steps"
+    )
+    assert found["coin"].tally.note == (
+        f"{len(unlike)} unlike the coin, each with a disturbance outside D_c"
+    )
 
 
 def test_the_papers_law_is_held_to_its_gain_inside_the_terminal_set(tmp_path: Path) -> None:
@@ -96,6 +109,7 @@ def test_a_scenario_for_which_there_are_no_sets_fails(
     folder = ended(SmallRun(tmp_path / "run"), 5)
     monkeypatch.setattr(registry, "cached_design", none)
     assert wrong(folder) == {"admissible": "no terminal set"}
+    assert findings(folder)["admissible"].tally.first == Place("", -1, -1, "no terminal set")
 
 
 def test_a_run_is_judged_the_same_in_smaller_parts(
@@ -110,3 +124,18 @@ def test_a_run_is_judged_the_same_in_smaller_parts(
     seen = [len(part.seen) for part in parts if part.seen]
     assert set(seen[:-1]) == {20}
     assert sum(seen) == len(one[0].seen)
+
+
+def test_sealed_messages_count_in_a_part_as_others_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part is full with both kinds together, and none is given twice."""
+    folder = ended_run(tmp_path / "run", (b"a",)).folder
+    lines = read_lines(folder / CAPTURE)
+    sealed = {"event": "field", "t_ns": 1, "topic": "sealed", "message": {"id": "m"}}
+    woven = [one for line in lines[1:50] for one in (line, sealed)]
+    write_lines(folder / CAPTURE, [lines[0], *woven])
+    monkeypatch.setattr(evidence, "AT_ONCE", 20)
+    parts = [part for part in read_evidence(folder).parts() if part.seen or part.sealed]
+    assert [(len(part.seen), len(part.sealed)) for part in parts] == [(10, 10)] * 4 + [(9, 9)]
+    assert len({seen.number for part in parts for seen in (*part.seen, *part.sealed)}) == 98

@@ -19,6 +19,7 @@ import pytest
 from controller_service.laws import registry
 from protocol.link.endpoint import Keep
 from protocol.runtime.journal import ControllerJournal, PlantJournal
+from protocol.runtime.parts import part_path
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
@@ -62,8 +63,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
 
 
 def findings(folder: Path) -> dict[str, str]:
+    """What each clause says, and each line of the traces that cannot be so."""
     said = {}
-    for finding in check(read_evidence(folder)):
+    evidence = read_evidence(folder)
+    for finding in check(evidence):
         told = finding.as_json()
         first = told["first"]
         where = "" if first is None else f" [{first['session'][-2:]} {first['j']} {first['k']}] "
@@ -71,6 +74,9 @@ def findings(folder: Path) -> dict[str, str]:
         head = f"{told['result']} {told['counted']} {told['of']}, {told['failures']} wrong"
         line = f"{told['name']}: {head}{text} | {told['note']}"
         said[told["name"]] = line.replace(f"{folder}/", "").replace(str(folder), "").strip(" |")
+    for side, reader in evidence.readers():
+        for problem in reader.problems + [p for marks in reader.parts for p in marks.problems]:
+            said[f"{side} {problem.where}"] = f"  {side}: {problem.where}: {problem.text}"
     return said
 
 
@@ -172,6 +178,25 @@ def refused(lines: Lines) -> None:
     line.update(event="refused", session="0" * 16, p=1)
 
 
+def missed_by_an_older_copy(lines: Lines) -> None:
+    """Its journal was put back: it misses the step that it had made, and goes on as before."""
+    t = nth(lines, "transition", 59)
+    missed = nth(lines, "missed", 1) | {name: t[name] for name in ("session", "k", "x")}
+    resumed = {"event": "session", "session": t["session"], "reason": "resumed"}
+    before("transition", 60, {"event": "continued"}, resumed, missed)(lines)
+
+
+def interrupted(lines: Lines, u: list[float] | None = None) -> None:
+    """A missed step was under way when the plant's process died, with the input in force."""
+    missed = nth(lines, "missed", 1)
+    last = next(t for t in lines if t.get("x_next") == missed["x"] and t["event"] == "transition")
+    missed.update(event="interrupted", u=u or last["u"])
+
+
+def empty(lines: Lines) -> None:
+    lines[:] = [line for line in lines if line["event"] in ("header", "session")][:2]
+
+
 def made_otherwise(lines: Lines) -> None:
     """Killed when it had traced a missed step, the plant makes that one anew with its offer."""
     t = nth(lines, "transition", 60)
@@ -218,6 +243,10 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "session gone at the controller": ((CONTROLLER, drop("session")),),
     "the last transitions of a session gone": ((PLANT, last_gone),),
     "a missed step that was made after a restart": ((PLANT, made_otherwise),),
+    "a step missed that an older copy had made": ((PLANT, missed_by_an_older_copy),),
+    "an interrupted step": ((PLANT, interrupted),),
+    "an interrupted step with another input": ((PLANT, lambda ls: interrupted(ls, [0.1])),),
+    "nothing has happened": ((PLANT, empty), (CONTROLLER, empty)),
     "continued and no session": ((PLANT, before("transition", 60, {"event": "continued"})),),
     "a second header": ((PLANT, before("transition", 60, {"event": "header"})),),
     "an end in the middle": (
@@ -245,6 +274,10 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     ),
     "a candidate that leads too far": tuple(
         (p, put("transition", 60, candidates=lambda c: [c[0], [5.9]])) for p in (PLANT, CONTROLLER)
+    ),
+    "a candidate beyond U that leads no further than it may": tuple(
+        (p, put("transition", 60, x=[-8.0, -3.0], candidates=[[5.9], [6.05]]))
+        for p in (PLANT, CONTROLLER)
     ),
     "a state beyond every set": tuple(
         (p, put("transition", 60, x=[1e6, 0.0])) for p in (PLANT, CONTROLLER)
@@ -309,6 +342,10 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "another x, and another state after": ((CAPTURE, put("measurement", 60, x=far, x_after=far)),),
     "another step applied": ((CAPTURE, put("measurement", 60, applied_k=0)),),
     "a step beyond": ((CAPTURE, put("measurement", 60, k=100_000)),),
+    "two steps beyond, of one number and unlike": (
+        (CAPTURE, put("measurement", 60, k=100_000)),
+        (CAPTURE, put("measurement", 61, k=100_000)),
+    ),
     "an unknown session": ((CAPTURE, put("offer", 60, session="f" * 16)),),
     "a field more": ((CAPTURE, put("offer", 60, key=1)),),
     "a field in another order": (
@@ -409,6 +446,21 @@ def of_another_model(folder: Path, _run: SmallRun) -> None:
     ControllerJournal(folder / CONTROLLER_JOURNAL, "f" * 16).close()
 
 
+def without_a_beginning(folder: Path, _run: SmallRun) -> None:
+    lines = read_lines(folder / PLANT)
+    (folder / PLANT).unlink()
+    write_lines(part_path(folder / PLANT, 1), lines[1:])
+
+
+def cut_and_received(folder: Path, run: SmallRun) -> None:
+    """What is left of the plant's trace begins after its first twenty transitions."""
+    lines = read_lines(folder / PLANT)
+    at = lines.index(nth(lines, "transition", 20))
+    (folder / PLANT).unlink()
+    write_lines(part_path(folder / PLANT, 1), [lines[0] | {"part": 1, "oldest": 1}, *lines[at:]])
+    journal_received(folder, run)
+
+
 FOLDERS: dict[str, Change] = {
     "the plant's journal has received more": journal_received,
     "the controller's journal has queued more": journal_queue,
@@ -447,6 +499,8 @@ FOLDERS: dict[str, Change] = {
     "a last line without its end": lambda folder, _run: (folder / PLANT).write_bytes(
         (folder / PLANT).read_bytes()[:-9]
     ),
+    "the first part gone, and the second without a header": without_a_beginning,
+    "cut, and the plant's journal has received more": cut_and_received,
     "no header, and another scenario at the other side": edited(
         ((PLANT, lambda ls: ls.__delitem__(0)), (CONTROLLER, put("header", scenario="paper")))
     ),
