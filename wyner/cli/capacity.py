@@ -20,15 +20,13 @@ TRUE: Final = (
 )
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "capacity",
-        help="show how many symbols a scenario's inputs can carry, over alpha",
-        description="For SCENARIO and each alpha: the largest alphabet of which every transition "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "For SCENARIO and each alpha: the largest alphabet of which every transition "
         "agrees, what the inputs and the plant's unstable modes leave of it, its bits, the best "
         "bet on the scenario's own disturbance, the upper bounds, and what the alphabet adds to "
-        "state and input.",
+        "state and input."
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument(
@@ -36,7 +34,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--figure", metavar="FILE", help="draw it too, as FILE.svg or FILE.png")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,13 +17,11 @@ def default_hosts(name: str) -> list[str]:
     return [name, *(f"{name}.{bus}" for bus in BUSES), "localhost", "127.0.0.1", "::1"]
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "certs",
-        help="make certificates for mutual TLS",
-        description="Make an authority in FOLDER and, for each service, a folder with ca.pem, "
-        "cert.pem and key.pem to give to --tls. What is there and valid for another day is kept.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Make an authority in FOLDER and, for each service, a folder with ca.pem, "
+        "cert.pem and key.pem to give to --tls. What is there and valid for another day is kept."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where they are written")
     parser.add_argument(
@@ -37,7 +35,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--days", type=int, default=365, metavar="N", help="days of validity (default: 365)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

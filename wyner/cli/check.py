@@ -13,21 +13,18 @@ if TYPE_CHECKING:
     from wyner.verify.clause import Finding
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "check",
-        help="replay a run's traces and say whether they obey the paper",
-        description="Replay the traces and the capture of a run that has ended through the pure "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Replay the traces and the capture of a run that has ended through the pure "
         "functions of the protocol, and say PASS or FAIL for each clause of the paper. A clause "
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
-        "one does, 2 when there is no run.",
+        "one does, 2 when there is no run."
     )
     parser.add_argument(
         "run_dir", type=Path, metavar="RUN_DIR", help="the run's folder, or a fleet's"
     )
     parser.add_argument("--json", action="store_true", help="print one object for machines")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

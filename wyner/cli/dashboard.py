@@ -9,13 +9,11 @@ from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS
 from wyner.cli.options import add_run_argument, joined
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "dashboard",
-        help="watch a running system",
-        description="Watch plant and controller over ops and the tap over intel. "
-        "Without a terminal it prints lines. In the screen, ? shows the keys.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Watch plant and controller over ops and the tap over intel. "
+        "Without a terminal it prints lines. In the screen, ? shows the keys."
     )
     parser.add_argument("--headless", action="store_true", help="print lines even on a terminal")
     parser.add_argument(
@@ -26,7 +24,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "dashboard")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

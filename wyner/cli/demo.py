@@ -47,13 +47,11 @@ DEAF: Final = "loss = 0.3"
 CLAIM: Final = "eps_E = 0.3"
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser("demo", help="the whole story in three short runs")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,15 +18,13 @@ RUNS, STEPS, SEED = 40, 250, 1
 """The simulation behind the expected rate: 10,000 steps, about a second or less."""
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     from controller_service.progress import PATIENCE_S
 
-    parser = subparsers.add_parser(
-        "design",
-        help="compute and show a scenario's sets, gains and expected rate",
-        description="Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
-        "them, and estimate the link's rate by a short seeded simulation of the control law.",
+    parser.description = (
+        "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
+        "them, and estimate the link's rate by a short seeded simulation of the control law."
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -41,7 +39,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--plot", metavar="F", help="draw the sets and a run, as F.png, F.pdf or F.svg"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,13 +3,11 @@
 import argparse
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "export",
-        help="write a capture as MCAP, CSV or Parquet",
-        description="Write a capture in a format that other tools open. CSV goes to standard "
-        "output unless a file is named.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Write a capture in a format that other tools open. CSV goes to standard "
+        "output unless a file is named."
     )
     parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
     parser.add_argument("--to", required=True, choices=("mcap", "csv", "parquet"))
@@ -24,7 +22,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
     )
     parser.add_argument("--output", metavar="FILE", help="default: capture.mcap or .parquet here")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,13 +7,9 @@ from pathlib import Path
 from protocol.runtime.errors import DONE, Failure, UsageError, needs
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "figures",
-        help="draw the figures from their data",
-        description="Draw the figures of docs/, all or those named, as SVG and PNG.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "Draw the figures of docs/, all or those named, as SVG and PNG."
     parser.add_argument("name", nargs="*", metavar="NAME", help="which (default: all)")
     parser.add_argument(
         "--measure",
@@ -27,7 +23,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--output", metavar="D", help="folder to draw in (default: docs/figures, or figures)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,14 +13,12 @@ if TYPE_CHECKING:
     from wyner.studies.fit.fitting import Plan
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "fit",
-        help="identify a plant, calibrate D_c and certify it with fresh sessions",
-        description="Run the plant of SCENARIO: excite it, identify A and B where the file has "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Run the plant of SCENARIO: excite it, identify A and B where the file has "
         "none, scale D_c by whole sessions under the law until it stands still, freeze it, and "
-        "count the fresh sessions that leave it. Write the scenario with the certificate.",
+        "count the fresh sessions that leave it. Write the scenario with the certificate."
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
@@ -46,7 +44,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         parser.add_argument(
             option, type=float, default=share, metavar="P", help=f"{text} ({share})"
         )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,14 +24,12 @@ WITHIN_S = 3.0
 LOOK_S = 0.1
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "health",
-        help="say whether a service advances",
-        description="Exit 0 when the service's report is fresh and what it counts has grown within "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Exit 0 when the service's report is fresh and what it counts has grown within "
         "a few seconds: transitions of the controller and the plant, bytes mirrored by the tap. "
-        "For a router: when it takes a connection.",
+        "For a router: when it takes a connection."
     )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
@@ -48,7 +46,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         metavar="S",
         help=f"seconds in which the count must grow (default: {WITHIN_S:g})",
     )
-    parser.set_defaults(run=run)
 
 
 def advances(look: Callable[[], Look], within_s: float, max_age_s: float = MAX_AGE_S) -> Look:

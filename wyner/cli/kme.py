@@ -16,14 +16,12 @@ LOOK_S: Final = 0.1
 HEALTH_S: Final = 1.0
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "kme",
-        help="hand one side's keys to its application (ETSI GS QKD 014)",
-        description="Serve the keys that the controller or the plant of a run has distilled: ETSI "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Serve the keys that the controller or the plant of a run has distilled: ETSI "
         "GS QKD 014 V1.1.1 over mutual TLS. Who asks is the common name of the client's "
-        "certificate. Each side gives out its own half, and the partner's half by id.",
+        "certificate. Each side gives out its own half, and the partner's half by id."
     )
     parser.add_argument("--run-dir", required=True, type=Path, metavar="D", help="the run's folder")
     parser.add_argument("--side", required=True, choices=("controller", "plant"))
@@ -49,7 +47,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--rate", type=float, default=RATE, metavar="N", help=f"requests a second ({RATE:g})"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,20 +7,17 @@ from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.runtime.errors import DONE, Failure
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "knowledge",
-        help="write what a scenario's eavesdropper knows",
-        description="Write, as JSON, what the paper's eavesdropper knows of a scenario: f_c and "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Write, as JSON, what the paper's eavesdropper knows of a scenario: f_c and "
         "D_e, and neither D_c nor alpha. A tap on a machine of its own needs this file and no "
-        "scenario (wyner tap --knowledge FILE).",
+        "scenario (wyner tap --knowledge FILE)."
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="file or shipped name")
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="file to write (default: standard output)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -50,16 +50,16 @@ def commands() -> dict[str, str]:
     return {first: COMMANDS[first], **services, **{n: COMMANDS[n] for n in others}}
 
 
-def _add_parser(name: str, subparsers: "argparse._SubParsersAction[Parser]") -> None:
+def _add_parser(name: str, text: str, subparsers: "argparse._SubParsersAction[Parser]") -> None:
     """Add a subcommand with its options; what is here of a service's goes before its own."""
-    if importlib.util.find_spec(f"wyner.cli.{name}") is not None:
-        importlib.import_module(f"wyner.cli.{name}").add_parser(subparsers)
+    here = importlib.util.find_spec(f"wyner.cli.{name}") is not None
+    module = importlib.import_module(f"wyner.cli.{name}" if here else SERVICES[name].command)
+    if name == "bench":  # it hands its arguments on, and makes a parser that takes any
+        module.add_parser(subparsers)
         return
-    row = SERVICES[name]
-    service = importlib.import_module(row.command)
-    parser = subparsers.add_parser(name, help=row.summary, description=row.summary)
-    service.add_arguments(parser)
-    parser.set_defaults(run=service.run)
+    parser = subparsers.add_parser(name, help=text, description=None if here else text)
+    module.add_arguments(parser)
+    parser.set_defaults(run=module.run)
 
 
 def build_parser(name: str | None) -> argparse.ArgumentParser:
@@ -78,7 +78,7 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
     )
     for command, text in commands().items():
         if command == name:
-            _add_parser(command, subparsers)
+            _add_parser(command, text, subparsers)
         else:
             subparsers.add_parser(command, help=text)
     return parser

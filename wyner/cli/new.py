@@ -27,14 +27,12 @@ WIDER: Final = 1.2
 """D_c over D, the ratio of the paper's example."""
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "new",
-        help="write a scenario file of one's own, with comments",
-        description="Write NAME.toml from a plant's matrices: discrete ones, or continuous ones "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Write NAME.toml from a plant's matrices: discrete ones, or continuous ones "
         "that are sampled here with a zero-order hold. Without matrices it is a mass that is "
-        "pushed, to be changed by hand.",
+        "pushed, to be changed by hand."
     )
     parser.add_argument("name", metavar="NAME", help="letters, digits, dots, dashes, underscores")
     parser.add_argument("--A", metavar="ROWS", help='such as "[[1, 0.1], [0, 1]]"')
@@ -54,7 +52,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "step, or less where that leaves no terminal set)",
     )
     parser.add_argument("--output", metavar="F", help="default: NAME.toml here")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

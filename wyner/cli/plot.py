@@ -16,13 +16,11 @@ RATE: Final = "bits_per_second"
 SIZE: Final = (6.4, 4.2)
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "plot",
-        help="draw a sweep's rows: rates, or what an eavesdropper got",
-        description="Draw the rows of FILE, a sweep's CSV file or its -rates.csv, with 95 % "
-        "intervals. What does not stand on the axes makes a curve each.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Draw the rows of FILE, a sweep's CSV file or its -rates.csv, with 95 % "
+        "intervals. What does not stand on the axes makes a curve each."
     )
     parser.add_argument("file", metavar="FILE.csv")
     parser.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
@@ -34,7 +32,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("--log", action="store_true", help="a logarithmic x axis")
     parser.add_argument("--output", metavar="F", help="F.png, F.pdf or F.svg (default: FILE.png)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,13 +9,9 @@ if TYPE_CHECKING:
     from wyner.scoring.replay import Replay
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="decode a recorded capture",
-        description="Feed a capture to eavesdroppers again, all on the same transcript.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "Feed a capture to eavesdroppers again, all on the same transcript."
     parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
     parser.add_argument(
         "--eavesdropper",
@@ -34,7 +30,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--scenario", metavar="S", help="tell them this scenario's model; the oracle needs it"
     )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
-    parser.set_defaults(run=run)
 
 
 class ReplaySource:

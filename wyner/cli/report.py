@@ -6,20 +6,17 @@ from pathlib import Path
 from protocol.runtime.errors import DONE, UsageError, reading
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "report",
-        help="write a run's page: one file of HTML with figures, scores and clauses",
-        description="Write one self-contained HTML page of a run: what was sent and recovered, "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Write one self-contained HTML page of a run: what was sent and recovered, "
         "states and inputs, one agreed step, keys against taps over time, claimed against true, "
-        "and the clauses of the check. The page's path goes to standard output.",
+        "and the clauses of the check. The page's path goes to standard output."
     )
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
     parser.add_argument(
         "--output", "-o", type=Path, metavar="FILE", help="the page (default: RUN_DIR/report.html)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,14 +24,12 @@ RETRY_S: Final = 2.0
 LOOK_S: Final = 0.2
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "rotate",
-        help="take a fresh key into use at both ends, again and again",
-        description="Fetch a key from this site's entity (ETSI GS QKD 014) and let the partner "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Fetch a key from this site's entity (ETSI GS QKD 014) and let the partner "
         "fetch the same one at its own; when each has proved to the other that it has it, hand it "
-        "to a program. One end connects and asks for new keys (the master), the other listens.",
+        "to a program. One end connects and asks for new keys (the master), the other listens."
     )
     parser.add_argument("--kme", required=True, metavar="HOST:PORT", help="this site's entity")
     parser.add_argument(
@@ -52,7 +50,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="gets each key in base64 on its standard input, and its id as WYNER_KEY_ID",
     )
     add_check_argument(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

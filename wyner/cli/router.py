@@ -11,14 +11,12 @@ from protocol.runtime.services import BUSES
 from protocol.runtime.signals import stop_on_signals
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "router",
-        help="run a Zenoh router, with access control where asked",
-        description="Relay a bus between services that connect as clients (--client BUS). Each bus "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Relay a bus between services that connect as clients (--client BUS). Each bus "
         "gets a router of its own inside the process, so that nothing crosses from one to another. "
-        "With --guard, the names in the certificates decide who may publish what.",
+        "With --guard, the names in the certificates decide who may publish what."
     )
     parser.add_argument(
         "--listen",
@@ -42,7 +40,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         metavar="BUS",
         help="deny what the names in the certificates do not allow; needs --tls for this bus",
     )
-    parser.set_defaults(run=run)
 
 
 def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:

@@ -6,15 +6,10 @@ import json
 from protocol.runtime.errors import DONE
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "scenarios",
-        help="list the shipped scenarios",
-        description="List the scenarios that can be named instead of a file.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "List the scenarios that can be named instead of a file."
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

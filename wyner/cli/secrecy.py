@@ -10,13 +10,9 @@ if TYPE_CHECKING:
     from wyner.scoring.score import RunScore
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "secrecy",
-        help="report what each eavesdropper got, beside what the scheme claims",
-        description="Score the eavesdroppers of one or more runs against the plant's traces.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "Score the eavesdroppers of one or more runs against the plant's traces."
     parser.add_argument("run_dirs", metavar="RUN_DIR", nargs="+", help="a run's directory")
     parser.add_argument(
         "--eavesdropper",
@@ -30,7 +26,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument("--figure", metavar="FILE", help="draw the report as SVG or PNG")
     parser.add_argument("--json", action="store_true", help="one object on standard output")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

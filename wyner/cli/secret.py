@@ -6,16 +6,13 @@ from pathlib import Path
 from protocol.runtime.errors import DONE, UsageError
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        "secret",
-        help="make the secret by which both ends sign key blocks",
-        description="Write a new secret to F. Give a copy of it to each end, for its --secret; "
-        "each takes it once, and its file then holds only the secret's name.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Write a new secret to F. Give a copy of it to each end, for its --secret; "
+        "each takes it once, and its file then holds only the secret's name."
     )
     parser.add_argument("file", metavar="F", help="a file that is not there yet")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

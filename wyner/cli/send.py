@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 REPEAT_S: Final = 0.1
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser("send", help="hand a running controller a message to deliver")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     parser.add_argument(
         "text",
         nargs="?",
@@ -53,7 +52,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "operator")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,18 +18,13 @@ OLD_S = 5.0
 """A status older than this is of a service that is frozen or gone: it writes one each second."""
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        "status",
-        help="what a run's services last said, and what contradicts it",
-        description="Exit 0 when nothing is wrong, 1 when something is, with a line for each.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "Exit 0 when nothing is wrong, 1 when something is, with a line for each."
     parser.add_argument(
         "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

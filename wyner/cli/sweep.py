@@ -26,13 +26,11 @@ AHEAD: Final = 256
 """Tasks handed to the workers beyond the one whose rows are written next."""
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "sweep",
-        help="run a grid of experiments",
-        description="Run the sweep in FILE (or a shipped one, by name) and add its rows to a CSV "
-        "file. Ctrl-C keeps what there is; --resume goes on.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Run the sweep in FILE (or a shipped one, by name) and add its rows to a CSV "
+        "file. Ctrl-C keeps what there is; --resume goes on."
     )
     parser.add_argument("file", metavar="FILE", help="a TOML file or a shipped name")
     parser.add_argument(
@@ -46,7 +44,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
 
 
 def _begin_worker() -> None:

@@ -6,16 +6,13 @@ from protocol.runtime.errors import UsageError
 from tap_service.command import ToldKnowledge, add_options, run_told, told_by
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "tap", help="run the tap service with its eavesdroppers", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = __doc__
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--scenario", metavar="S", help="derive what the tap knows from a scenario")
     source.add_argument("--knowledge", metavar="FILE", help="what the tap knows, as JSON")
     add_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,16 +10,11 @@ from protocol.runtime.run_folder import PLANT_KEYS
 from protocol.text import readable
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the command."""
-    parser = subparsers.add_parser(
-        "unsealed",
-        help="show the sealed messages that a plant has opened",
-        description="Show what came by `wyner send --sealed`, in order: identifier and text.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = "Show what came by `wyner send --sealed`, in order: identifier and text."
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the plant's run folder")
     parser.add_argument("--json", action="store_true", help="one JSON array, payloads in base64")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

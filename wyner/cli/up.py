@@ -36,11 +36,8 @@ GRACE_S: Final = 0.5
 """Seconds that the tap has for its last thoughts once the message has arrived."""
 
 
-def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        "up", help="run controller, plant and tap on this machine and watch them"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     add_message_arguments(parser)
     parser.add_argument(
@@ -67,7 +64,6 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="sign key blocks with a secret made for this run",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
