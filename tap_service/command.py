@@ -261,6 +261,6 @@ def run_told(
         if args.check:
             return DONE
         with alone_in(run_dir_of(args.run_dir) / "tap"):
-            return run_tap(config, note=partial(noted, args))
+            return run_tap(config, partial(noted, args))
     except (KnowledgeError, TransportError) as error:
         raise UsageError(str(error)) from None

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
@@ -140,7 +140,7 @@ def run_taps(
     config_of: Callable[[FleetLoop], TapConfig],
     field: "Endpoints",
     intel: "Endpoints",
-    note: Note = nullcontext,
+    note: Note,
 ) -> int:
     """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.
 

@@ -11,7 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
@@ -66,10 +66,8 @@ Note = Callable[["Bus"], AbstractContextManager["Bus"]]
 """What else is done with the bus that statuses are published on, such as metrics."""
 
 
-def run_tap(
-    config: TapConfig, stopping: threading.Event | None = None, note: Note = nullcontext
-) -> int:
-    """Run until SIGTERM or SIGINT, or until ``stopping`` is set.
+def run_tap(config: TapConfig, note: Note) -> int:
+    """Run until SIGTERM or SIGINT.
 
     Raises
     ------
@@ -81,19 +79,16 @@ def run_tap(
     from protocol.runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
-        own_process = stopping is None
-        if stopping is None:
-            stopping = stack.enter_context(stop_on_signals())
+        stopping = stack.enter_context(stop_on_signals())
         field_bus = stack.enter_context(open_bus(config.field))
         intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
         service = TapService(config)
         stack.callback(service.close)
         service.attach(field_bus, intel_bus)
-        if own_process:
-            # On Linux this is the calling thread's alone: the transport's threads, already
-            # running, still take messages off the wire at once.
-            os.nice(NICENESS)
-            freeze_startup()
+        # On Linux this is the calling thread's alone: the transport's threads, already
+        # running, still take messages off the wire at once.
+        os.nice(NICENESS)
+        freeze_startup()
         service.run(stopping)
     return DONE
 

@@ -7,7 +7,8 @@ schema of the type itself.
 import base64
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -16,8 +17,6 @@ from protocol.runtime.errors import needs
 from protocol.runtime.parts import first_part, parts_of
 from protocol.topics import key_of
 from tap_service.capture.reading import CaptureReader
-
-Record = tuple[int, FieldMessage]
 
 KEY_FIELDS: Final = ("copy_number", "nonce", "applied_copy", "heard", "block", "tag")
 
@@ -100,7 +99,8 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
     )
     rows = 0
     with pyarrow.parquet.ParquetWriter(path, schema) as writer:
-        for batch in _batches(reader.records()):
+        records = reader.records()
+        while batch := list(islice(records, ROWS_AT_ONCE)):
             columns = [_columns(schema.names[2:], *record) for record in batch]
             writer.write_table(pyarrow.Table.from_pylist(columns, schema=schema))
             rows += len(columns)
@@ -112,17 +112,6 @@ def _columns(names: list[str], t_ns: int, message: FieldMessage) -> dict[str, ob
     if isinstance(message, Sealed):  # a loop's cipher is a symbol, this one's are bytes
         columns |= {"cipher": None, "sealed": message.cipher}
     return {"t_ns": t_ns, "topic": message.topic, **columns}
-
-
-def _batches(records: Iterator[Record]) -> Iterator[list[Record]]:
-    batch: list[Record] = []
-    for record in records:
-        batch.append(record)
-        if len(batch) == ROWS_AT_ONCE:
-            yield batch
-            batch = []
-    if batch:
-        yield batch
 
 
 def to_mcap(reader: CaptureReader, path: Path) -> int:

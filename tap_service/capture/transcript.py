@@ -87,16 +87,9 @@ def steps_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Transitio
 
 
 class Transcript:
-    """Puts transitions together from the public messages of one loop.
+    """Puts transitions together from the public messages of one loop."""
 
-    Parameters
-    ----------
-    patience : int
-        Steps to wait for a message that is late.
-    """
-
-    def __init__(self, patience: int = PATIENCE) -> None:
-        self.patience = patience
+    def __init__(self) -> None:
         self.sessions = 0
         self.late = 0
         self.holes = 0
@@ -204,7 +197,7 @@ class Transcript:
         one_sided = ONE_SIDED_PATIENCE if all(self._speaks.values()) else UNHEARD_PATIENCE
         if self._newest - k >= one_sided:
             return True
-        return all(newest >= k + self.patience for newest in self._heard.values())
+        return all(newest >= k + PATIENCE for newest in self._heard.values())
 
     def _forget(self, k: int) -> None:
         self._x.pop(k, None)
@@ -216,12 +209,12 @@ class Transcript:
     def _jump(self) -> list[Transition]:
         """Give up on a gap too long to bridge: settle what there is and go on behind it."""
         settled: list[Transition] = []
-        known = sorted(k for k in {*self._offers, *self._after} if k < self._newest - self.patience)
+        known = sorted(k for k in {*self._offers, *self._after} if k < self._newest - PATIENCE)
         if known and known[-1] - self._next <= LONGEST_BRIDGE:
             newest, self._newest = self._newest, known[-1]
             self._settle(settled, force=True)
             self._newest = newest
-        target = self._newest - self.patience
+        target = self._newest - PATIENCE
         for store in (self._x, self._offers, self._after):
             for k in [k for k in store if k < target]:
                 del store[k]

@@ -1,5 +1,6 @@
 """Runs of a system, as arrays and data frames."""
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -119,10 +120,9 @@ class Simulated:
         The paper's count: what was sent, not what stayed secret (docs/secrecy.md).
         """
         s = self.system.scenario
-        counts, of = np.unique((self.message_symbol != NO_SYMBOL).sum(axis=1), return_counts=True)
+        carried = (self.message_symbol != NO_SYMBOL).sum(axis=1)
         bits = float(np.log2(s.secrecy.candidates))
-        mean = bootstrap_mean(dict(zip(counts.tolist(), of.tolist(), strict=True)))
-        return mean.scaled(bits / (self.steps * s.plant.period_s))
+        return _mean(carried).scaled(bits / (self.steps * s.plant.period_s))
 
     def frame(self, run: int | None = None) -> "pd.DataFrame":
         """One row a step as a pandas data frame; of one run, or of all.
@@ -215,9 +215,9 @@ def rate_against_alpha(runs: Simulated, alphas: ArrayLike) -> list[Interval]:
     s = runs.system.scenario
     link = follow(runs.record, [float(a) for a in np.atleast_1d(alphas)])
     scale = float(np.log2(s.secrecy.candidates)) / (runs.steps * s.plant.period_s)
-    out = []
-    for row in link.message_symbols:
-        counts, of = np.unique(row, return_counts=True)
-        mean = bootstrap_mean(dict(zip(counts.tolist(), of.tolist(), strict=True)))
-        out.append(mean.scaled(scale))
-    return out
+    return [_mean(row).scaled(scale) for row in link.message_symbols]
+
+
+def _mean(counts: NDArray[np.int64]) -> Interval:
+    """Mean of a count over runs, shape (R,), with its interval."""
+    return bootstrap_mean(Counter(counts.tolist()))

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def advances(look: Callable[[], Look], within_s: float, max_age_s: float = MAX_AGE_S) -> Look:
+def advances(look: Callable[[], Look], within_s: float) -> Look:
     """Look until the count grows.
 
     Raises
@@ -57,8 +57,8 @@ def advances(look: Callable[[], Look], within_s: float, max_age_s: float = MAX_A
         When the report is stale, or the count did not grow within ``within_s`` seconds.
     """
     first = look()
-    if first.age_s > max_age_s:
-        raise Failure(f"last report {first.age_s:.1f} s ago, expected {max_age_s:g} s at most")
+    if first.age_s > MAX_AGE_S:
+        raise Failure(f"last report {first.age_s:.1f} s ago, expected {MAX_AGE_S:g} s at most")
     until = time.monotonic() + within_s
     lowest = first.count
     while True:

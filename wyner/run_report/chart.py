@@ -9,6 +9,8 @@ from typing import Final
 Points = Sequence[tuple[float, float]]
 
 WIDTH: Final = 760
+CHART_HEIGHT: Final = 240
+PLANE_HEIGHT: Final = 380
 LEFT, RIGHT, TOP, BOTTOM = 56, 16, 12, 40
 MOST_POINTS: Final = 1500
 """Points of a line; longer ones are thinned to the extremes of each stretch."""
@@ -160,7 +162,6 @@ def chart(
     y_label: str,
     *,
     marks: Sequence[Mark] = (),
-    height: int = 240,
     floor: float | None = None,
 ) -> str:
     """Lines over time with a legend.
@@ -171,23 +172,22 @@ def chart(
     lines : sequence of Line
     x_label, y_label : str
     marks : sequence of Mark
-    height : int
     floor : float, optional
         A value that the vertical axis shows in any case.
     """
     points = [p for line in lines for p in line.points]
     if floor is not None and points:
         points.append((points[0][0], floor))
-    frame = PlotFrame.about(points, height)
+    frame = PlotFrame.about(points, CHART_HEIGHT)
     parts = frame.axes(x_label, y_label)
     for line in lines:
         d = frame.path(thinned(line.points), steps=line.steps)
         parts.append(f'<path class="line" {_look(line.place)} d="{d}"/>')
-    foot = height - BOTTOM
+    foot = CHART_HEIGHT - BOTTOM
     ticked = "".join(f"M{_number(frame.at(m.x, 0.0)[0])} {foot}v-7" for m in marks)
     if ticked:
         parts.append(f'<path class="mark" d="{ticked}"/>')
-    return svg(title, height, parts) + legend([(x.label, x.place) for x in lines])
+    return svg(title, CHART_HEIGHT, parts) + legend([(x.label, x.place) for x in lines])
 
 
 def legend(entries: Sequence[tuple[str, int]]) -> str:
@@ -212,18 +212,17 @@ def plane(
     rings: Sequence[tuple[str, Points, int]],
     star: tuple[float, float],
     labels: tuple[str, str],
-    *,
-    height: int = 380,
 ) -> str:
     """Closed outlines in the plane, both axes to one scale, and a star."""
-    frame = PlotFrame.about([p for _, ring, _ in rings for p in ring] + [star], height, equal=True)
+    points = [p for _, ring, _ in rings for p in ring]
+    frame = PlotFrame.about([*points, star], PLANE_HEIGHT, equal=True)
     parts = frame.axes(*labels)
     for _, ring, place in rings:
         parts.append(f'<path class="line" {_look(place)} d="{frame.path(ring)}Z"/>')
     x, y = frame.at(*star)
     parts.append(f'<path class="star" d="{_star(x, y)}"/>')
     entries = [(label, place) for label, _, place in rings]
-    return svg(title, height, parts) + legend(entries)
+    return svg(title, PLANE_HEIGHT, parts) + legend(entries)
 
 
 def _star(x: float, y: float) -> str:

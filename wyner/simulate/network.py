@@ -7,7 +7,7 @@ choice of theirs comes from one seed, so that a failure replays.
 
 import heapq
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
@@ -140,8 +140,6 @@ class Simulation:
         A deadline each step, in virtual seconds; None for lock-step.
     plant_journal : PlantDisk, optional
         None: one in memory.
-    stores : mapping of KeyStore, optional
-        Of each side's keys; None: in memory.
     """
 
     def __init__(
@@ -155,7 +153,6 @@ class Simulation:
         step_s: float | None = None,
         run: int = 0,
         plant_journal: PlantStorage | None = None,
-        stores: Mapping[Side, KeyStore] | None = None,
     ) -> None:
         self.history = History()
         self.now_s = 0.0
@@ -175,7 +172,7 @@ class Simulation:
         self._plant: PlantEndpoint
         self._offered: list[Offer] = []
         self._delivered = 0
-        self.stores: dict[Side, KeyStore] = dict(stores or {})
+        self.stores: dict[Side, KeyStore] = {}
         self._ends: dict[Side, _End] = {
             "controller": _End(self, "controller", "plant", self._queue),
             "plant": _End(self, "plant", "controller", self._plant_journal),
@@ -383,11 +380,10 @@ def simulate(
     steps: int,
     payload: bytes = b"",
     faults: Faults | None = None,
-    run: int = 0,
 ) -> History:
     """Simulate ``steps`` steps in lock-step, and let the last transition be counted."""
     payloads = (payload,) if payload else ()
-    simulation = Simulation(scenario, law, seed=seed, payloads=payloads, faults=faults, run=run)
+    simulation = Simulation(scenario, law, seed=seed, payloads=payloads, faults=faults)
     simulation.run(steps=steps)
     last = len(simulation.history.plant)
     return simulation.run(until=lambda: len(simulation.history.controller) >= last)

@@ -3,6 +3,7 @@
 import csv
 import fcntl
 import io
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -261,10 +262,9 @@ def summarise(rows: Iterable[Row]) -> list[Summary]:
             if following["first_run"] < one["first_run"] + one["runs"]:
                 shown = ", ".join(part for part in key_of(one) if part)
                 raise SweepError(f"{shown}: run {following['first_run']} stands there twice")
-        histogram: dict[int, int] = {}
+        histogram: Counter[int] = Counter()
         for row in same:
-            for value, runs in histogram_of(row["runs_by_symbols"]).items():
-                histogram[value] = histogram.get(value, 0) + runs
+            histogram.update(histogram_of(row["runs_by_symbols"]))
         out.append(
             Summary(
                 first=same[0],

@@ -6,7 +6,7 @@ a sweep that was stopped goes on where it ended, and it is the same rows whichev
 Where more runs are asked for later, a batch that was cut short gets a further row with the rest.
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import astuple, dataclass, replace
@@ -101,10 +101,8 @@ def run_task(
     rows = []
     for i in range(len(alphas)):
         counts = {name: int(getattr(link, name)[i].sum()) for name in COUNTS}
-        histogram: dict[int, int] = {}
-        for value in link.message_symbols[i].tolist():
-            histogram[value] = histogram.get(value, 0) + 1
-        text = " ".join(f"{v}:{histogram[v]}" for v in sorted(histogram))
+        histogram = Counter(link.message_symbols[i].tolist())
+        text = " ".join(f"{v}:{runs}" for v, runs in sorted(histogram.items()))
         heard = _heard(simulated, alphas[i], eavesdroppers, message) if eavesdroppers else {}
         rows.append(common | counts | sums | {"runs_by_symbols": text} | heard)
     return code_version(), rows

@@ -10,7 +10,7 @@ from protocol.arrays import Array
 from wyner.scoring.statistics import Interval
 
 
-def _closed(points: Array) -> Array:
+def closed(points: Array) -> Array:
     """A convex ring in order of angle about its middle, the first point again at the end."""
     plane = points[:, :2]
     middle = plane.mean(axis=0)
@@ -29,7 +29,7 @@ def draw_sets(axes: Axes, sets: Mapping[int, Array], x: Array | None = None) -> 
     for i, points in sets.items():
         if points.shape[1] != 2:
             raise ValueError(f"T_{i}: got {points.shape[1]} states, expected 2 to draw")
-        ring = _closed(points)
+        ring = closed(points)
         axes.plot(ring[:, 0], ring[:, 1], color="0.6", lw=0.8)
         top = ring[ring[:, 1].argmax()]
         axes.annotate(f"$T_{{{i}}}$", (top[0], top[1]), color="0.3", fontsize="small")
@@ -69,7 +69,7 @@ def _hull(points: Array) -> Array:
     """The outline of the points' shadow in the plane, closed."""
     from scipy.spatial import ConvexHull
 
-    return _closed(points[ConvexHull(points).vertices])
+    return closed(points[ConvexHull(points).vertices])
 
 
 def draw_states(axes: Axes, x: Array, period_s: float, agreed: NDArray[np.intp]) -> None:

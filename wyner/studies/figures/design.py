@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from wyner.studies.figures.axes import closed
 from wyner.studies.figures.style import COLOURS
 from wyner.studies.why import APART, closest_predictions
 
@@ -81,11 +82,8 @@ def shadow(H: Array, h: Array) -> tuple[Array, Array]:
         low, high = float(ends.min()), float(ends.max())
         return np.array([low, high, high, low, low]), np.array([-1.0, -1, 1, 1, -1])
     if H.shape[1] == 2:
-        points: Array = corners(H, h)
-        centre = points.mean(axis=0)
-        order = np.argsort(np.arctan2(*(points - centre).T[::-1]))
-        closed = [*order, order[0]]
-        return points[closed, 0], points[closed, 1]
+        ring = closed(corners(H, h))
+        return ring[:, 0], ring[:, 1]
     from scipy.optimize import linprog
 
     found = []

@@ -1,5 +1,6 @@
 """The figures of docs/secrecy.md, and the picture of a secrecy report."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -40,9 +41,7 @@ def note_of(rows: Sequence[Row], text: str = "95 % bootstrap intervals over runs
     """Runs, steps, seeds and interval."""
     seeds = sorted({int(r["seed"]) for r in rows})
     steps = sorted({int(r["steps"]) for r in rows})
-    groups: dict[tuple[str, str], int] = {}
-    for r in rows:
-        groups[r["condition"], r["tap"]] = groups.get((r["condition"], r["tap"]), 0) + 1
+    groups = Counter((r["condition"], r["tap"]) for r in rows)
     fewest, most = min(groups.values()), max(groups.values())
     runs = str(most) if fewest == most else f"{fewest} to {most}"
     return (

@@ -9,6 +9,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import accumulate
 from typing import Final
 
 from controller_service.laws.base import CandidateLaw
@@ -129,11 +130,7 @@ def simulate(
         stream = raw_symbols(b" ".join(payloads))
     else:
         stream = b"".join(encode_frame(p, size) for p in payloads)
-    ends = []
-    end = 0
-    for payload in payloads:
-        end += frame_length(len(payload), size)
-        ends.append(end)
+    ends = list(accumulate(frame_length(len(payload), size) for payload in payloads))
     widths = scenario.plant.disturbance.half_widths
     session = f"{rng.getrandbits(64):016x}"
     rules = rules_of(scenario)
