@@ -21,6 +21,7 @@ from protocol.runtime.options import (
 from protocol.runtime.parts import Bounds
 
 if TYPE_CHECKING:
+    from controller_service.laws.base import CandidateLaw
     from controller_service.laws.online import OnlineLaw
     from protocol.scenario import Scenario
 
@@ -49,7 +50,6 @@ def run(args: argparse.Namespace) -> int:
     from protocol.shipped import scenario_file_of
 
     at_least("--seed", args.seed, 0)
-
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
     message = message_of(args.message, args.message_file)
     fleet = fleet_of(args, message)
@@ -80,11 +80,25 @@ def run(args: argparse.Namespace) -> int:
 
 def _law_of(scenario: "Scenario") -> "OnlineLaw":
     """The scenario's law: by its tables, where an earlier start has left them; else it is made."""
-    from controller_service.laws.online import ProgramError, store_law, stored_law
+    from controller_service.laws.online import store_law, stored_law
 
     stored = stored_law(scenario)
     if stored is not None:
         return stored
+    law = designed(scenario)
+    store_law(law, scenario)
+    return law
+
+
+def designed(scenario: "Scenario") -> "CandidateLaw":
+    """The scenario's law on its design, which is computed where the cache has none; shows progress.
+
+    Raises
+    ------
+    UsageError
+        When there is no design, or no law on it.
+    """
+    from controller_service.laws.online import ProgramError
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
@@ -92,8 +106,6 @@ def _law_of(scenario: "Scenario") -> "OnlineLaw":
     try:
         with shown_progress() as progress:
             design = cached_design(scenario, progress)
-        law = make_law(scenario, design)
+        return make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{scenario.name}: {error}") from None
-    store_law(law, scenario)
-    return law

@@ -121,16 +121,9 @@ class TapFleet:
             tap.write_beliefs()
 
     def _follow(self) -> None:
-        try:
-            if not self._fleet.changed():
-                return
-        except UsageError as error:
-            self._log.error("%s", error.lines[0])
-            return
-        loops = self._fleet.loops
-        for name in [name for name, loop in self._known.items() if loops.get(name) != loop]:
+        for name in self._fleet.left(self._known, self._log):
             self._close(name)
-        for name, loop in loops.items():
+        for name, loop in self._fleet.loops.items():
             if name not in self._known:
                 self._open(loop)
 

@@ -15,7 +15,7 @@ import numpy as np
 from controller_service.sets.clique import adjacency, largest_clique
 from controller_service.sets.separation import APART, TOGETHER, AlphabetError, Separation
 from protocol.arrays import Array
-from protocol.convex import SetError, planar_area, planar_reduce, planar_vertices
+from protocol.convex import Polytope, SetError, planar_area, planar_reduce, planar_vertices
 
 BRANCHES = 200_000
 """Branches of one clique search, some seconds."""
@@ -57,18 +57,19 @@ class Ball:
         out: Array = np.abs(v @ self.rows.T).max(axis=-1)
         return out
 
-    def corners(self) -> Array:
-        """Corners in order of angle, shape (2 r, 2)."""
+    def _polygon(self) -> Polytope:
         both = np.vstack([self.rows, -self.rows])
         lengths = np.sqrt((both * both).sum(axis=1))
-        return planar_vertices(planar_reduce(both / lengths[:, None], 1 / lengths))
+        return planar_reduce(both / lengths[:, None], 1 / lengths)
+
+    def corners(self) -> Array:
+        """Corners in order of angle, shape (2 r, 2)."""
+        return planar_vertices(self._polygon())
 
     @property
     def area(self) -> float:
         """Area of the ball."""
-        both = np.vstack([self.rows, -self.rows])
-        lengths = np.sqrt((both * both).sum(axis=1))
-        return planar_area(planar_reduce(both / lengths[:, None], 1 / lengths))
+        return planar_area(self._polygon())
 
     @property
     def perimeter(self) -> float:

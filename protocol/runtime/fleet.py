@@ -10,8 +10,9 @@ A fleet's file may change while hosts run: they look at it once a second, take i
 new, and let those go that are gone. Each loop has a folder of its own below the run's, by its id.
 """
 
+import logging
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -161,3 +162,14 @@ class Fleet:
         self._stamp = stamp
         self.loops = self._read()
         return True
+
+    def left(self, known: Mapping[str, FleetLoop], log: logging.Logger) -> list[str]:
+        """Look at the file again; the loops ``known`` that the fleet has no more, or otherwise.
+
+        Of a file that is not as expected any more a line is logged, and the loops stay.
+        """
+        try:
+            self.changed()
+        except UsageError as error:
+            log.error("%s", error.lines[0])
+        return [name for name, loop in known.items() if self.loops.get(name) != loop]

@@ -44,13 +44,7 @@ def run_fleet(
         return True
 
     def follow() -> None:
-        try:
-            if not fleet.changed():
-                return
-        except UsageError as error:
-            log.error("%s", error.lines[0])
-            return
-        for name in [name for name, loop in known.items() if fleet.loops.get(name) != loop]:
+        for name in fleet.left(known, log):
             host.remove(name)
             del known[name]
             log.info("loop %s has left", name)

@@ -112,13 +112,12 @@ def _tables(path: Path) -> dict[str, Any]:
 
 def _plan(args: argparse.Namespace) -> "Plan":
     """The checked numbers."""
+    from protocol.runtime.options import at_least
     from wyner.studies.fit.conformal import rank
     from wyner.studies.fit.fitting import Plan
 
     for name in ("excite_sessions", "excite_steps", "pilot", "calibration", "fresh", "steps"):
-        if getattr(args, name) < 1:
-            option = name.replace("_", "-")
-            raise UsageError(f"--{option}: got {getattr(args, name)}, expected at least 1")
+        at_least(f"--{name.replace('_', '-')}", getattr(args, name), 1)
     for name in ("amplitude", "violation", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise UsageError(f"--{name}: got {getattr(args, name):g}, expected between 0 and 1")

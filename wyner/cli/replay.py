@@ -82,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from protocol.runtime.errors import DONE, UsageError
+    from protocol.runtime.options import at_least
     from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
@@ -89,27 +90,15 @@ def run(args: argparse.Namespace) -> int:
     from wyner.scoring.replay import Replay
     from wyner.scoring.score import RunScore, ScoreError, read_truth, score, summary_of
 
-    for option, least in (("from", 0), ("to", args.first or 0)):
-        value = args.first if option == "from" else args.last
-        if value is not None and value < least:
-            raise UsageError(f"--{option}: got {value}, expected at least {least}")
-    knowledge = oracle = None
-    if args.scenario is not None:
-        scenario = scenario_of(args.scenario)
-        knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
+    at_least("--from", args.first, 0)
+    at_least("--to", args.last, args.first or 0)
+    scenario = None if args.scenario is None else scenario_of(args.scenario)
     path = Path(args.capture)
     try:
         names = names_of(args.eavesdropper) or tuple(
             CaptureReader(path).header.get("eavesdroppers") or DEFAULT
         )
-        replay = Replay(
-            path,
-            names,
-            first=args.first,
-            last=args.last,
-            knowledge=knowledge,
-            oracle_knowledge=oracle,
-        )
+        replay = Replay(path, names, first=args.first, last=args.last, scenario=scenario)
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None
     try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from protocol.runtime.errors import DONE, UsageError
 from protocol.runtime.logs import logger
-from protocol.runtime.options import add_check_argument
+from protocol.runtime.options import add_check_argument, at_least
 from protocol.runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
@@ -65,8 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if args.every is not None and (args.connect is None or not 0 < args.every <= 86400):
         expected = "more than 0, at most 86400, and with --connect"
         raise UsageError(f"--every: got {args.every:g}, expected {expected}")
-    if args.count is not None and args.count < 1:
-        raise UsageError(f"--count: got {args.count}, expected at least 1")
+    at_least("--count", args.count, 1)
     try:
         use = hand_to(args.program) if args.program else lambda _key: None
     except ValueError as error:

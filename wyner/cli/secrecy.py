@@ -134,12 +134,9 @@ def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None
     from wyner.scoring.score import RunScore, read_truth, score
 
     truth = read_truth(run_dir)
-    knowledge = oracle = None
-    if scenario_name is not None:
-        scenario = scenario_of(scenario_name)
-        knowledge, oracle = scenario.knowledge(), scenario.oracle_knowledge()
+    scenario = None if scenario_name is None else scenario_of(scenario_name)
     try:
-        replay = Replay(run_dir, names, knowledge=knowledge, oracle_knowledge=oracle)
+        replay = Replay(run_dir, names, scenario=scenario)
         replay.run()
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None

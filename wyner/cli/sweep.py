@@ -152,6 +152,7 @@ def _progress(name: str) -> "Iterator[Progress | None]":
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep."""
+    from protocol.runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
     from wyner.studies.grid import SweepError, eavesdroppers_of, load_sweep, points_of
@@ -159,8 +160,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.studies.sweep import name_of, run_sweep
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
-    if jobs < 1:
-        raise UsageError(f"--jobs: got {jobs}, expected at least 1")
+    at_least("--jobs", jobs, 1)
     if args.scheduler is not None and args.executor != "dask":
         raise UsageError("--scheduler: expected together with --executor dask")
     shipped = SWEEPS / f"{args.file}.toml"

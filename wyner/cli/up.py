@@ -14,7 +14,13 @@ from pydantic import ValidationError
 from protocol.files import write_atomically
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
-from protocol.runtime.options import add_message_arguments, message_of, pace_of, run_dir_of
+from protocol.runtime.options import (
+    add_message_arguments,
+    at_least,
+    message_of,
+    pace_of,
+    run_dir_of,
+)
 from protocol.runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
@@ -128,10 +134,8 @@ def conduct(
     from wyner.scoring.summary import summarise, verdict_lines
     from wyner.verify.seal import seal
 
-    for option, least in (("steps", 1), ("seed", 0)):
-        value = getattr(args, option)
-        if value is not None and value < least:
-            raise UsageError(f"--{option}: got {value}, expected at least {least}")
+    at_least("--steps", args.steps, 1)
+    at_least("--seed", args.seed, 0)
     _take_signals()
     pace_of(args.pace)
     scenario = scenario_of(args.scenario)
@@ -210,19 +214,10 @@ def _take_signals() -> None:
 
 def _design(scenario: "Scenario") -> None:
     """Compute the design before anything starts, and check that the plant starts inside it."""
-    from controller_service.laws.online import ProgramError
-    from controller_service.laws.registry import cached_design, make_law
-    from controller_service.progress import shown_progress
-    from controller_service.sets.design import SynthesisError
+    from controller_service.command import designed
 
     try:
-        with shown_progress() as progress:
-            design = cached_design(scenario, progress)
-        law = make_law(scenario, design)
-    except (SynthesisError, ProgramError) as error:
-        raise UsageError(f"{scenario.name}: {error}") from None
-    try:
-        law.index(scenario.initial_state)
+        designed(scenario).index(scenario.initial_state)
     except LookupError as error:
         raise UsageError(
             f"plant.initial_state: {error}; start nearer to the origin, or enlarge control.horizon"

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from protocol.files import make_folder, open_private, replacing
 from protocol.runtime.errors import Failure
 from protocol.runtime.services import SERVICES
 from protocol.runtime.signals import STOP_WITH_STDIN
+from wyner.deployment.running import listens
 
 RESTART_S: Final = 0.2
 """Seconds before a killed service is started again."""
@@ -150,19 +150,12 @@ class Supervisor:
         """
         first = self.child(self.first)
         first.start()
-        host, _, port = self.first_endpoint.removeprefix("tcp/").rpartition(":")
         until = time.monotonic() + START_S
-        while True:
-            try:
-                socket.create_connection((host, int(port)), timeout=0.1).close()
-                break
-            except OSError:
-                self.poll()
-                if time.monotonic() > until:
-                    raise Failure(
-                        f"{first.name}: not up after {START_S:g} s (log: {first.log})"
-                    ) from None
-                time.sleep(0.02)
+        while not listens(self.first_endpoint):
+            self.poll()
+            if time.monotonic() > until:
+                raise Failure(f"{first.name}: not up after {START_S:g} s (log: {first.log})")
+            time.sleep(0.02)
         for child in self.children:
             if child is not first:
                 child.start()

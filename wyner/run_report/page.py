@@ -13,6 +13,7 @@ from protocol.agreement import predict
 from protocol.convex import corners
 from protocol.files import write_atomically
 from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE
+from protocol.runtime.trace import read_trace
 from protocol.scenario import Scenario
 from protocol.text import readable
 from wyner.run_report.chart import Curve, Mark, chart, plane
@@ -79,13 +80,19 @@ def page(e: Evidence, said: list[Said] | str) -> str:
     recorded = _Recorded()
     findings = check(e, recorded.take)
     s = e.scenario
+    if e.plant is None or isinstance(said, str):
+        why = escape(said if isinstance(said, str) else "no plant trace")
+        keys = secrecy = [f"<p>Not known: {why}.</p>"]
+    else:
+        truth = truth_of(read_trace(e.run_dir / PLANT_TRACE))
+        keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded)),
         *_section("One agreed step", _one_step(e, recorded)),
-        *_section("Keys against taps", _keys(e, said)),
-        *_section("Claimed and true", _secrecy(e, said)),
+        *_section("Keys against taps", keys),
+        *_section("Claimed and true", secrecy),
         *_section("Clauses of the check", _clauses(findings)),
         *_section("The run", _about(e)),
     ]
@@ -203,11 +210,7 @@ def _outline(s: Scenario) -> list[tuple[float, float]]:
     return [(float(a), float(b)) for a, b in points[order]]
 
 
-def _keys(e: Evidence, said: list[Said] | str) -> Iterator[str]:
-    if e.plant is None or isinstance(said, str):
-        yield f"<p>Not known: {escape(said if isinstance(said, str) else 'no plant trace')}.</p>"
-        return
-    truth = _truth(e)
+def _keys(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
     T = e.scenario.plant.period_s
     steps = sorted(truth.keys, key=lambda at: at[1])
     if not steps:
@@ -230,18 +233,7 @@ def _keys(e: Evidence, said: list[Said] | str) -> Iterator[str]:
     )
 
 
-def _truth(e: Evidence) -> Truth:
-    """The truth as the scoring reads it, from the evidence that is in hand."""
-    from protocol.runtime.trace import read_trace
-
-    return truth_of(read_trace(e.run_dir / PLANT_TRACE))
-
-
-def _secrecy(e: Evidence, said: list[Said] | str) -> Iterator[str]:
-    if e.plant is None or isinstance(said, str):
-        yield f"<p>Not known: {escape(said if isinstance(said, str) else 'no plant trace')}.</p>"
-        return
-    truth = _truth(e)
+def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
     scores = tuple(score(truth, one) for one in said)
     run_score = RunScore(e.run_dir.name, truth, scores)
     found = report_of([run_score])

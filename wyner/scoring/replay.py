@@ -7,6 +7,7 @@ from typing import Any
 
 from protocol.knowledge import Knowledge
 from protocol.messages import TapStatus
+from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
@@ -29,10 +30,9 @@ class Replay:
         Eavesdroppers, by name or as ``FILE.py:NAME``.
     first, last : int, optional
         Steps from and to which it is decoded, both included.
-    knowledge : Knowledge, optional
-        What they are told; by default what the capture's header says was told live.
-    oracle_knowledge : Knowledge, optional
-        The oracle's, which no capture holds.
+    scenario : Scenario, optional
+        Whose model they are told; by default what the capture's header says was told live. What the
+        oracle is told no capture holds.
 
     Raises
     ------
@@ -49,8 +49,7 @@ class Replay:
         *,
         first: int | None = None,
         last: int | None = None,
-        knowledge: Knowledge | None = None,
-        oracle_knowledge: Knowledge | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         self.reader = CaptureReader(path)
         header = self.reader.header
@@ -61,14 +60,14 @@ class Replay:
             raise CaptureError(
                 f"{self.reader.path}: line 1: expected knowledge and view in the header"
             ) from None
-        self.knowledge = knowledge or heard
+        self.knowledge = heard if scenario is None else scenario.knowledge()
         self.listeners: list[Listener] = []
         for name in names:
             kind = guarded(name)
             if name == ORACLE:
-                if oracle_knowledge is None:
+                if scenario is None:
                     raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")
-                mine = oracle_knowledge
+                mine = scenario.oracle_knowledge()
             else:
                 mine = self.view.told(self.knowledge, model=kind.told_model)
             self.listeners.append(Listener.of(kind, mine))
@@ -132,24 +131,8 @@ class Replay:
         """What each said, for scoring."""
         out = []
         for x in self.listeners:
-            b = x.belief()
-            out.append(
-                Said(
-                    name=x.name,
-                    live=self._guesses[x.name],
-                    reviewed=self._reviews[x.name],
-                    session=self.session,
-                    symbols=dict(b.symbols),
-                    message=b.message,
-                    whole=b.whole,
-                    whole_count=b.whole_count,
-                    candidates_left=b.candidates_left,
-                    solved_k=b.solved_k,
-                    confidence=b.confidence,
-                    failed=x.failed,
-                    keys=b.keys,
-                )
-            )
+            guesses = self._guesses[x.name], self._reviews[x.name]
+            out.append(Said.of(x.name, self.session, *guesses, x.belief(), x.failed))
         return out
 
     def report(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import index
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from pydantic_core import from_json
 
@@ -21,7 +21,7 @@ from protocol.runtime.parts import parts_of
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import Trace, TraceError, read_trace
 from protocol.text import printable
-from tap_service.eavesdroppers.base import KeysHeld
+from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
 
 Z: Final = 1.959963984540054
@@ -153,6 +153,33 @@ class Said:
     confidence: float
     failed: str = ""
     keys: KeysHeld | None = None
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        session: str,
+        live: Mapping[Step, int],
+        reviewed: Mapping[Step, int],
+        belief: Belief,
+        failed: str = "",
+    ) -> Self:
+        """What one said who was heard to the end, with her last belief."""
+        return cls(
+            name=name,
+            live=live,
+            reviewed=reviewed,
+            session=session,
+            symbols=dict(belief.symbols),
+            message=belief.message,
+            whole=belief.whole,
+            whole_count=belief.whole_count,
+            candidates_left=belief.candidates_left,
+            solved_k=belief.solved_k,
+            confidence=belief.confidence,
+            failed=failed,
+            keys=belief.keys,
+        )
 
 
 @dataclass(frozen=True, slots=True)

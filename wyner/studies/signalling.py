@@ -23,22 +23,8 @@ from wyner.studies.two_step import best_codes, single_step_keys
 SEED: Final = 7
 RUNS, STEPS = 100, 1000
 ALPHAS: Final = (
-    1.5,
-    2.0,
-    2.5,
-    2.67,
-    3.01,
-    3.5,
-    4.0,
-    4.5,
-    5.01,
-    5.5,
-    6.0,
-    6.5,
-    7.01,
-    8.0,
-    9.01,
-    10.0,
+    *(1.5, 2.0, 2.5, 2.67, 3.01, 3.5, 4.0, 4.5),
+    *(5.01, 5.5, 6.0, 6.5, 7.01, 8.0, 9.01, 10.0),
 )
 SOURCES: Final = ("wyner/studies/signalling.py", "wyner/studies/two_step.py")
 
@@ -52,12 +38,7 @@ PRICE_COLUMNS: Final = (
     *("travel_low", "travel_high", "largest_input", "kx", "ku"),
 )
 CODE_COLUMNS: Final = (
-    "alpha",
-    "single_step",
-    "two_step",
-    "bits_per_step",
-    "volume_bound",
-    "period",
+    *("alpha", "single_step", "two_step", "bits_per_step", "volume_bound", "period"),
 )
 
 

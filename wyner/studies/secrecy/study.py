@@ -126,21 +126,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
     reviewed = {(session, g.k): g.best for g in (*tap.settled, *tap.review())}
-    belief = tap.belief()
-    return Said(
-        name=tap.name,
-        live=live,
-        reviewed=reviewed,
-        session=session,
-        symbols=dict(belief.symbols),
-        message=belief.message,
-        whole=belief.whole,
-        whole_count=belief.whole_count,
-        candidates_left=belief.candidates_left,
-        solved_k=belief.solved_k,
-        confidence=belief.confidence,
-        keys=belief.keys,
-    )
+    return Said.of(tap.name, session, live, reviewed, tap.belief())
 
 
 def measure(task: Task) -> dict[str, object]:
