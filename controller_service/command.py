@@ -4,12 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocol.runtime.bus_options import (
-    add_end_arguments,
-    buses_of,
-    fleet_of,
-    loop_of,
-)
+from protocol.runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
 from protocol.runtime.errors import DONE, UsageError
 from protocol.runtime.options import (
     add_message_arguments,

@@ -3,19 +3,9 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.bus_options import (
-    add_end_arguments,
-    buses_of,
-    fleet_of,
-    loop_of,
-)
+from protocol.runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
 from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.options import (
-    at_least,
-    checked,
-    pace_of,
-    run_dir_of,
-)
+from protocol.runtime.options import at_least, checked, pace_of, run_dir_of
 from protocol.runtime.parts import Bounds
 from protocol.runtime.run_folder import PLANT_SAFE
 

@@ -17,12 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller_service.sets.polygon_alphabet import plane_offsets, plane_points
-from controller_service.sets.separation import (
-    APART,
-    TOGETHER,
-    AlphabetError,
-    Separation,
-)
+from controller_service.sets.separation import APART, TOGETHER, AlphabetError, Separation
 from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.arrays import Array

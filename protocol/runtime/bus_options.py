@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING
 
 from protocol.runtime.collection import freeze_startup
 from protocol.runtime.errors import UsageError
-from protocol.runtime.options import (
-    add_bounds_arguments,
-    add_check_argument,
-    add_fleet_arguments,
-)
+from protocol.runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
 from protocol.runtime.services import SERVICES
 from protocol.runtime.signals import stop_on_signals
 from protocol.topics import DEFAULT_LOOP, check_loop

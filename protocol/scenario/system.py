@@ -12,13 +12,7 @@ from protocol.knowledge import Knowledge
 from protocol.scenario.control import Control
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
-from protocol.scenario.kinds import (
-    LAWS,
-    PLANTS,
-    UncheckedControl,
-    UncheckedPlant,
-    by_kind,
-)
+from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
 from protocol.scenario.link import Link
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import PlantTable

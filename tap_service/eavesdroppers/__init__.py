@@ -9,12 +9,7 @@ from typing import Final
 from protocol.knowledge import Knowledge
 from protocol.registry import Classes, UnknownError
 from protocol.secret.blocks import schedule_of
-from tap_service.eavesdroppers.base import (
-    Belief,
-    Eavesdropper,
-    Guess,
-    KnowledgeError,
-)
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
 __all__ = [
     "LADDER",

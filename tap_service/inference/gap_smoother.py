@@ -100,6 +100,7 @@ class GapSmoother:
     def __init__(self, A: Array, B: Array, shape: Array, noise: float) -> None:
         self._A, self._B, self._shape, self._noise = A, B, shape, noise
         self._n = len(A)
+        self._unit = float(np.abs(shape).max())
         self._rng = np.random.default_rng(0)
         self._law: LearnedLaw | None = None
         self._d_cov = np.eye(self._n)
@@ -301,7 +302,7 @@ class GapSmoother:
         spread = float((self._shape @ P @ self._shape.T).diagonal().max()) ** 0.5
         own = float((self._shape @ self._d_cov @ self._shape.T).diagonal().max()) ** 0.5
         # a state that was uncertain before may lie as much further off
-        room = ROOM * self.support * max(spread / own, 1.0) + 3 * self._noise * self._gauge_unit()
+        room = ROOM * self.support * max(spread / own, 1.0) + 3 * self._noise * self._unit
         for reading in rivals.within(centre, P):
             if not len(reading.y):
                 ends.append((law.prior(reading, centre), centre, P))
@@ -310,9 +311,6 @@ class GapSmoother:
             if float((self._shape @ (mean - centre)).max()) <= room:
                 ends.append((law.prior(reading, mean) + gain, mean, covariance))
         return ends
-
-    def _gauge_unit(self) -> float:
-        return float(np.abs(self._shape).max())
 
     def _trajectories(self, path: Path, count: int, first: Array, last: Array | None) -> Array:
         """Gauges of ``count`` trajectories along one path, shape (count, steps, M)."""

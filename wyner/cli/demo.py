@@ -23,6 +23,7 @@ from protocol.runtime.options import run_dir_of
 from protocol.secret.sealed import keys_needed
 from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of
+from wyner.cli import up
 from wyner.cli.up import Errand, Outcome, conduct
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
@@ -81,21 +82,12 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path) -> argparse.
     """The options of ``wyner up`` for one of the runs."""
     if not args.json:
         print(f"{TITLES[folder.name]}: {ABOUT[folder.name]}", file=sys.stderr, flush=True)
-    return argparse.Namespace(
-        scenario=scenario,
-        message=SPOKEN,
-        message_file=None,
-        pace=PACE,
-        steps=MOST_STEPS,
-        until_delivered=True,
-        eavesdropper=None,
-        story=False,
-        headless=args.headless,
-        json=args.json,
-        run_dir=str(folder),
-        secret=True,
-        seed=None,
-    )
+    parser = argparse.ArgumentParser()
+    up.add_arguments(parser)
+    told = ["--scenario", scenario, "--run-dir", str(folder), "--message", SPOKEN, "--pace", PACE]
+    options = parser.parse_args([*told, "--steps", str(MOST_STEPS), "--until-delivered"])
+    options.headless, options.json, options.secret = args.headless, args.json, True
+    return options
 
 
 Act = tuple[Outcome, str, bool]

@@ -14,12 +14,7 @@ from controller_service.sets.design import SynthesisError
 from protocol.arrays import Array
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from wyner.simulate.single import Law
-from wyner.studies.fit.conformal import (
-    conformal_scale,
-    session_score,
-    template,
-    violation_bound,
-)
+from wyner.studies.fit.conformal import conformal_scale, session_score, template, violation_bound
 from wyner.studies.fit.identification import FitError, FittedModel, identify
 from wyner.studies.fit.sessions import OpenPlant, excite, residuals_under
 
