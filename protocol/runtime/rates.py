@@ -17,25 +17,25 @@ class Throttle:
 
 
 class Burst:
-    """Lets a few through at once, and after them one a period on average (a token bucket).
+    """Lets a few through at once, and after them so many a second on average (a token bucket).
 
     Parameters
     ----------
-    most : int
+    most : float
         At once.
-    period_s : float
+    rate_hz : float
     """
 
-    def __init__(self, most: int = 30, period_s: float = 1.0) -> None:
+    def __init__(self, most: float = 30.0, rate_hz: float = 1.0) -> None:
         self._most = most
-        self._period_s = period_s
-        self._left = float(most)
+        self._rate_hz = rate_hz
+        self._left = most
         self._at = 0.0
 
     def allows(self, now_s: float) -> bool:
         """Whether one more may pass at monotonic time ``now_s``; if so it counts."""
-        refilled = self._left + (now_s - self._at) / self._period_s
-        self._left, self._at = min(refilled, float(self._most)), now_s
+        refilled = self._left + (now_s - self._at) * self._rate_hz
+        self._left, self._at = min(refilled, self._most), now_s
         if self._left < 1:
             return False
         self._left -= 1

@@ -17,10 +17,12 @@ from typing import Any
 
 import pytest
 
+from protocol.secret.store import KeyStore
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main
+from wyner.kme.entity import KeyManagementEntity, Names
 from wyner.kme.identity import common_name
-from wyner.kme.server import IDLE_S, Allowance
+from wyner.kme.server import IDLE_S, KeyServer
 
 pytest.importorskip("aiohttp")
 
@@ -436,11 +438,12 @@ def test_the_client_etsi_qkd_014_gets_keys(sites: Sites) -> None:
 
 
 def test_an_allowance_fills_up_again() -> None:
-    allowance = Allowance(2.0)
-    assert [allowance.take("a", 0.0) for _ in range(5)] == [True] * 4 + [False]
-    assert allowance.take("b", 0.0)
-    assert allowance.take("a", 0.5)
-    assert not allowance.take("a", 0.5)
+    entity = KeyManagementEntity(Names("kme-plant", "kme-controller", ()), KeyStore(None, "plant"))
+    allowed = KeyServer(entity, 2.0).allowed
+    assert [allowed["a"].allows(0.0) for _ in range(5)] == [True] * 4 + [False]
+    assert allowed["b"].allows(0.0)
+    assert allowed["a"].allows(0.5)
+    assert not allowed["a"].allows(0.5)
 
 
 def test_a_certificate_with_two_common_names_is_nobodys() -> None:

@@ -7,6 +7,7 @@ they are made on a thread of their own, one at a time.
 import asyncio
 import ssl
 import time
+from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -15,6 +16,7 @@ from weakref import WeakKeyDictionary
 
 from aiohttp import web
 
+from protocol.runtime.rates import Burst
 from protocol.secret.records import StoreError
 from wyner.kme.entity import (
     BAD_REQUEST,
@@ -44,22 +46,6 @@ LOOK_S: Final = 0.5
 Asked = Callable[[str, web.Request], Awaitable[KmeAnswer]]
 
 
-class Allowance:
-    """Requests that a caller may make: ``rate`` a second, and twice that at once."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._left: dict[str, tuple[float, float]] = {}
-
-    def take(self, caller: str, now_s: float) -> bool:
-        """Whether one more is allowed at ``now_s``; if so it is counted."""
-        left, at_s = self._left.get(caller, (2 * self._rate, now_s))
-        left = min(2 * self._rate, left + (now_s - at_s) * self._rate)
-        allowed = left >= 1
-        self._left[caller] = (left - allowed, now_s)
-        return allowed
-
-
 class KeyServer:
     """One entity's HTTP.
 
@@ -67,12 +53,12 @@ class KeyServer:
     ----------
     entity : KeyManagementEntity
     rate : float
-        Requests a second that one caller may make.
+        Requests a second that one caller may make, and twice as many at once.
     """
 
     def __init__(self, entity: KeyManagementEntity, rate: float) -> None:
         self._entity = entity
-        self._allowance = Allowance(rate)
+        self.allowed = defaultdict[str, Burst](lambda: Burst(2 * rate, rate))
         self._writer = ThreadPoolExecutor(1, "keys")
         self._given = self._refused = 0
         self._last: WeakKeyDictionary[asyncio.BaseTransport, float] = WeakKeyDictionary()
@@ -149,7 +135,7 @@ class KeyServer:
         caller = common_name(request.transport.get_extra_info("peercert"))
         if caller is None:
             raise Refusal(UNAUTHORISED, "certificate: expected exactly one common name")
-        if not self._allowance.take(caller, time.monotonic()):
+        if not self.allowed[caller].allows(time.monotonic()):
             raise Refusal(UNAVAILABLE, "too many requests; ask again in a second")
         answer = await asked(caller, request)
         if isinstance(answer, KeyContainer):
