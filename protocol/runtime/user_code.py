@@ -5,11 +5,10 @@ process's rights.
 """
 
 import importlib
-import importlib.util
-import sys
 from pathlib import Path
 from typing import Any
 
+from protocol.registry import load_file
 from protocol.runtime.errors import Failure
 
 
@@ -37,7 +36,7 @@ def load_attribute(name: str, folder: Path) -> Any:
         raise UserCodeError(f"got {name!r}, expected 'file.py:attribute' or 'module:attribute'")
     try:
         module = (
-            _load_file(folder / where) if where.endswith(".py") else importlib.import_module(where)
+            load_file(folder / where) if where.endswith(".py") else importlib.import_module(where)
         )
     except FileNotFoundError:
         raise UserCodeError(f"{folder / where}: no such file") from None
@@ -51,19 +50,6 @@ def load_attribute(name: str, folder: Path) -> Any:
         return getattr(module, attribute)
     except AttributeError:
         raise UserCodeError(f"{where}: has no {attribute!r}") from None
-
-
-def _load_file(path: Path) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    resolved = path.resolve()
-    spec = importlib.util.spec_from_file_location(f"wyner_user_{resolved.stem}", resolved)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses and pickles look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 def made(found: Any, name: str) -> Any:

@@ -8,7 +8,7 @@ she believes of the message. Live and offline she is fed the same things by the 
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict
@@ -158,17 +158,6 @@ class Belief:
     A: Matrix = ()
     B: Matrix = ()
     keys: KeysHeld | None = None
-
-    def kept(self, whole: tuple[bytes, ...], count: int, solved_k: int) -> "Belief":
-        """The same with the messages of earlier decodings, which count as certain."""
-        return replace(
-            self,
-            message=whole[-1] if whole else self.message,
-            whole=whole,
-            whole_count=count,
-            confidence=1.0 if whole else self.confidence,
-            solved_k=solved_k,
-        )
 
 
 class Eavesdropper(ABC):

@@ -21,9 +21,8 @@ from protocol.knowledge import Knowledge
 from protocol.vectors import Matrix
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
-from tap_service.eavesdroppers.list_decoder import agreement_probability, belief_of
+from tap_service.eavesdroppers.list_decoder import Collected, agreement_probability
 from tap_service.inference.identification import identify
-from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 
 KEPT: Final = 4096
@@ -58,9 +57,7 @@ class Learning(Eavesdropper):
         self._even = even(self.size)
         self._kept: list[Transition] = []
         self._past_stays = False
-        self._whole: dict[tuple[str, int], bytes] = {}
-        self._whole_count = 0
-        self._solved_k = -1
+        self._collected = Collected()
         self._heard = 0
         self._next_fit = 0
         self._model: Model | None = None
@@ -86,7 +83,7 @@ class Learning(Eavesdropper):
         if self._next_fit and self._heard >= self._next_fit:
             self.learn()
             self._next_fit = self._heard + min(max(8, int(self._heard * (GROWTH - 1))), KEPT // 4)
-        self._collect(t.k)
+        self._collected.take(self._decoding, t.k)
         if len(self._kept) >= KEPT:
             self._let_go(KEPT // 2)
         return guess
@@ -128,7 +125,7 @@ class Learning(Eavesdropper):
             self._decoding.restrict(lo / NEAR, hi * NEAR, edge_lo / NEAR, edge_hi * NEAR)
         for t in self._kept:
             self._decode(self._decoding, t)
-        self._collect(self._kept[-1].k)
+        self._collected.take(self._decoding, self._kept[-1].k)
 
     def _gauges(self, t: Transition) -> list[float] | None:
         if self._model is None or t.x is None or t.candidates is None or t.x_next is None:
@@ -155,17 +152,6 @@ class Learning(Eavesdropper):
         weights = np.exp(-1.5 * (np.square(gauges) - smallest**2))
         return tuple((weights / weights.sum()).tolist())
 
-    def _collect(self, k: int) -> None:
-        """Keep the whole messages of this decoding, each once."""
-        for at, payload in self._decoding.whole_at:
-            if at not in self._whole:
-                self._whole[at] = payload
-                self._whole_count += 1
-                if self._solved_k < 0:
-                    self._solved_k = k
-        while len(self._whole) > KEPT_MESSAGES:
-            del self._whole[next(iter(self._whole))]
-
     def review(self) -> Sequence[Guess]:
         """Her guesses of the steps she kept, with the model that she has now."""
         self.learn()
@@ -178,9 +164,7 @@ class Learning(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, the model, and what there is of the message under way."""
-        whole = tuple(self._whole.values())
-        now = belief_of(self._decoding, self._model)
-        return now.kept(whole, self._whole_count, self._solved_k)
+        return self._collected.belief(self._decoding, self._model)
 
 
 def _rows(matrix: Array) -> Matrix:

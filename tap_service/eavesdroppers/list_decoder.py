@@ -6,11 +6,13 @@ Over N steps at most about N + 1 thresholds give different decodings. She keeps 
 frame, English does. The key symbols are the nearest candidates', as for `nearest-centre`.
 """
 
+from dataclasses import replace
 from typing import ClassVar
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 
 
@@ -87,3 +89,35 @@ def belief_of(decoding: ListDecoding, model: Model | None) -> Belief:
         A=() if model is None else model.A,
         B=() if model is None else model.B,
     )
+
+
+class Collected:
+    """The whole messages of one who decodes her past again and again, each once."""
+
+    def __init__(self) -> None:
+        self._whole: dict[tuple[str, int], bytes] = {}
+        self._count = 0
+        self.solved_k = -1
+
+    def take(self, decoding: ListDecoding, k: int) -> None:
+        """Take those of a decoding, up to step ``k``; the newest are kept."""
+        for at, payload in decoding.whole_at:
+            if at not in self._whole:
+                self._whole[at] = payload
+                self._count += 1
+                if self.solved_k < 0:
+                    self.solved_k = k
+        while len(self._whole) > KEPT_MESSAGES:
+            del self._whole[next(iter(self._whole))]
+
+    def belief(self, decoding: ListDecoding, model: Model | None) -> Belief:
+        """What a decoding gives, with the messages of those before it, which count as certain."""
+        now, whole = belief_of(decoding, model), tuple(self._whole.values())
+        return replace(
+            now,
+            message=whole[-1] if whole else now.message,
+            whole=whole,
+            whole_count=self._count,
+            confidence=1.0 if whole else now.confidence,
+            solved_k=self.solved_k,
+        )

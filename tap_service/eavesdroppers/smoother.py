@@ -16,10 +16,9 @@ import numpy as np
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
-from tap_service.eavesdroppers.list_decoder import belief_of, nearest
+from tap_service.eavesdroppers.list_decoder import Collected, nearest
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
-from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.policy import KnownLaw
@@ -69,9 +68,7 @@ class Smoother(Eavesdropper):
             self._reader = OffersReader(A, B, self._shape, self._law, self._noise)
         self._kept: list[Transition] = []
         self._before: ListDecoding | None = None
-        self._whole: dict[tuple[str, int], bytes] = {}
-        self._whole_count = 0
-        self._solved_k = -1
+        self._collected = Collected()
         self._next = FIRST
         self._heard = 0
         self._decoded = 0
@@ -113,14 +110,7 @@ class Smoother(Eavesdropper):
         if all(t.cipher is None for t in self._kept):
             return  # the message is safe from her
         self._decoding = self._follow(self._steps)
-        for at, payload in self._decoding.whole_at:
-            if at not in self._whole:
-                self._whole[at] = payload
-                self._whole_count += 1
-                if self._solved_k < 0:
-                    self._solved_k = self._kept[-1].k
-        while len(self._whole) > KEPT_MESSAGES:
-            del self._whole[next(iter(self._whole))]
+        self._collected.take(self._decoding, self._kept[-1].k)
 
     def _let_go(self, count: int) -> None:
         """Decode the oldest for good."""
@@ -190,11 +180,9 @@ class Smoother(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, else what the best decoding spells so far."""
-        if self._solved_k < 0:
+        if self._collected.solved_k < 0:
             self.decode()
-        whole = tuple(self._whole.values())
-        now = belief_of(self._decoding, self._model)
-        return now.kept(whole, self._whole_count, self._solved_k)
+        return self._collected.belief(self._decoding, self._model)
 
 
 def _among(support: float) -> tuple[float, float]:
