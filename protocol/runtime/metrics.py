@@ -56,7 +56,10 @@ GAUGES = {
         "keys_stopped": ("keys_stopped", "whether the last block made no key")
     },
     TapStatus.topic: {
-        "claim_refuted": ("keys_claim_refuted", "whether she misses less than was claimed"),
+        "claim_refuted": (
+            "keys_claim_refuted",
+            "whether she misses less than the operator claims (eps_E)",
+        ),
         "misses_in_bursts": ("keys_misses_in_bursts", "whether her misses come in bursts"),
     },
 }

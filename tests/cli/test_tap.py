@@ -136,7 +136,7 @@ def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_p
     args = ("--eavesdropper", "set-membership,list-decoder", "--figure", figure)
     code, out, _ = call(capsys, "secrecy", run_dir, *args)
     assert code == 0
-    assert "CLAIMED EXCEEDS TRUE" in out
+    assert "PAPER'S CLAIM EXCEEDS TRUE" in out
     assert "H(model | transcript)" in out
     assert figure.read_bytes().startswith(b"<?xml")
     code, out, _ = call(capsys, "secrecy", run_dir, run_dir, *args[:2], "--json")

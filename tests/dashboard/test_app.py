@@ -493,7 +493,7 @@ def test_headless_lines_tell_the_story_without_control_codes(
         "tap list-decoder was sure of a message at step 1163, and it is the true one",
     ):
         assert text.count(told) == 1, told
-    assert "CLAIMED EXCEEDS TRUE" in text.splitlines()[-1]
+    assert "PAPER'S CLAIM EXCEEDS TRUE" in text.splitlines()[-1]
 
 
 def test_headless_lines_come_at_a_bounded_rate(monkeypatch: pytest.MonkeyPatch) -> None:

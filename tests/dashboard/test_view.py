@@ -22,7 +22,7 @@ from rich.text import Text
 
 from protocol.messages import PlantModel, PlantStatus
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
-from wyner.dashboard.headless import Reporter
+from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.keymap import KEYS, Action, action_of
 from wyner.dashboard.model import Arrival, Board, reduce, reduce_all
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
@@ -274,7 +274,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
     line = next(
         line
         for line in screen(board, 80, 24, PLAIN, board.plant_seen_ns)
-        if "CLAIMED EXCEEDS TRUE" in line.plain
+        if "PAPER'S CLAIM EXCEEDS TRUE" in line.plain
     )
     assert any("red" in str(span.style) for span in line.spans)
     blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
@@ -786,6 +786,30 @@ def with_attacker(board: Board, **fields: object) -> Board:
     none = {"tail_k": (), "message": "", "key_bits_held": 0, "key_blocks": 7, "copies": 2000}
     status = tap.status.model_copy(update={"name": "key-solver", **none, **fields})
     return reduce(board, Arrival(0, status))
+
+
+def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> None:
+    """``CLAIMED EXCEEDS TRUE`` stood in red above keys with a proof: whose claim, nobody said."""
+    claim = "secret only from a tap that misses 30 % of first copies or more"
+    keyed = with_plant(with_model(board_after(700), keys_claim=claim), keys_made=63)
+    for board in (board_after(700), keyed):
+        for width, height in ((120, 40), (80, 24), (60, 16), (40, 8), (39, 7)):
+            rows = shown(board, width, height).splitlines()
+            loud = [row for row in rows if "EXCEEDS" in row]
+            assert len(loud) == 1
+            assert loud[0].startswith(" paper claims ")
+            told = [row for row in rows if "claim" in row.lower()]
+            assert all("paper claims" in row or claim[:9] in row for row in told), told
+            assert all(cell_len(row) <= width for row in rows)
+    rows = shown(holds := with_attacker(keyed, copies_missed=600), 80, 24).splitlines()
+    paper, true, keys, assumption = (
+        next(i for i, row in enumerate(rows) if row.startswith(f" {label}"))
+        for label in ("paper claims", "true, at most", "distilled keys", "assumption")
+    )
+    assert (true, keys, assumption) == (paper + 1, paper + 2, paper + 3)
+    assert "EXCEEDS" not in rows[keys] + rows[assumption]
+    assert secrecy_line(holds).startswith("secrecy: PAPER'S CLAIM EXCEEDS TRUE: the paper claims ")
+    assert "  distilled keys 63, she holds 0 bits of 7 blocks" in progress(holds)
 
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:

@@ -167,7 +167,10 @@ def test_the_report_pools_runs() -> None:
 def test_claimed_above_true_is_said_in_words() -> None:
     broken = report([run_score(10, whole=True)])
     assert broken.exceeds
-    assert "CLAIMED EXCEEDS TRUE: 10 secret bits are claimed; tap leaves 0.0" in broken.verdict()
+    assert (
+        "PAPER'S CLAIM EXCEEDS TRUE: the paper claims 10 secret bits; tap leaves 0.0"
+        in broken.verdict()
+    )
     blind = report([run_score(5)])
     assert not blind.exceeds
     assert "EXCEEDS" not in blind.verdict()

@@ -102,8 +102,8 @@ def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
     line = (
-        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s claimed; the plant has it at step "
-        f"{summary['delivered_k']}, the tap at {first}."
+        f"1. Spoken:  the paper claims {summary['bits_per_second']:.1f} bit/s; the plant has it "
+        f"at step {summary['delivered_k']}, the tap at {first}."
         if had
         else "1. Spoken:  the tap has not got the message, and should have."
     )
@@ -147,7 +147,7 @@ def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> A
         made = keys.get("made", 0)
         if made:
             return f"3. Control: {made} keys beside a tap that hears all: that must not be."
-        return "3. Control: beside a tap that hears all no key is made, and none is claimed."
+        return "3. Control: beside a tap that hears all no key is made, and none is promised."
 
     with tempfile.TemporaryDirectory() as where:
         scenario = Path(where) / "wired-tap.toml"

@@ -23,7 +23,7 @@ COMMANDS: Final = {
     "check": "replay a run's traces and say whether they obey the paper",
     "report": "write a run's page: one file of HTML with figures, scores and clauses",
     "replay": "decode a recorded capture",
-    "secrecy": "report what each eavesdropper got, beside what the scheme claims",
+    "secrecy": "report what each eavesdropper got, beside what the paper claims",
     "export": "write a capture as MCAP, CSV or Parquet",
     "scenarios": "list the shipped scenarios",
     "new": "write a scenario file of one's own, with comments",

@@ -10,8 +10,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Write one self-contained HTML page of a run: what was sent and recovered, "
-        "states and inputs, one agreed step, keys against taps over time, claimed against true, "
-        "and the clauses of the check. The page's path goes to standard output."
+        "states and inputs, one agreed step, keys against taps over time, the paper's claim "
+        "against the truth, and the clauses of the check. The page's path goes to standard output."
     )
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""``wyner secrecy``: report what each eavesdropper got, beside what the scheme claims."""
+"""``wyner secrecy``: report what each eavesdropper got, beside what the paper claims."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -163,7 +163,7 @@ def _print(report: object, *, color: bool) -> None:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()
     print(
-        f"{len(report.runs)} runs, {report.transitions} transitions; claimed: "
+        f"{len(report.runs)} runs, {report.transitions} transitions; the paper claims "
         f"{report.claimed_bits:.0f} secret bits; rates with 95 % intervals"
     )
     red = color and report.exceeds and "NO_COLOR" not in environ

@@ -67,7 +67,7 @@ def progress(board: Board) -> str:
         f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
     ]
     if board.model is not None and board.model.keys_claim:
-        parts.append(f"distilled {plant.keys_made}, {held(board, 99)[0]}")
+        parts.append(f"distilled keys {plant.keys_made}, {held(board, 99)[0]}")
     left = time_left_s(board)
     if left is not None:
         parts.append(f"{duration(left)} to go")
@@ -85,13 +85,14 @@ def progress(board: Board) -> str:
 
 
 def secrecy_line(board: Board) -> str:
-    """Claimed against true, in words."""
+    """What the paper claims against what is true, in words."""
     its = secrecy(board)
     if its.left_bits is None:
-        return f"secrecy: claimed {its.claimed_bits:.0f} bit, true unknown: no tap was scored"
-    loud = "CLAIMED EXCEEDS TRUE: " if its.exceeds else ""
+        told = f"the paper claims {its.claimed_bits:.0f} bit"
+        return f"secrecy: {told}, true unknown: no tap was scored"
+    loud = "PAPER'S CLAIM EXCEEDS TRUE: " if its.exceeds else ""
     return (
-        f"secrecy: {loud}claimed {its.claimed_bits:.0f} bit,"
+        f"secrecy: {loud}the paper claims {its.claimed_bits:.0f} bit,"
         f" {printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
     )
 

@@ -45,7 +45,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class SecrecyScore:
-    """Claimed against true secrecy of the keys agreed so far.
+    """What the paper claims of the keys agreed so far, against what is true.
 
     Parameters
     ----------
@@ -112,7 +112,10 @@ def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
 
 
 def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) -> SecrecyScore:
-    """Claimed against true, from all taps; ``taps`` are those of `ranked` where it was called."""
+    """The paper's claim against the truth, from all taps.
+
+    ``taps`` are those of `ranked` where it was called.
+    """
     symbols = board.plant.agreements if board.plant is not None else 0
     transitions = board.plant.transitions if board.plant is not None else 0
     bits = math.log2(board.candidates)
@@ -134,7 +137,7 @@ def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) 
 
 
 def course(board: Board, points: int) -> list[tuple[float, float | None]]:
-    """Claimed bits, and bits left by the strongest tap, over the steps that are held.
+    """Bits that the paper claims, and bits left by the strongest tap, over the steps that are held.
 
     Of her guesses up to each of ``points`` moments, evenly spread; None while too few were scored.
     From the step on at which she was sure of a true message, nothing is left.

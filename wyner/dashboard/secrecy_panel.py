@@ -1,4 +1,4 @@
-"""The secrecy panel: claimed against true in a line, and the taps in a table."""
+"""The secrecy panel: what the paper claims against what is true, keys, and the taps in a table."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ from wyner.dashboard.text import (
 )
 
 CURVE: Final = 60
-"""Most cells of the curves of claimed and true bits."""
+"""Most cells of the curves of the bits that the paper claims and of those that are true."""
 
 
 def verdict(its: SecrecyScore, width: int) -> Text:
-    """Claimed against true in one line, loud where the claim is too high."""
-    claimed = f" claimed {its.claimed_bits:.0f} bit  "
+    """What the paper claims against what is true, in one line; loud where it claims too much."""
+    claimed = f" paper claims {its.claimed_bits:.0f} bit  "
     if its.left_bits is None:
         return Text(f"{claimed}true: unknown, no tap was scored yet")
     left = f"{its.left_bits:.0f} bit"
@@ -40,9 +40,10 @@ def verdict(its: SecrecyScore, width: int) -> Text:
         return Text(claimed + longest(room, f"true: at most {left} ({strongest})", left))
     loud = longest(
         room,
-        f"CLAIMED EXCEEDS TRUE: {strongest} leaves {left}",
+        f"PAPER'S CLAIM EXCEEDS TRUE: {strongest} leaves {left}",
         f"EXCEEDS TRUE: {strongest} leaves {left}",
         f"EXCEEDS TRUE, {left}",
+        "EXCEEDS TRUE",
     )
     return Text.assemble(claimed, (loud, STYLES["bad"]))
 
@@ -73,11 +74,14 @@ def distilled(board: Board, width: int) -> list[Text]:
     claim, refused = drawn(model.keys_claim), drawn(plant.keys_refused)
     if refused and not plant.keys_made:
         told = longest(room, f"none: {refused}", "none")
-        return [row("distilled", Text(told, style=STYLES["bad"])), row("assumption", Text(claim))]
+        return [
+            row("distilled keys", Text(told, style=STYLES["bad"])),
+            row("assumption", Text(claim)),
+        ]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
     made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; "
-    line = row("distilled", Text(made))
+    line = row("distilled keys", Text(made))
     hers, style = held(board, room - cell_len(made))
     line.append(hers, style=STYLES[style])
     against = [*contradictions(board)]
@@ -129,20 +133,20 @@ def contradictions(board: Board) -> Iterator[str]:
 
 
 def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:
-    """Claimed and true over time, on one scale, each with its last figure; two lines."""
+    """What the paper claims and what is true over time, on one scale, each with its last figure."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
     figures = max(len(claimed), len(left))
     loud, who = "", " (nobody was scored)"
     room = width - LABEL - 2 - figures
     if its.exceeds:
-        loud = longest(room, " CLAIMED EXCEEDS TRUE", " EXCEEDS TRUE")
+        loud = longest(room, " PAPER'S CLAIM EXCEEDS TRUE", " EXCEEDS TRUE")
     if its.strongest:
         who = longest(room, f" ({drawn(its.strongest)})")
     shown = course(board, max(0, min(CURVE, room - max(cell_len(loud), cell_len(who)))))
     lines = []
     for label, values, told, note, style in (
-        ("claimed", [c for c, _ in shown], claimed, loud, "bad"),
+        ("paper claims", [c for c, _ in shown], claimed, loud, "bad"),
         ("true, at most", [t for _, t in shown], left, who, "label"),
     ):
         bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)

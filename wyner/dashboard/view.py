@@ -47,13 +47,13 @@ HELP: Final = (
     "the edge of D_c (1), then of D_e = alpha D_c. A key is agreed when one bar",
     "alone ends in D_c and none beyond D_e. Below: the same in the plane of states.",
     "keys: true key symbols, the strongest tap's below; ^ stands under wrong ones.",
-    "claimed: all keys as secret bits. true: what the strongest tap leaves of it.",
+    "paper claims: those keys as secret bits. true: what the strongest tap leaves.",
     "keys right: on agreed steps. hides/key: -log2 of her chance to guess one, bit.",
     "follows: readings she keeps. model off: her A, B, relative. text: characters",
     "right. has it since: the step at which she was sure. When keys were agreed may",
     "stay hidden: at most 2 log2(N + 1) bit in N steps. A small screen drops, in",
     "turn: picture; key symbols and automata; taps; loop; message. It is whole",
-    "from 80x24 on.",
+    "from 80x24 on. Distilled keys are other keys, with a proof (docs/keys.md).",
 )
 
 
@@ -240,7 +240,7 @@ class _Page(Panels):
         return [Text.assemble(fit(a, left_width), " ", b) for a, b in zip(left, right, strict=True)]
 
     def secrecy_panel(self, with_table: bool, rows: int, explained: bool) -> list[Text]:
-        """Claimed against true, and a table of the taps, strongest first."""
+        """The paper's claim against the truth, and a table of the taps, strongest first."""
         shown = self.filtered()
         note = ""
         if self.wishes.filter:

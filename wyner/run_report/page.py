@@ -92,7 +92,7 @@ def page(e: Evidence, said: list[Said] | str) -> str:
         *_section("States and inputs", _loop(e, recorded)),
         *_section("One agreed step", _one_step(e, recorded)),
         *_section("Keys against taps", keys),
-        *_section("Claimed and true", secrecy),
+        *_section("The paper's claim and the truth", secrecy),
         *_section("Clauses of the check", _clauses(findings)),
         *_section("The run", _about(e)),
     ]

@@ -1,4 +1,4 @@
-"""The secrecy report over runs: what is claimed and what each eavesdropper leaves of it."""
+"""The secrecy report over runs: what the paper claims and what each eavesdropper leaves of it."""
 
 import math
 import random
@@ -150,7 +150,7 @@ class Report:
 
     @property
     def exceeds(self) -> bool:
-        """Whether the claim is shown to be more than the strongest eavesdropper leaves."""
+        """Whether the paper's claim is shown to be more than the strongest eavesdropper leaves."""
         strongest = self.strongest
         if strongest is None or strongest.left_bits is None or self.claimed_bits == 0:
             return False
@@ -163,13 +163,14 @@ class Report:
         """In words."""
         strongest = self.strongest
         if self.claimed_bits == 0:
-            return "No key was agreed; nothing is claimed and nothing can be lost."
+            return "No key was agreed; the paper claims nothing and nothing can be lost."
         if strongest is None or strongest.left_bits is None:
-            return "No eavesdropper was scored; the claim stands untested."
-        claim = f"{self.claimed_bits:.0f} secret bits are claimed"
+            return "No eavesdropper was scored; the paper's claim stands untested."
+        claim = f"the paper claims {self.claimed_bits:.0f} secret bits"
         left = f"{strongest.name} leaves {strongest.left_bits:.1f} of them, guessed one by one"
         bound = f"All together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
-        told = "CLAIMED EXCEEDS TRUE: " if self.exceeds else ""
+        told = "PAPER'S CLAIM EXCEEDS TRUE: " if self.exceeds else ""
+        claim = claim if told else claim.capitalize()
         return f"{told}{claim}; {left}. {bound} the model."
 
 

@@ -76,7 +76,7 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
 
 
 def _secrecy(run_dir: Path, claimed: float) -> dict[str, Any]:
-    """What is claimed, what is true of it by the strongest eavesdropper, and each one's score."""
+    """What the paper claims, what the strongest eavesdropper leaves of it, and each one's score."""
     try:
         score: RunScore = score_run(run_dir)
     except ScoreError:
@@ -116,7 +116,7 @@ def render(summary: dict[str, Any]) -> str:
 
 
 def verdict_lines(summary: dict[str, Any]) -> list[str]:
-    """The point of a run in three lines: who had the message when, and claimed against true."""
+    """The point of a run in three lines: who had the message when, and what the paper claims."""
     if summary["delivered"]:
         plant = f"had the message at step {summary['delivered_k']}"
     else:
@@ -134,7 +134,7 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
     true = summary["true_bits"]
     shown = "unknown, no eavesdropper was scored" if true is None else f"{true:.0f}, measured"
     lines.append(
-        f"Secret     claimed: {summary['claimed_bits']:.0f} bits of key. True: {shown}"
+        f"Secret     the paper claims {summary['claimed_bits']:.0f} bits. True: {shown}"
         + (f" ({summary['strongest']})." if true is not None else ".")
     )
     if summary["keys"] is not None:

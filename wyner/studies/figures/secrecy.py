@@ -82,7 +82,7 @@ def against_alpha(
 
 
 def draw_alpha(figure: Figure, data: Path) -> str:
-    """Key symbols right against alpha, per eavesdropper: claimed secrecy beside true."""
+    """Key symbols right against alpha, per eavesdropper: the paper's claim beside the truth."""
     rows = [r for r in rows_of("alpha", data) if r["tap"] != "list-decoder"]
     axes = figure.subplots()
     taps = ("set-membership", "nearest-centre")
@@ -147,10 +147,10 @@ def draw_learning(figure: Figure, data: Path) -> str:
 
 
 def draw_report(report: Report, path: Path) -> None:
-    """Claimed against true: the bits the scheme counts, and what each eavesdropper leaves."""
+    """The bits that the paper claims, and what each eavesdropper leaves of them."""
     with drawing((7.0, 3.6)) as figure:
         axes = figure.subplots()
-        names = ["claimed", *(t.name for t in report.taps)]
+        names = ["paper claims", *(t.name for t in report.taps)]
         values = [report.claimed_bits, *(t.left_bits or 0.0 for t in report.taps)]
         bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
         bars[0].set_hatch("//")

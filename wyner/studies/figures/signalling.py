@@ -44,7 +44,7 @@ def draw_table(figure: Figure, table: dict[str, Any]) -> None:
         bits = [row["bet"]["bits"] for row in rows]
         axes.plot(alphas, bits, "o", color=COLOURS[4], label="best bet on the plant's own law of d")
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("claimed bits a step")
+    axes.set_ylabel("bits a step that the paper claims")
     axes.set_title(f"{table['scenario']}: what its inputs can carry; true secrecy 0")
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left", fontsize=7)
@@ -88,8 +88,8 @@ def draw_rates(figure: Figure, data: Path) -> str:
     axes.plot(alphas, long, "k:", lw=1, label="supremum of long alphabets, any $d$")
     axes.plot(alphas, [math.log2(1 + a) for a in alphas], "k--", lw=1, label="volume bound")
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("claimed message bits a step; true secrecy 0")
-    axes.set_title("The paper's plant: claimed rate against alpha, by law and scheme")
+    axes.set_ylabel("message bits a step, as the paper claims; true secrecy 0")
+    axes.set_title("The paper's plant: the rate that the paper claims, by law and scheme")
     axes.set_ylim(0, 3.6)
     axes.legend(fontsize=7, loc="upper left")
     r = rows[0]
@@ -106,7 +106,7 @@ def _points(rows: list[dict[str, Any]], **where: str) -> list[tuple[float, float
 
 
 def draw_price(figure: Figure, data: Path) -> str:
-    """State cost and actuator travel against the claimed bits."""
+    """State cost and actuator travel against the bits that the paper claims."""
     rows = plain_rows(data / "signalling-price.csv")
     left, right = figure.subplots(1, 2)
     for place, name in enumerate(dict.fromkeys(r["terminal"] for r in rows)):
@@ -133,7 +133,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     left.set_ylabel(r"mean $|x(k+1)|^2$")
     right.set_ylabel(r"mean $|u(k+1) - u(k)|$")
     for axes in (left, right):
-        axes.set_xlabel("claimed bits a step (0: quiet)")
+        axes.set_xlabel("bits a step that the paper claims (0: quiet)")
         axes.set_ylim(bottom=0)
     left.legend(fontsize=7)
     figure.suptitle("The price of a packed alphabet, from the origin")
@@ -160,7 +160,7 @@ def draw_codes(figure: Figure, data: Path) -> str:
     )
     axes.plot(alphas, [r["volume_bound"] for r in rows], "k--", lw=1, label="volume bound")
     axes.set_xlabel(r"$\alpha$ (just above)")
-    axes.set_ylabel("claimed bits a step")
+    axes.set_ylabel("bits a step that the paper claims")
     axes.set_title("Codes over two steps, one input, unlimited room")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=7)
