@@ -5,12 +5,15 @@ the wire then carries, and no work.
 """
 
 from collections.abc import Iterable
-from typing import Any
+from math import inf
+from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
 from protocol.secret.nonces import NonceSource, Raw, contribution, fresh_nonce
 from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
+
+NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
 
 
 class Keying:
@@ -28,10 +31,14 @@ class Keying:
         self.blocks: Blocks | None = None
         self.broken = ""
         self.stopped = ""
-        """Why the last block made no key; empty where it made some."""
+        """Why the newest block made no key; empty where it made some."""
+        self.lost = 0
+        """Blocks that made no key."""
         self.made = 0
         self.last = (0, 0)
         """Keys and steps of the last block confirmed."""
+        self._newest = -1.0
+        """Number of the newest block of this session that became anything; inf: none will."""
         self._fresh = fresh
 
     @property
@@ -48,6 +55,9 @@ class Keying:
         """Begin a session, or go on with it from what was read back."""
         if self.schedule is not None:
             self.blocks = Blocks(self.schedule, session, block, tag, raws)
+            self._newest = -1.0
+            if self.stopped != NO_PAD_LEFT:  # what became of a former session's blocks is past
+                self.stopped = ""
 
     def end(self) -> None:
         """The session is over: what was not stored is gone."""
@@ -115,14 +125,24 @@ class Keying:
         if isinstance(done, Broken):
             self.broken = done.reason
         elif self.blocks is not None and isinstance(done, Stored):
-            self.stopped = _why_not(done)
+            if done.session == self.blocks.session:
+                self._became(done.number, _why_not(done))
             judged = self.blocks.stored(done)
         elif self.blocks is not None and isinstance(done, Judged):
             self.blocks.judged(done.session, done.number)
+            if done.what == "unequal" and done.session == self.blocks.session:
+                self._became(done.number, f"block {done.number} differs from the partner's")
+                self._newest = inf  # nothing of this session is confirmed any more
             if done.what == "confirmed" and self.schedule is not None:
                 self.made += done.keys
                 self.last = (done.keys, self.schedule.length(done.number))
         return self.tasks(judged)
+
+    def _became(self, number: int, why_not: str) -> None:
+        """Note what became of a block of this session; the newest says how things stand."""
+        self.lost += bool(why_not)
+        if number >= self._newest:
+            self._newest, self.stopped = number, why_not
 
     def told(self, refused: str) -> dict[str, Any]:
         """A status's fields of keys, with why nobody gets them."""
@@ -132,6 +152,7 @@ class Keying:
             "key_block_steps": self.last[1],
             "keys_refused": self.broken or refused,
             "keys_stopped": self.stopped,
+            "key_blocks_lost": self.lost,
         }
 
     def settled(self) -> tuple[range, ...]:
@@ -142,7 +163,7 @@ class Keying:
 def _why_not(block: Stored) -> str:
     """Why a block made no key."""
     if block.exhausted:
-        return "no pad is left to sign key blocks with"
+        return NO_PAD_LEFT
     if block.older:
         return f"block {block.number} began before the key store did"
     return "" if block.keys else f"block {block.number} lost too many copies to make one"

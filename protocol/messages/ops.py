@@ -184,7 +184,8 @@ class PlantStatus(_Status):
     largest of the last steps, empty in lock-step.
     ``keys_made`` counts keys of confirmed blocks in this process's life, ``keys_of_block`` those of
     the last one and ``key_block_steps`` its steps; ``keys_refused`` says why nobody gets them, and
-    ``keys_stopped`` why the last block made none.
+    ``keys_stopped`` why the session's newest block made none: empty again once a later one has made
+    some. ``key_blocks_lost`` counts those that made none in this process's life.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
     ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
@@ -225,6 +226,7 @@ class PlantStatus(_Status):
     key_block_steps: Count = 0
     keys_refused: str = ""
     keys_stopped: str = ""
+    key_blocks_lost: Count = 0
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -286,6 +288,7 @@ class ControllerStatus(_Status):
     key_block_steps: Count = 0
     keys_refused: str = ""
     keys_stopped: str = ""
+    key_blocks_lost: Count = 0
 
 
 Status = PlantStatus | ControllerStatus

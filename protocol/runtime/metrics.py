@@ -31,11 +31,13 @@ COUNTERS = {
         "frames_refused": ("frames_refused", "frames that failed their check"),
         "garbage": ("garbage", "messages that were no messages"),
         "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
+        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key in its life"),
     },
     ControllerStatus.topic: {
         "delivered": ("messages_delivered", "messages of which every symbol was counted"),
         "garbage": ("garbage", "messages that were no messages"),
         "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
+        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key in its life"),
     },
     TapStatus.topic: {
         "mirrored": ("tap_mirrored", "messages in the tap's recording"),
@@ -51,9 +53,9 @@ COUNTERS = {
 }
 
 GAUGES = {
-    PlantStatus.topic: {"keys_stopped": ("keys_stopped", "whether the last block made no key")},
+    PlantStatus.topic: {"keys_stopped": ("keys_stopped", "whether the newest block made no key")},
     ControllerStatus.topic: {
-        "keys_stopped": ("keys_stopped", "whether the last block made no key")
+        "keys_stopped": ("keys_stopped", "whether the newest block made no key")
     },
     TapStatus.topic: {
         "claim_refuted": (

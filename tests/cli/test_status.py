@@ -63,6 +63,11 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
         ),
         (PLANT_STATUS, {"keys_refused": "eps_E = 0"}, "keys: eps_E = 0"),
         (PLANT_STATUS, {"keys_stopped": "no pad is left"}, "keys stopped: no pad is left"),
+        (
+            CONTROLLER_STATUS,
+            {"keys_stopped": "no pad is left"},
+            "keys stopped at the controller: no pad is left",
+        ),
         (CONTROLLER_STATUS, {"unexplained": 2}, "2 transitions that no candidate explains"),
         (
             PLANT_STATUS,

@@ -778,6 +778,14 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     assert "none: eps_E = 0: nothing is claimed" in shown(none, 120, 40)
     stopped = with_plant(made, keys_stopped="no pad is left to sign key blocks with")
     assert "STOPPED: no pad is left" in shown(stopped, 120, 40)
+    later = with_plant(made, key_blocks_lost=3)
+    for width, height in ((80, 24), (120, 40)):
+        assert "63 keys, 698 bit/s; 3 blocks lost; " in shown(later, width, height)
+        assert "STOPPED" not in shown(later, width, height)
+    assert made.controller is not None
+    partner = made.controller.model_copy(update={"keys_stopped": "no pad is left"})
+    partners = replace(made, controller=partner)
+    assert "STOPPED at the controller: no pad is left" in shown(partners, 120, 40)
 
 
 def with_attacker(board: Board, **fields: object) -> Board:

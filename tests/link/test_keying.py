@@ -74,6 +74,7 @@ def test_without_keys_everything_is_constant() -> None:
         "key_block_steps": 0,
         "keys_refused": "",
         "keys_stopped": "",
+        "key_blocks_lost": 0,
     }
 
 
@@ -185,7 +186,8 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
         "keys_of_block": 3,
         "key_block_steps": 4,
         "keys_refused": "why",
-        "keys_stopped": "",
+        "keys_stopped": "block 0 differs from the partner's",
+        "key_blocks_lost": 1,
     }
 
 
@@ -225,8 +227,59 @@ def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:
     keying.done(done)
     assert keying.stopped == stopped
     assert keying.told("")["keys_stopped"] == stopped
-    keying.done(Stored(S, 0, TAG, keys=1))
+    keying.done(Stored(S, done.number + 1, TAG, keys=1))
     assert keying.stopped == ""
+
+
+def state(keying: Keying) -> tuple[str, int]:
+    told = keying.told("")
+    return told["keys_stopped"], told["key_blocks_lost"]
+
+
+def test_the_newest_block_says_how_things_stand_and_the_lost_ones_are_counted() -> None:
+    """On a busy machine `STOPPED` stood in red while later blocks made keys."""
+    keying = counting(3)
+    lost = "block {} lost too many copies to make one"
+    seen = []
+    for done in (
+        Stored(S, 0, TAG, keys=5),
+        Stored(S, 1, ""),
+        Judged(S, 0, "confirmed", 5),  # an older block's verdict is late: the newest is lost
+        Stored(S, 3, TAG, keys=5),
+        Stored(S, 2, ""),  # told after a later one that made keys
+        Stored(S, 4, ""),
+        Stored(OTHER, 9, ""),  # of a session that is over
+        Stored(S, 5, TAG, keys=5),
+    ):
+        keying.done(done)
+        seen.append(state(keying))
+    assert seen == [
+        ("", 0),
+        (lost.format(1), 1),
+        (lost.format(1), 1),
+        ("", 1),
+        ("", 2),
+        (lost.format(4), 3),
+        (lost.format(4), 3),
+        ("", 3),
+    ]
+    assert keying.made == 5
+
+
+def test_blocks_that_differ_stop_the_keys_until_a_new_session() -> None:
+    keying = counting(3)
+    keying.done(Judged(S, 0, "unequal", 5))
+    keying.done(Stored(S, 1, TAG, keys=5))  # stored before, and never to be confirmed
+    assert state(keying) == ("block 0 differs from the partner's", 1)
+    keying.begin(OTHER)
+    assert state(keying) == ("", 1)
+
+
+def test_a_new_session_without_pads_makes_no_keys_either() -> None:
+    keying = counting(3)
+    keying.done(Stored(S, 0, "", exhausted=True))
+    keying.begin(OTHER)
+    assert state(keying) == ("no pad is left to sign key blocks with", 1)
 
 
 def test_a_broken_store_is_asked_for_nothing_more() -> None:

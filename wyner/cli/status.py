@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
     warnings += [*_warnings_of_taps(run_dir), *unread]
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
+    if controller.keys_stopped and not plant.keys_stopped:
+        warnings.append(f"keys stopped at the controller: {controller.keys_stopped}")
     served = _key_servers(run_dir)
     for name, (age_s, line) in served.items():
         if line.startswith("bad"):
@@ -165,6 +167,7 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
         f"measurement at most, {plant.overruns} overruns",
         f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
+        + (f", {plant.key_blocks_lost} blocks lost" if plant.key_blocks_lost else "")
         + (f"; {keys}" if keys else ""),
     ]
 

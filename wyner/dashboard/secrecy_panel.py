@@ -80,13 +80,16 @@ def distilled(board: Board, width: int) -> list[Text]:
         ]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
-    made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; "
+    lost = f"{count(plant.key_blocks_lost)} blocks lost; " if plant.key_blocks_lost else ""
+    made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; {lost}"
     line = row("distilled keys", Text(made))
     hers, style = held(board, room - cell_len(made))
     line.append(hers, style=STYLES[style])
     against = [*contradictions(board)]
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
+    elif board.controller is not None and board.controller.keys_stopped:
+        against.insert(0, f"STOPPED at the controller: {drawn(board.controller.keys_stopped)}")
     if refused:
         against.insert(0, f"refused: {refused}")
     if against:
