@@ -782,6 +782,9 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     for width, height in ((80, 24), (120, 40)):
         assert "63 keys, 698 bit/s; 3 blocks lost; " in shown(later, width, height)
         assert "STOPPED" not in shown(later, width, height)
+    one = with_attacker(with_plant(made, key_blocks_lost=1), copies_missed=600)
+    rows = shown(one, 80, 24)
+    assert "63 keys, 698 bit/s; 1 block lost; she holds 0 bits of 7 blocks\n" in rows
     assert made.controller is not None
     partner = made.controller.model_copy(update={"keys_stopped": "no pad is left"})
     partners = replace(made, controller=partner)

@@ -167,7 +167,7 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
         f"measurement at most, {plant.overruns} overruns",
         f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
-        + (f", {plant.key_blocks_lost} blocks lost" if plant.key_blocks_lost else "")
+        + (f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else "")
         + (f"; {keys}" if keys else ""),
     ]
 

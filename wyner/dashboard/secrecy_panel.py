@@ -80,7 +80,8 @@ def distilled(board: Board, width: int) -> list[Text]:
         ]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
-    lost = f"{count(plant.key_blocks_lost)} blocks lost; " if plant.key_blocks_lost else ""
+    n = plant.key_blocks_lost
+    lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
     made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; {lost}"
     line = row("distilled keys", Text(made))
     hers, style = held(board, room - cell_len(made))
@@ -115,7 +116,8 @@ def held(board: Board, room: int) -> tuple[str, str]:
         return longest(room, "no tap goes for them"), "label"
     bits = f"she holds {count(hers.key_bits_held)} bits"
     share = percent(hers.copies_missed, hers.copies)
-    told = longest(room, f"{bits} of {count(hers.key_blocks)} blocks, missed {share}", bits)
+    of = f"{bits} of {count(hers.key_blocks)} blocks"
+    told = longest(room, f"{of}, missed {share}", of, bits)
     return told, "bad" if hers.key_bits_held else "good"
 
 
