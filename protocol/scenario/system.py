@@ -53,7 +53,7 @@ class Scenario(ScenarioTable):
     tap: TapView = TapView()
     """The eavesdropper's place."""
     keys: Keys | None = None
-    """What is claimed that she misses; distilled keys rest on it."""
+    """What the operator claims that she misses; distilled keys rest on it."""
 
     @property
     def A(self) -> FiniteMatrix:

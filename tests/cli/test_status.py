@@ -92,7 +92,10 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
     ("found", "warning"),
     [
         ({"bits": 512}, "the tap holds 512 bits of keys"),
-        ({"refuted": True}, "the tap misses 0.12 of the copies at most: the claim is refuted"),
+        (
+            {"refuted": True},
+            "the tap misses 0.12 of the copies at most: the operator's claim is refuted",
+        ),
         ({"bursts": True}, "the tap's misses come in bursts"),
     ],
 )

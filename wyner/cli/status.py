@@ -181,7 +181,8 @@ def _warnings_of_taps(run_dir: Path) -> list[str]:
         keys = [one["keys"] for one in told.values() if one.get("keys")]
         found = [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
         found += [
-            f"the tap misses {k['at_most']:.2g} of the copies at most: the claim is refuted"
+            f"the tap misses {k['at_most']:.2g} of the copies at most: "
+            "the operator's claim is refuted"
             for k in keys
             if k["refuted"]
         ]
