@@ -14,11 +14,10 @@ from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.scenario import Scenario
-from protocol.schemes.framing import Deframer
 from wyner.api.systems import System, design
 from wyner.scoring.statistics import Interval, bootstrap_mean
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
-from wyner.simulate.engine.link import follow
+from wyner.simulate.engine.link import follow, whole_messages
 from wyner.simulate.single import simulate_plant
 
 if TYPE_CHECKING:
@@ -100,12 +99,8 @@ class Simulated:
     @cached_property
     def messages(self) -> list[list[bytes]]:
         """Whole messages that the plant recovered, in each run."""
-        found = []
-        for row in self.message_symbol.tolist():
-            deframer = Deframer(self.system.scenario.secrecy.candidates)
-            frames = [f for v in row if v != NO_SYMBOL and (f := deframer.push(v)) is not None]
-            found.append([f.payload for f in frames if f.intact])
-        return found
+        size = self.system.scenario.secrecy.candidates
+        return [whole_messages(row, size) for row in self.message_symbol.tolist()]
 
     @property
     def agreements(self) -> NDArray[np.int64]:

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
-    counts = (
+    numbers: tuple[tuple[str, float, str], ...] = (
         ("--excite-sessions", 20, "sessions with random inputs"),
         ("--excite-steps", 100, "steps of each; few for an unstable plant without a stated gain"),
         ("--pilot", 20, "sessions that give D_c its shape"),
@@ -30,20 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--fresh", 100, "sessions that certify it"),
         ("--steps", 200, "steps of a session under the law"),
         ("--seed", 1, "seed of excitation, coins and disturbance"),
-    )
-    for option, default, text in counts:
-        parser.add_argument(
-            option, type=int, default=default, metavar="N", help=f"{text} ({default})"
-        )
-    shares = (
         ("--amplitude", 0.3, "of the random inputs, as a share of U"),
         ("--violation", 0.05, "share of sessions that may leave D_c, for the calibration"),
         ("--confidence", 0.999, "of the certificate"),
     )
-    for option, share, text in shares:
-        parser.add_argument(
-            option, type=float, default=share, metavar="P", help=f"{text} ({share})"
-        )
+    for option, default, text in numbers:
+        kind, metavar = (int, "N") if isinstance(default, int) else (float, "P")
+        told = f"{text} ({default})"
+        parser.add_argument(option, type=kind, default=default, metavar=metavar, help=told)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 """The scheme over many runs: counts for every alpha at once, or the whole transfer for one."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Counts, Symbols
 from protocol.schemes.base import Carries
-from protocol.schemes.framing import IDLE, encode_frame
+from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import advance_many
 from wyner.simulate.engine.draws import cipher_symbols, symbol_type
@@ -133,3 +133,10 @@ def transfer(
         message_symbol=np.where(carried, recovered, NO_SYMBOL).astype(kind),
         p=p,
     )
+
+
+def whole_messages(symbols: Iterable[int], size: int) -> list[bytes]:
+    """The messages in one run's message symbols over M = ``size``, -1 where there was none."""
+    deframer = Deframer(size)
+    frames = [deframer.push(symbol) for symbol in symbols if symbol != NO_SYMBOL]
+    return [frame.payload for frame in frames if frame is not None and frame.intact]

@@ -8,12 +8,11 @@ from random import Random
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.runtime.guest import GuestError
-from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import NONCE_BYTES
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper
 from tap_service.guests import guarded
-from wyner.simulate.engine.link import Transfer
+from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
 
 
@@ -123,10 +122,8 @@ def listen(
             except GuestError as error:
                 raise GuestError(f"eavesdropper {names[i]}: step {transition.k}: {error}") from None
             right[i] += key != NO_SYMBOL and guess.best == key
-    deframer = Deframer(scenario.secrecy.candidates)
-    symbols = (v for v in link.message_symbol[:, place].tolist() if v != NO_SYMBOL)
-    frames = [frame for v in symbols if (frame := deframer.push(v)) is not None]
-    messages = [frame.payload for frame in frames if frame.intact]
+    symbols = link.message_symbol[:, place].tolist()
+    messages = whole_messages(symbols, scenario.secrecy.candidates)
     agreements = sum(key != NO_SYMBOL for key in keys)
     out = []
     for tap, hits in zip(taps, right, strict=True):

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wyner.scoring.report import Portion, Report
@@ -67,9 +66,11 @@ def heights(shares: Sequence[Portion]) -> tuple[list[float], list[list[float]]]:
 
 
 def against_alpha(
-    axes: Axes, rows: Sequence[Row], taps: Sequence[str], right: str, of: str
-) -> None:
-    """One line an eavesdropper, over the values of alpha."""
+    figure: Figure, data: Path, taps: Sequence[str], right: str, of: str, what: str
+) -> str:
+    """One line an eavesdropper, over the values of alpha; returns the note."""
+    rows = [r for r in rows_of("alpha", data) if r["tap"] in taps]
+    axes = figure.subplots()
     alphas = sorted({r["condition"] for r in rows}, key=float)
     for tap in taps:
         values, errors = heights(shares_of(rows, tap, alphas, right, of))
@@ -79,28 +80,21 @@ def against_alpha(
     axes.axhline(0.5, color="0.6", lw=0.8, ls=":")
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
     axes.set_ylim(0.4, 1.03)
+    axes.set_ylabel(what)
+    axes.legend(loc="center right")
+    return note_of(rows)
 
 
 def draw_alpha(figure: Figure, data: Path) -> str:
     """Key symbols right against alpha, per eavesdropper: the paper's claim beside the truth."""
-    rows = [r for r in rows_of("alpha", data) if r["tap"] != "list-decoder"]
-    axes = figure.subplots()
-    taps = ("set-membership", "nearest-centre")
-    against_alpha(axes, rows, taps, "keys_right_reviewed", "keys")
-    axes.set_ylabel("agreed key symbols guessed right")
-    axes.legend(loc="center right")
-    return note_of(rows)
+    taps, what = ("set-membership", "nearest-centre"), "agreed key symbols guessed right"
+    return against_alpha(figure, data, taps, "keys_right_reviewed", "keys", what)
 
 
 def draw_alpha_bits(figure: Figure, data: Path) -> str:
     """Message symbols right against alpha: one threshold against all of them."""
-    rows = rows_of("alpha", data)
-    axes = figure.subplots()
     taps = ("set-membership", "nearest-centre", "list-decoder")
-    against_alpha(axes, rows, taps, "bits_right", "bits")
-    axes.set_ylabel("message bits right")
-    axes.legend(loc="center right")
-    return note_of(rows)
+    return against_alpha(figure, data, taps, "bits_right", "bits", "message bits right")
 
 
 def draw_views(figure: Figure, data: Path) -> str:
