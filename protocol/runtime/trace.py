@@ -74,10 +74,8 @@ class TraceWriter:
         self, path: Path, vantage: str, header: Mapping[str, Any], bounds: Bounds | None = None
     ) -> None:
         self._path = path
-        self._told = {
-            **{"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage},
-            **header,
-        }
+        heads = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage}
+        self._told = {**heads, **header}
         self._bounds = bounds or Bounds()
         self._closed = Parts(path)
         self._number = max(self._closed.newest, 0)

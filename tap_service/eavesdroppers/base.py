@@ -265,10 +265,10 @@ class Model:
         centres: Sequence[Sequence[float]] = (),
     ) -> list[float]:
         """g(x_next - c_i) for each candidate, in units of D_e; c_i as offered, if it was."""
-        gauges = []
-        for centre in centres or [predict(self.A, self.B, x, u) for u in candidates]:
-            gauges.append(self.gauge([a - b for a, b in zip(x_next, centre, strict=True)]))
-        return gauges
+        return [
+            self.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
+            for centre in centres or [predict(self.A, self.B, x, u) for u in candidates]
+        ]
 
 
 class Follower:
