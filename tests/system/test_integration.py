@@ -19,6 +19,7 @@ from protocol.runtime.trace import read_trace
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
 from tests.support.matched import matched
+from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
@@ -262,7 +263,16 @@ def test_killed_without_a_journal_a_new_session_begins(by_hand: ByHand) -> None:
     assert len({e["session"] for e in trace.of("transition")}) == 2
 
 
-def test_bad_usage_is_one_line_and_code_2(tmp_path: Path) -> None:
+def test_bad_usage_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def told_here(*arguments: str) -> tuple[int, str]:
+        return main(list(arguments)), capsys.readouterr().err
+
+    def told(*arguments: str) -> tuple[int, str]:
+        done = wyner(*arguments)
+        return done.returncode, done.stderr
+
     scenario = tmp_path / "bad.toml"
     scenario.write_text(Path("wyner/scenarios/paper.toml").read_text().replace("250", "-1"))
     for arguments in (
@@ -275,10 +285,11 @@ def test_bad_usage_is_one_line_and_code_2(tmp_path: Path) -> None:
         ("send",),
         ("nonsense",),
     ):
-        done = wyner(*arguments)
-        assert done.returncode == 2, arguments
-        assert done.stderr.startswith("wyner: "), done.stderr
-        assert done.stderr.count("\n") == 1, done.stderr
+        code, said = told_here(*arguments)
+        assert code == 2, arguments
+        assert said.startswith("wyner: "), said
+        assert said.count("\n") == 1, said
+    assert told(*arguments) == (code, said), "a process of its own says the same"
 
 
 def test_send_without_a_controller_says_so() -> None:
