@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from protocol.runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
+from tap_service.eavesdroppers.base import Belief
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.scoring import report as reporting
 from wyner.scoring.report import Portion, report
@@ -42,7 +43,12 @@ def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> 
     symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
     found = (b"word",) if whole else ()
     solved_k = 20 if whole else -1
-    return Said(name, live, {}, S, symbols, b"word", found, len(found), 7, solved_k, 0.5)
+    belief = Belief(b"word", found, len(found), 0.5, 7, solved_k, tuple(symbols.items()))
+    return Said(name, S, live, {}, belief)
+
+
+def believing(one: Said, symbols: dict[int, int]) -> Said:
+    return replace(one, belief=replace(one.belief, symbols=tuple(symbols.items())))
 
 
 def test_wilson_against_published_values() -> None:
@@ -84,12 +90,12 @@ def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
 
 
 def test_a_missed_bit_is_a_blind_guess() -> None:
-    silent = Said("tap", {}, {}, S, {}, b"", (), 0, 0, -1, 0.0)
+    silent = Said("tap", S, {}, {}, Belief())
     s = score(truth(), silent)
     assert s.bits == Proportion(5, 10)
     assert s.keys == Proportion(5, 10)
     assert s.guessing == 0.5
-    once = replace(said(10), symbols={19: truth().symbols[S, 19]})
+    once = believing(said(10), {19: truth().symbols[S, 19]})
     assert score(truth(), once).bits == Proportion(1 + 9 / 2, 10)
 
 
@@ -97,16 +103,16 @@ def test_only_what_she_no_longer_keeps_is_left_out_of_the_bits() -> None:
     n = KEPT_SYMBOLS + 5
     t = truth(n)
     kept = {k: v for (_, k), v in list(t.symbols.items())[5:]}
-    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(KEPT_SYMBOLS, KEPT_SYMBOLS)
+    assert score(t, believing(said(0), kept)).bits == Proportion(KEPT_SYMBOLS, KEPT_SYMBOLS)
     kept.pop(2 * n - 1)
-    assert score(t, replace(said(0), symbols=kept)).bits == Proportion(n - 6 + 6 / 2, n)
+    assert score(t, believing(said(0), kept)).bits == Proportion(n - 6 + 6 / 2, n)
 
 
 def test_one_who_was_not_heard_to_the_end_has_no_bits_but_her_keys() -> None:
-    s = score(truth(), replace(said(7), symbols=None))
+    s = score(truth(), replace(said(7), heard_out=False))
     assert s.bits.share is None
     assert s.keys == Proportion(7, 10)
-    nothing = replace(said(7), live={}, symbols=None)
+    nothing = replace(said(7), live={}, heard_out=False)
     assert score(truth(), nothing).keys.share is None
 
 
@@ -127,9 +133,10 @@ def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
     recovered = tuple((k, b"%d" % k) for k in range(71))
     t = Truth(2, {}, {}, recovered, 71)
     whole = tuple(p for _, p in recovered[-KEPT_MESSAGES:])
-    s = Said("tap", {}, {}, S, {}, b"", whole, 71, 0, 5, 1.0)
+    s = Said("tap", S, {}, {}, Belief(whole=whole, whole_count=71, solved_k=5))
     assert score(t, s).messages == Proportion(KEPT_MESSAGES, KEPT_MESSAGES)
-    assert score(t, replace(s, whole_count=len(whole))).messages == Proportion(KEPT_MESSAGES, 71)
+    few = replace(s, belief=replace(s.belief, whole_count=len(whole)))
+    assert score(t, few).messages == Proportion(KEPT_MESSAGES, 71)
 
 
 def test_a_stretch_is_compared_with_its_own_truth() -> None:
@@ -143,7 +150,7 @@ def test_a_stretch_is_compared_with_its_own_truth() -> None:
 
 def test_a_wrong_message_counts_for_nothing_and_one_twice_for_one() -> None:
     t = Truth(2, {}, {}, ((5, b"a"), (9, b"a"), (12, b"b")), 20)
-    s = Said("tap", {}, {}, S, {}, b"", (b"a", b"x", b"b"), 3, 0, 5, 1.0)
+    s = Said("tap", S, {}, {}, Belief(whole=(b"a", b"x", b"b"), whole_count=3, solved_k=5))
     assert score(t, s).messages == Proportion(2, 3)
 
 
@@ -183,7 +190,7 @@ def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
     t = Truth(4, keys, {}, (), 2000)
     for right, exceeds in ((450, True), (250, False)):
         live = {at: v if i < right else (v + 1) % 4 for i, (at, v) in enumerate(keys.items())}
-        s = Said("tap", live, {}, S, {}, b"", (), 0, 0, -1, 0.0)
+        s = Said("tap", S, live, {}, Belief())
         assert report([RunScore("r", t, (score(t, s),))]).exceeds == exceeds
 
 

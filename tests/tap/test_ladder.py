@@ -69,8 +69,8 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
     run = simulate(1000, seed)
     said, scored = play(run, name)
     assert run.truth.whole
-    assert said.whole == tuple(p for _, p in run.truth.whole)
-    assert said.solved_k == run.truth.whole[0][0]
+    assert said.belief.whole == tuple(p for _, p in run.truth.whole)
+    assert said.belief.solved_k == run.truth.whole[0][0]
     assert scored.bits.right == scored.bits.of
 
 
@@ -79,7 +79,7 @@ def test_several_messages_come_in_order() -> None:
     run = simulate(1300, 7, payloads=payloads)
     assert len(run.truth.whole) == 3
     for name in ("list-decoder", "oracle"):
-        assert play(run, name)[0].whole == tuple(payloads)
+        assert play(run, name)[0].belief.whole == tuple(payloads)
 
 
 def test_raw_english_without_a_frame_check() -> None:
@@ -91,7 +91,7 @@ def test_raw_english_without_a_frame_check() -> None:
         run = simulate(1000, seed, payloads=[text_of(rng) for _ in range(3)], raw=True)
         tap = ListDecoder(run.scenario.knowledge(), framed=False)
         said = said_about(tap, heard_by(run, CLEAR))
-        exact += said.message == b" ".join(run.payloads)[: len(run.stream) // 8]
+        exact += said.belief.message == b" ".join(run.payloads)[: len(run.stream) // 8]
     assert exact >= 6  # at a true rate of 80 % a run of eight does worse once in twenty
 
 
@@ -101,7 +101,7 @@ def test_the_learner_starts_from_nothing() -> None:
     for seed in range(3):
         run = simulate(1200, seed)
         said, scored = play(run, "learning")
-        exact += said.whole == tuple(p for _, p in run.truth.whole)
+        exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
         early = {at: v for at, v in run.truth.keys.items() if at[1] < 200}
         right += sum(said.reviewed.get(at) == v for at, v in early.items())
         of += len(early)
@@ -117,7 +117,7 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     for seed in range(2):
         run = simulate(1200, 100 + seed)
         said, _ = play(run, "learning", View(model_error=error, seed=seed))
-        exact += said.whole == tuple(p for _, p in run.truth.whole)
+        exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
     assert exact >= 1
 
 
@@ -135,7 +135,7 @@ def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> No
 def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
     run = simulate(900, 2)
     said, scored = play(run, "smoother")
-    assert said.whole == tuple(p for _, p in run.truth.whole) != ()
+    assert said.belief.whole == tuple(p for _, p in run.truth.whole) != ()
     assert scored.bits.right == scored.bits.of
 
 
@@ -147,7 +147,7 @@ def test_a_run_longer_than_she_keeps_loses_no_message(name: str) -> None:
     run = simulate(9000, 1, payloads=payloads)
     said, scored = play(run, name)
     assert len(run.truth.whole) >= 10
-    assert said.whole == tuple(p for _, p in run.truth.whole)
+    assert said.belief.whole == tuple(p for _, p in run.truth.whole)
     assert scored.keys_reviewed.right == scored.keys_reviewed.of
     assert (scored.bits.share or 0) > 0.999
 
@@ -158,7 +158,7 @@ def test_a_message_longer_than_she_keeps_is_had(name: str) -> None:
     text = (b"It was a quiet night at the harbour and nobody saw the boats leave. " * 5)[:300]
     run = simulate(11_000, 1, payloads=[text])
     assert [p for _, p in run.truth.whole] == [text]
-    assert play(run, name)[0].whole == (text,)
+    assert play(run, name)[0].belief.whole == (text,)
 
 
 @pytest.mark.slow
@@ -196,7 +196,7 @@ def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
     tap = named(name)(knowing(run, name))
     holes = [Transition(t.session, t.k, None, None, None, None) for t in heard_by(run, CLEAR)]
     said = said_about(tap, holes)
-    assert not said.whole
+    assert not said.belief.whole
     guesses = [*map(tap.observe, holes), *tap.review()]
     assert max(max(g.symbol) for g in guesses) == 0.5
     right = score(run.truth, said).keys
@@ -218,7 +218,7 @@ def test_who_was_there_and_heard_no_message_is_scored_as_a_blind_guess(name: str
 def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
     run = simulate(1000, 8, corrupt=60)
     assert not run.truth.whole
-    assert play(run, name)[0].whole == ()
+    assert play(run, name)[0].belief.whole == ()
 
 
 # --- the interface -------------------------------------------------------------------------------

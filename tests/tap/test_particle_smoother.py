@@ -297,7 +297,7 @@ def test_states_alone_name_the_keys_and_not_the_message() -> None:
     _, tap, said, scored = played(2, View(view="measurements"))
     assert scored.keys_reviewed.right > 0.97 * scored.keys_reviewed.of
     assert scored.bits.right == 0.5 * scored.bits.of
-    assert said.whole == ()
+    assert said.belief.whole == ()
     assert tap.belief().symbols == ()
 
 

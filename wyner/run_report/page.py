@@ -240,7 +240,7 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
     yield f"<p>{escape(found.verdict())}</p>"
     yield _table(HEADINGS, rows(found))
     for one in said:
-        text = in_short(one.message.decode("utf-8", errors="replace"))
+        text = in_short(one.belief.message.decode("utf-8", errors="replace"))
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
 
 

@@ -132,21 +132,22 @@ class Replay:
         out = []
         for x in self.listeners:
             guesses = self._guesses[x.name], self._reviews[x.name]
-            out.append(Said.of(x.name, self.session, *guesses, x.belief(), x.failed))
+            out.append(Said(x.name, self.session, *guesses, x.belief(), x.failed))
         return out
 
     def report(self) -> dict[str, Any]:
         """The end of it as one object: per eavesdropper her messages and how sure she is."""
         taps = {}
         for s in self.said():
+            b = s.belief
             taps[s.name] = {
-                "message": s.message.decode("utf-8", errors="replace"),
-                "whole": [base64.b64encode(w).decode("ascii") for w in s.whole],
-                "confidence": s.confidence,
-                "candidates_left": s.candidates_left,
-                "solved_k": s.solved_k,
+                "message": b.message.decode("utf-8", errors="replace"),
+                "whole": [base64.b64encode(w).decode("ascii") for w in b.whole],
+                "confidence": b.confidence,
+                "candidates_left": b.candidates_left,
+                "solved_k": b.solved_k,
                 "failed": s.failed,
-                "keys": None if s.keys is None else s.keys.model_dump(),
+                "keys": None if b.keys is None else b.keys.model_dump(),
             }
         return {
             "capture": str(self.reader.path),

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import index
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from pydantic_core import from_json
 
@@ -136,50 +136,16 @@ def truth_of(trace: Trace) -> Truth:
 class Said:
     """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
 
-    ``symbols`` is None where she was not heard to the end. ``whole`` are the last of her
-    ``whole_count`` messages.
+    Where she was not ``heard_out``, nobody knows which symbols she believes in.
     """
 
     name: str
+    session: str
     live: Mapping[Step, int]
     reviewed: Mapping[Step, int]
-    session: str
-    symbols: Mapping[int, int] | None
-    message: bytes
-    whole: tuple[bytes, ...]
-    whole_count: int
-    candidates_left: int
-    solved_k: int
-    confidence: float
+    belief: Belief
     failed: str = ""
-    keys: KeysHeld | None = None
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        session: str,
-        live: Mapping[Step, int],
-        reviewed: Mapping[Step, int],
-        belief: Belief,
-        failed: str = "",
-    ) -> Self:
-        """What one said who was heard to the end, with her last belief."""
-        return cls(
-            name=name,
-            live=live,
-            reviewed=reviewed,
-            session=session,
-            symbols=dict(belief.symbols),
-            message=belief.message,
-            whole=belief.whole,
-            whole_count=belief.whole_count,
-            candidates_left=belief.candidates_left,
-            solved_k=belief.solved_k,
-            confidence=belief.confidence,
-            failed=failed,
-            keys=belief.keys,
-        )
+    heard_out: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,9 +219,10 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
         return sum(guesses.get(at) == key for at, key in keys.items()) + blind * missed
 
     recovered = [payload for _, payload in truth.whole]
-    if said.whole_count > len(said.whole):
-        recovered = recovered[-len(said.whole) :]
-    unclaimed = list(said.whole)
+    belief = said.belief
+    if belief.whole_count > len(belief.whole):
+        recovered = recovered[-len(belief.whole) :]
+    unclaimed = list(belief.whole)
     exact = 0
     for payload in recovered:
         if payload in unclaimed:
@@ -267,12 +234,12 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
         keys_reviewed=Proportion(right({**said.live, **said.reviewed}), len(keys)),
         bits=_bits(truth, said),
         messages=Proportion(exact, len(recovered)),
-        candidates_left=said.candidates_left,
-        solved_k=said.solved_k,
+        candidates_left=belief.candidates_left,
+        solved_k=belief.solved_k,
         size=truth.size,
-        guess=said.message.decode("utf-8", errors="replace"),
+        guess=belief.message.decode("utf-8", errors="replace"),
         failed=said.failed,
-        held=said.keys,
+        held=belief.keys,
     )
 
 
@@ -282,7 +249,7 @@ def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
     Of one who was there to the end and heard nothing at all, every key counts.
     """
     if not said.live:
-        return {} if said.symbols is None else truth.keys
+        return truth.keys if said.heard_out else {}
     first: dict[str, int] = {}
     last: dict[str, int] = {}
     for session, k in said.live:
@@ -297,13 +264,14 @@ def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
 
 def _bits(truth: Truth, said: Said) -> Proportion:
     """Message symbols right, of her last session's; of the newest only, where she kept no more."""
-    if said.symbols is None:
+    if not said.heard_out:
         return Proportion(0.0, 0)
-    oldest = min(said.symbols) if len(said.symbols) >= KEPT_SYMBOLS else 0
+    symbols = dict(said.belief.symbols)
+    oldest = min(symbols) if len(symbols) >= KEPT_SYMBOLS else 0
     asked = {k: s for (session, k), s in truth.symbols.items() if session == said.session}
     asked = {k: s for k, s in asked.items() if k >= oldest}
-    missed = sum(k not in said.symbols for k in asked)
-    right = sum(said.symbols.get(k) == symbol for k, symbol in asked.items())
+    missed = sum(k not in symbols for k in asked)
+    right = sum(symbols.get(k) == symbol for k, symbol in asked.items())
     return Proportion(right + missed / truth.size, len(asked))
 
 
@@ -336,20 +304,24 @@ def read_said(run_dir: Path) -> list[Said]:
 def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> Said:
     """What one eavesdropper said, from her record and her guesses by kind."""
     symbols = record["symbols"]
-    return Said(
-        name=printable(str(record["name"])),
-        live=guesses.get("guess", {}),
-        reviewed=guesses.get("review", {}),
-        session=str(record["session"]),
-        symbols=None if symbols is None else {int(k): int(v) for k, v in symbols},
+    belief = Belief(
         message=base64.b64decode(record["message"]),
         whole=tuple(base64.b64decode(w) for w in record["whole"]),
         whole_count=index(record["whole_count"]),
         candidates_left=index(record["candidates_left"]),
         solved_k=index(record["solved_k"]),
         confidence=float(record["confidence"]),
-        failed=str(record["failed"]),
+        symbols=() if symbols is None else tuple((int(k), int(v)) for k, v in symbols),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
+    )
+    return Said(
+        name=printable(str(record["name"])),
+        session=str(record["session"]),
+        live=guesses.get("guess", {}),
+        reviewed=guesses.get("review", {}),
+        belief=belief,
+        failed=str(record["failed"]),
+        heard_out=symbols is not None,
     )
 
 

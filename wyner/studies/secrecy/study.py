@@ -17,7 +17,7 @@ from protocol.knowledge import Knowledge
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
-from tap_service.eavesdroppers.base import Eavesdropper
+from tap_service.eavesdroppers.base import Belief, Eavesdropper
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from wyner.scoring.score import Said, score
 from wyner.studies.grid import code_version
@@ -126,7 +126,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
     reviewed = {(session, g.k): g.best for g in (*tap.settled, *tap.review())}
-    return Said.of(tap.name, session, live, reviewed, tap.belief())
+    return Said(tap.name, session, live, reviewed, tap.belief())
 
 
 def measure(task: Task) -> dict[str, object]:
@@ -142,13 +142,13 @@ def measure(task: Task) -> dict[str, object]:
     said = said_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
         session = next(iter(run.truth.symbols))[0]
-        said = Said(tap.name, {}, {}, session, {}, b"", (), 0, 0, -1, 0.0)
+        said = Said(tap.name, session, {}, {}, Belief())
     scored = score(run.truth, said)
     early = score(run.truth.between(None, EARLY - 1), said).keys_reviewed
     exact, messages = scored.messages.right, scored.messages.of
     if task.raw:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]
-        exact, messages = float(said.message == text), 1
+        exact, messages = float(said.belief.message == text), 1
     decoding = getattr(tap, "decoding", None)
     return {
         "task": task.id,
@@ -167,10 +167,10 @@ def measure(task: Task) -> dict[str, object]:
         "bits_right": scored.bits.right,
         "messages": messages,
         "messages_exact": int(exact),
-        "whole_claimed": len(said.whole),
+        "whole_claimed": len(said.belief.whole),
         "list_peak": "" if decoding is None else decoding.peak,
-        "candidates_left": said.candidates_left,
-        "solved_k": said.solved_k,
+        "candidates_left": said.belief.candidates_left,
+        "solved_k": said.belief.solved_k,
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
     }
 
