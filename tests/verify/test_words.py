@@ -205,6 +205,13 @@ def made_otherwise(lines: Lines) -> None:
     before("transition", 60, missed, {"event": "continued"}, resumed)(lines)
 
 
+def reordered(lines: Lines) -> None:
+    """It says the same."""
+    offer = nth(lines, "offer", 60)
+    line = next(one for one in lines if one.get("message") is offer)
+    line["event"] = line.pop("event")
+
+
 AGREED = {"role": "test", "s": 2}
 CARRIES = {"role": "message"}
 SEALED = {
@@ -232,6 +239,7 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "coin beyond": ((PLANT, put("transition", 60, coin=2)),),
     "centres": ((PLANT, put("transition", 60, centres=[[0.0, 0.0]] * 2)),),
     "missed too short": ((PLANT, put("missed", 1, u=[])),),
+    "missed beyond 64 bits": ((PLANT, put("missed", 1, k=2**64)),),
     "missed with candidates": ((PLANT, put("missed", 1, candidates=[[0.0]] * 2)),),
     "unknown event": ((PLANT, before("transition", 60, {"event": "hello"})),),
     "event no text": ((PLANT, before("transition", 60, {"event": 3})),),
@@ -351,6 +359,7 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "a field in another order": (
         (CAPTURE, lambda ls: [m.update(v=m.pop("v")) for m in [nth(ls, "offer", 60)]]),
     ),
+    "a line of the capture in another order": ((CAPTURE, reordered),),
     "no object": (
         (
             CAPTURE,
@@ -446,6 +455,11 @@ def of_another_model(folder: Path, _run: SmallRun) -> None:
     ControllerJournal(folder / CONTROLLER_JOURNAL, "f" * 16).close()
 
 
+def missed_and_further_on(folder: Path, run: SmallRun) -> None:
+    edited(EDITS["a trace that ends in a missed step"])(folder, run)
+    journal_behind(folder, run, k=run.receiver.record.k + 5)
+
+
 def without_a_beginning(folder: Path, _run: SmallRun) -> None:
     lines = read_lines(folder / PLANT)
     (folder / PLANT).unlink()
@@ -478,6 +492,7 @@ FOLDERS: dict[str, Change] = {
     "no manifest": lambda folder, _run: (folder / MANIFEST).unlink(),
     "a manifest that is none": lambda folder, _run: (folder / MANIFEST).write_text("[]"),
     "a manifest of no scenario": rewrite_json(MANIFEST, scenario=None),
+    "a manifest of the identity alone": rewrite_json(MANIFEST, wyner=None),
     "a manifest of another loop": rewrite_json(MANIFEST, loop="other"),
     "no capture": lambda folder, _run: (folder / CAPTURE).unlink(),
     "no plant's trace": lambda folder, _run: (folder / PLANT).unlink(),
@@ -501,6 +516,7 @@ FOLDERS: dict[str, Change] = {
     ),
     "the first part gone, and the second without a header": without_a_beginning,
     "cut, and the plant's journal has received more": cut_and_received,
+    "a trace that ends in a missed step, its journal further on": missed_and_further_on,
     "no header, and another scenario at the other side": edited(
         ((PLANT, lambda ls: ls.__delitem__(0)), (CONTROLLER, put("header", scenario="paper")))
     ),

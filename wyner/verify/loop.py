@@ -82,8 +82,6 @@ def reachable(e: Evidence, tally: Tally) -> Judging:
     if not need(tally, plant_trace=e.plant):
         return
     rule = e.rules.agreement
-    if rule.alpha < 1:
-        tally.fail("", -1, -1, f"alpha = {rule.alpha}: D_c is not within D_e, equation (11)")
     left, largest, leaves = 0, 0.0, may_leave(e)
     while (part := (yield)) is not None:
         for item in part.plant:
