@@ -239,18 +239,16 @@ def closed_within(line: ssl.SSLSocket, seconds: float) -> bool:
 REQUEST = b"GET /api/v1/keys/bob/status HTTP/1.1\r\nHost: x\r\n\r\n"
 
 
-def resident_kib(sites: Sites) -> int:
-    lines = Path(f"/proc/{sites.processes['controller'].pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
+@pytest.mark.slow
+def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -> None:
+    """Tens of thousands of requests in one connection: the server reads no more than it answers."""
+    process = Path(f"/proc/{sites.processes['controller'].pid}/status")
 
+    def resident_kib() -> int:
+        lines = process.read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
 
-@pytest.fixture(scope="module")
-def never_reads(sites: Sites) -> Iterator[tuple[ssl.SSLSocket, int]]:
-    """Tens of thousands of requests in one connection, and the server's KiB before them.
-
-    For two tests: while the server waits for them to be read, another test waits as well.
-    """
-    before = resident_kib(sites)
+    before = resident_kib()
     with connected(sites, "alice") as line:
         line.settimeout(1.0)
         sent = 0
@@ -258,16 +256,10 @@ def never_reads(sites: Sites) -> Iterator[tuple[ssl.SSLSocket, int]]:
             while sent < 2**30:
                 line.sendall(100 * REQUEST)
                 sent += 100 * len(REQUEST)
-        yield line, before
-
-
-@pytest.mark.slow
-def test_one_who_asks_and_never_reads_is_held_back(
-    sites: Sites, never_reads: tuple[ssl.SSLSocket, int]
-) -> None:
-    """The server reads no more than it answers."""
+        assert seconds_for_a_status(sites) < 3
+        assert resident_kib() - before < 16 * 1024
+        assert closed_within(line, IDLE_S + 15)
     assert seconds_for_a_status(sites) < 3
-    assert resident_kib(sites) - never_reads[1] < 16 * 1024
 
 
 @pytest.mark.slow
@@ -288,14 +280,6 @@ def test_a_byte_at_a_time_is_served_in_time_and_let_go_of_after_it(sites: Sites)
                 if closed_within(slower, 1.0):
                     break
         assert IDLE_S - 1 < time.monotonic() - begin < IDLE_S + 15
-
-
-@pytest.mark.slow
-def test_one_who_asks_and_never_reads_is_let_go_of(
-    sites: Sites, never_reads: tuple[ssl.SSLSocket, int]
-) -> None:
-    assert closed_within(never_reads[0], IDLE_S + 15)
-    assert seconds_for_a_status(sites) < 3
 
 
 def test_two_masters_at_once_never_get_one_key_twice(sites: Sites) -> None:
