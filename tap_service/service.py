@@ -231,6 +231,12 @@ class TapService:
             self._see(seen_ns, seen)
         self._listeners.feed(self._transcript.flush())
         self._capture.close()
+        if self._unheard:
+            self.log.warning(
+                "%d messages were mirrored and not guessed at, as too many waited: "
+                "wyner replay guesses at all of them",
+                self._unheard,
+            )
         for listener in self._listeners.listeners:
             self._listeners.review(listener)
         self._guesses.flush()

@@ -22,14 +22,6 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int | None:
-    """Three workers on two cores: many tests wait, for a process, a clock or a disk."""
-    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
-        return None  # as many as it says
-    return max(1, 3 * len(os.sched_getaffinity(0)) // 2)
-
-
 @pytest.fixture(scope="session", autouse=True)
 def own_runtime_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Runs on this machine that are no test's are not joined by a test, nor the other way round."""

@@ -1,7 +1,6 @@
 """Engine, single-process simulation and live services: one system, step for step."""
 
 import base64
-import json
 import shutil
 import subprocess
 import sys
@@ -20,11 +19,13 @@ from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SUMMARY
+from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from protocol.runtime.trace import TraceReader, TraceWriter
 from protocol.scenario import Scenario, load_scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE, TEST
+from wyner.scoring.replay import Replay
+from wyner.scoring.score import read_truth, score
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
@@ -196,12 +197,17 @@ def compare(case: Case, folder: Path) -> None:
 
 
 def compare_all(case: Case, folder: Path) -> None:
-    """Simulation and live services against the engine, while a tap that hears them is there."""
+    """Simulation and live services against the engine, while a tap hears and mirrors them all."""
     with live(case, folder / "live"):
         compare(case, simulate(case, folder / "simulated"))
     compare(case, folder / "live")
-    tap = json.loads((folder / "live" / SUMMARY).read_bytes())["taps"]["nearest-centre"]
-    assert tap["symbol_accuracy"] > 0.99
+    # On a busy machine she leaves some out while it goes on; her recording has all of them.
+    replay = Replay(folder / "live", ("nearest-centre",))
+    replay.run()
+    (said,) = replay.said()
+    share = score(read_truth(folder / "live"), said).keys.share
+    assert share is not None
+    assert share > 0.99
 
 
 # --- the tests -----------------------------------------------------------------------------------

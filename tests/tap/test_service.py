@@ -185,8 +185,12 @@ def test_an_overflowing_queue_drops_counts_and_does_not_grow(
 
 
 def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """At its end it says of how many."""
     monkeypatch.setattr(tap, "BUSY_LENGTH", 200)
     wire = Wire(config(run, tmp_path))
     for message in run.messages:
@@ -196,6 +200,8 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     assert status.mirrored == len(run.messages)
     assert status.dropped == len(run.messages) - 201
     assert 0 < status.steps < 300
+    left_out = f"{status.dropped} messages were mirrored and not guessed at"
+    assert left_out in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("names", [("list-decoder", "oracle"), ("nobody",)])
