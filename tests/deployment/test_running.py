@@ -1,5 +1,6 @@
 """Notes of the loops that run on this machine: found, told apart, and gone with their process."""
 
+import fcntl
 import json
 import os
 import socket
@@ -71,6 +72,25 @@ def test_a_note_whose_process_was_killed_is_taken_away(another: None, runtime: P
     while running_loops():
         pass
     assert not note.exists()
+
+
+def test_a_note_that_is_looked_at_before_it_is_locked_is_made_anew(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever waited for the run took the note for a stale one, and it could never be joined."""
+    lock = fcntl.flock
+    looked: list[int] = []
+
+    def late(file: int, how: int) -> None:
+        if how == fcntl.LOCK_EX and len(looked) < 2:
+            looked.append(len(running_loops()))
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with announced(loop_named("a")):
+        assert looked == [0, 0]
+        assert running_loops() == [loop_named("a")]
+    assert not list(runtime.rglob("*.json"))
 
 
 def test_of_several_runs_one_must_be_named(another: None) -> None:

@@ -84,18 +84,28 @@ def announced(loop: RunningLoop) -> Iterator[None]:
     """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
     try:
         path = notes_folder() / f"{os.getpid()}.json"
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        descriptor = _locked(path)
     except OSError:
         yield
         return
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
         os.truncate(descriptor, 0)
         os.write(descriptor, json.dumps(asdict(loop)).encode())
         yield
     finally:
         with suppress(OSError):
             path.unlink()
+        os.close(descriptor)
+
+
+def _locked(path: Path) -> int:
+    """The note, open and locked; made anew where somebody took it for a stale one meanwhile."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.lstat()):
+                return descriptor
         os.close(descriptor)
 
 
