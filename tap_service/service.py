@@ -302,6 +302,7 @@ class TapService:
             "first_part": self._capture.first_part,
             "captured": self._capture.written,
             "dropped": self._queue.dropped + self._capture.dropped,
+            "unguessed": self._unheard,
         }
         try:
             self._beliefs_file.write(beliefs_json(self._records))

@@ -26,7 +26,7 @@ from protocol.messages import (
 )
 from protocol.runtime.endpoints import Endpoints, free_endpoints
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
 from tap_service import service as tap
@@ -204,6 +204,7 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     assert 0 < status.steps < 300
     left_out = f"{status.dropped} messages were mirrored and not guessed at"
     assert any(line.startswith(left_out) for line in caplog.messages)
+    assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.dropped
 
 
 @pytest.mark.parametrize("names", [("list-decoder", "oracle"), ("nobody",)])

@@ -1,11 +1,12 @@
 """What a run came to, from its traces, for people and machines: the end of ``wyner up``."""
 
 import base64
+import json
 import math
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.run_folder import PLANT_TRACE, SCENARIO
+from protocol.runtime.run_folder import PLANT_TRACE, SCENARIO, TAP_STATUS
 from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import load_scenario
 from protocol.text import readable
@@ -26,7 +27,8 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
     ``delivered_k`` is the step at which the plant had ``payload`` whole, -1 never.
     ``bits_per_second`` counts message bits over plant time, missed steps included.
     ``claimed_bits`` is what the paper's rule counts, ``true_bits`` what the strongest eavesdropper
-    of this run leaves of it (None: nobody was scored). ``keys`` is what
+    of this run leaves of it (None: nobody was scored); of ``unguessed`` messages, which the tap
+    recorded and left out of its live guessing, it says too little. ``keys`` is what
     :func:`wyner.scoring.keys.audit_keys` finds, None where the scenario makes none.
     """
     scenario = load_scenario(run_dir / SCENARIO)
@@ -70,6 +72,7 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         **_secrecy(run_dir, len(agreed) * math.log2(size)),
+        "unguessed": _unguessed(run_dir),
         "keys": None if (keys := audit_keys(run_dir, scenario)) is None else keys.as_json(),
         "run_dir": str(run_dir),
     }
@@ -88,6 +91,14 @@ def _secrecy(run_dir: Path, claimed: float) -> dict[str, Any]:
         "strongest": "" if strongest is None else strongest.name,
         "taps": summary_of(score),
     }
+
+
+def _unguessed(run_dir: Path) -> int:
+    """Messages that the tap left out of its live guessing, since too many waited."""
+    try:
+        return int(json.loads((run_dir / TAP_STATUS).read_bytes())["unguessed"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return 0
 
 
 def _text(payload: bytes) -> str:
@@ -111,6 +122,9 @@ def render(summary: dict[str, Any]) -> str:
     lines += [
         f"Eve        {name:<{NAME_WIDTH}}{_got(tap)}" for name, tap in summary["taps"].items()
     ]
+    if summary["unguessed"]:
+        left = f"{summary['unguessed']} messages waited too long to be guessed at live"
+        lines.append(f"Eve        {left}: wyner replay")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
 
@@ -133,6 +147,8 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
         lines.append("Eve        was not there.")
     true = summary["true_bits"]
     shown = "unknown, no eavesdropper was scored" if true is None else f"{true:.0f}, measured"
+    if true is not None and summary["unguessed"]:
+        shown = f"at most {true:.0f}"
     lines.append(
         f"Secret     the paper claims {summary['claimed_bits']:.0f} bits. True: {shown}"
         + (f" ({summary['strongest']})." if true is not None else ".")
