@@ -98,7 +98,9 @@ mutants: $(STAMPS)/dev
 
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev
-	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs build/docs
+	@echo "building build/docs: minutes for the API reference, the first time"
+	$(BIN)/sphinx-build -W --keep-going -j auto -b html docs build/docs
+	@echo "build/docs/index.html"
 
 figures: $(STAMPS)/dev
 	$(BIN)/wyner figures

@@ -70,7 +70,7 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
     A, B = design.A, design.B
     low, high = input_interval(scenario.control.inputs)
     Hc, hc = (np.array(a) for a in scenario.defender.disturbance.rows())
-    alpha = scenario.secrecy.alpha
+    He, he = (np.array(a) for a in scenario.eavesdropper_set.rows())
     uniforms, coins = Draws(seed, range(run, run + 1), scenario.n).block(steps)
     d = disturbances(scenario.plant.disturbance, 0, uniforms)[:, :, 0]
     forms = ((2 * B.T @ B, 2 * B.T @ A), (2 * np.eye(B.shape[1]), np.zeros_like(B.T)))
@@ -84,7 +84,7 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
         x_next = A @ x + B @ candidates[int(coins[k, 0] * 2)] + d[k]
         centres = [A @ x + B @ u for u in candidates]
         defender = [reach_contains(c, Hc, hc, x_next) for c in centres]
-        eavesdropper = [reach_contains(c, Hc, alpha * hc, x_next) for c in centres]
+        eavesdropper = [reach_contains(c, He, he, x_next) for c in centres]
         in_diff = all(eavesdropper) and sum(defender) == 1
         symbols.append(defender.index(True) if in_diff else NO_SYMBOL)
         x = x_next

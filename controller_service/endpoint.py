@@ -10,12 +10,13 @@ from pydantic import ValidationError
 from controller_service.telemetry import ControllerTelemetry, Messages, Phase
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
-from protocol.link.key_events import key_actions
+from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
+    BlockWord,
     ControllerHello,
     ControllerStatus,
     Measurement,
@@ -59,8 +60,11 @@ class ControllerEndpoint:
         Seconds between statuses.
     """
 
-    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand)
-    says: tuple[type[Message], ...] = (Offer, ControllerHello, SendReply, ControllerStatus)
+    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockWord)
+    says: tuple[type[Message], ...] = (
+        *(Offer, ControllerHello, SendReply, ControllerStatus),
+        BlockWord,
+    )
 
     def __init__(
         self,
@@ -114,9 +118,12 @@ class ControllerEndpoint:
                 return self._measured(payload, now)
             if kind is PlantHello:
                 return self._heard(PlantHello.model_validate_json(payload), now)
+            if kind is BlockWord:
+                return self._heard_word(BlockWord.model_validate_json(payload))
             return self._commanded(SendCommand.model_validate_json(payload))
         except ValidationError as error:
-            what = {Measurement: "measurement", PlantHello: "hello"}.get(kind, "command")
+            names = {Measurement: "measurement", PlantHello: "hello", BlockWord: "word"}
+            what = names.get(kind, "command")
             return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
 
     def wake_at(self) -> float:
@@ -137,13 +144,23 @@ class ControllerEndpoint:
         actions = self._later.popleft()()
         return actions._replace(settle=True) if self._later else actions
 
+    def appear(self, count: int) -> Actions:
+        """From now on a message leaves ``count`` times."""
+        record = self.sender.record
+        return appeared(self.sender.keying, record.session, record.k, count)
+
     def stop(self, now: float) -> Actions:
         """The last status."""
         self._now = now
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         publish, health = self._status(force=True)
-        return Actions(publish=publish, health=health)
+        return Actions(
+            write=self._settled_rows(),
+            publish=publish,
+            notices=waiting_notice(self.sender.keying),
+            health=health,
+        )
 
     def status(self) -> ControllerStatus:
         """What the dashboard is told; an endpoint without telemetry has none."""
@@ -191,9 +208,29 @@ class ControllerEndpoint:
         return self._actions(effects, SessionBegan(None, effects.refusal))
 
     def kept(self, done: Done, now: float) -> Actions:
-        """The keeper of keys has done a task."""
+        """The keeper of keys has done a task; rows that nobody needs any more go at once."""
         self._now = now
-        return key_actions(self.sender.keying, done)
+        actions = key_actions(self.sender.keying, done)
+        return actions._replace(write=self._settled_rows())
+
+    def _settled_rows(self) -> Keep | None:
+        """What has the journal erase the rows of blocks that are confirmed, if there are any."""
+        settled = self.sender.keying.settled()
+        return Keep(self.sender.record, settled=settled) if settled else None
+
+    def _heard_word(self, word: BlockWord) -> Actions:
+        """The plant has made its last step, and waits for its last blocks."""
+        sender = self.sender
+        session, keying = sender.record.session, sender.keying
+        if word.side != "plant" or session is None or word.session != session or not keying.on:
+            return NOTHING_TO_DO
+        judged = keying.heard(word)
+        if any(judgement.what == "unequal" for judgement in judged):
+            self._later.append(self._unequal)
+            return Actions(keys=keying.tasks(judged), settle=True)
+        answer = Outgoing(BlockWord, keying.block_word("controller", session).wire())
+        write = self._settled_rows()
+        return Actions(write=write, publish=(answer,), keys=keying.tasks(judged))
 
     def _actions(self, effects: SenderEffects, *events: Event) -> Actions:
         """What the sender asks for, beside the step itself."""

@@ -163,7 +163,7 @@ def shown_progress(
             if left > patience_s:
                 grow = f"if they grow as without control.states; {FEW} sets will tell"
             print(f"wyner: {text}, {grow}", file=sys.stderr, flush=True)
-        if elapsed > JUDGED_AFTER_S and elapsed + left > patience_s:
+        if done < total and elapsed > JUDGED_AFTER_S and elapsed + left > patience_s:
             needed = f"{1.5 * min(elapsed + left, 1e7):.0f}"
             raise SynthesisError(
                 f"control.horizon: {total} sets would take about {in_words(elapsed + left)} "

@@ -1,9 +1,17 @@
 """The documents as a site: ``make docs``. Every broken link is an error."""
 
+import sys
 from importlib.metadata import version as installed
+from pathlib import Path
+
+from docutils import nodes
+from sphinx.application import Sphinx
 
 # autodoc writes annotations into pydantic's base class, after which some models cannot be made
 import protocol.scenario  # noqa: F401
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tools.mermaid import drawn
 
 project = "wyner"
 copyright = "the wyner maintainers"
@@ -15,7 +23,6 @@ exclude_patterns = ["data", "figures"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 suppress_warnings = [
-    "misc.highlighting_failure",  # Mermaid is drawn by the forges, shown as text here
     "ref.python",  # one name in two modules: the type in a signature stays unlinked
 ]
 html_theme = "furo"
@@ -37,3 +44,15 @@ apidoc_modules = [
     }
     for room in ("protocol", "controller_service", "plant_service", "tap_service", "wyner")
 ]
+
+
+def draw_diagrams(_app: object, doctree: nodes.document) -> None:
+    """Mermaid's sources, which the forges draw, as pictures that need no script and no network."""
+    for block in list(doctree.findall(nodes.literal_block)):
+        if block.get("language") == "mermaid":
+            block.replace_self(nodes.raw("", drawn(block.astext()), format="html"))
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("doctree-read", draw_diagrams)

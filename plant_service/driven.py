@@ -3,7 +3,7 @@
 A step of it cannot be computed twice. So the coin is tossed and saved first, then the input is
 applied, the plant is read when the step ends, and that is saved and reported. A process that dies
 in between comes back to a step that is missed: never reported, so that neither end tests it, and
-its ciphertext symbol goes out again.
+its ciphertext symbol goes out again. So is a step whose session ends before it is read.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,9 +15,8 @@ from plant_service.status import PlantTelemetry
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Outgoing
 from protocol.link.events import Interrupted
 from protocol.link.pacing import Pacing
-from protocol.link.records import ReceiverRecord
-from protocol.messages import Measurement, Offer
-from protocol.runtime.journal import BegunStep
+from protocol.link.records import BegunStep, ReceiverRecord
+from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
@@ -98,28 +97,45 @@ class DrivenPlant(Plant):
             return PlantStep(record.k, record.x, u, x_next, None, None)
         x_next = self.read()
         self.receiver.missed(record.u, x_next)
-        following = self._fallback.input(x_next, record.u)
-        if following != record.u:
-            self.actuate(following)
-            self.receiver.record = self.receiver.record._replace(u=following)
+        self._fall_back()
         return PlantStep(record.k, record.x, record.u, x_next, None, None)
 
-    def interrupted(self, begun: BegunStep | None, x_next: Vector) -> Interrupted:
-        """Count the step under way when the process died, as a missed one."""
+    def _fall_back(self, *, sure: bool = True) -> None:
+        """Apply the fallback for the step to come, where it is not ``sure`` to be in force."""
+        record = self.receiver.record
+        following = self._fallback.input(record.x, record.u)
+        if self.operated.device and not (sure and following == record.u):
+            self.actuate(following)
+            self.receiver.record = record._replace(u=following)
+
+    def interrupted(
+        self, begun: BegunStep | None, x_next: Vector, *, sure: bool = False
+    ) -> Interrupted:
+        """Count a step that ends at ``x_next`` as a missed one.
+
+        Parameters
+        ----------
+        begun : BegunStep, optional
+            What it had begun; None where nothing is known of it.
+        x_next : tuple of float, shape (n,)
+        sure : bool
+            Whether the input chosen was applied; nobody knows after a death.
+        """
         record = self.receiver.record
         candidates = () if begun is None else begun.offer.candidates
         coin = -1 if begun is None else begun.coin
         u = record.u if begun is None else candidates[coin]
         self.receiver.missed(u, x_next)
+        self._fall_back(sure=sure or begun is None)
         return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
 
     def safe(self, why: str) -> None:
         """Send the plant to its safe state."""
         self.operated.safe(why)
 
-    def close(self) -> None:
-        """Let go of the plant."""
-        self.operated.close()
+    def close(self) -> str:
+        """Let go of the plant; what its own code raised over it, or nothing."""
+        return self.operated.close()
 
 
 class DrivenEndpoint(PlantEndpoint):
@@ -162,10 +178,19 @@ class DrivenEndpoint(PlantEndpoint):
             news=news,
             watchdog_s=watchdog_s,
         )
-        self._driven = plant
+        self._moved = self._moved or begun is not None
         self._begun, self._back = begun, back
         self._acting: tuple[bytes, Offer, int] | None = None
         self._applied = False
+
+    @property
+    def _between_steps(self) -> bool:
+        return super()._between_steps and self._acting is None
+
+    @property
+    def _driven(self) -> DrivenPlant:
+        assert isinstance(self.plant, DrivenPlant)
+        return self.plant
 
     def start(self, now: float) -> Actions:
         """Count what the journal holds; the step under way when the process died is missed."""
@@ -181,6 +206,17 @@ class DrivenEndpoint(PlantEndpoint):
             self._acted(self._now)
             return NOTHING_TO_DO if self._pacing.waiting else self._read()
         return self._resume(super().settle())
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """An offer, or a word of the controller's; what it writes names the step under way."""
+        actions = super().receive(kind, payload, now)
+        write = actions.write
+        if self._acting is None or not isinstance(write, Keep):
+            return actions
+        assert isinstance(write.record, ReceiverRecord)
+        _, offer, coin = self._acting
+        record = write.record._replace(begun=BegunStep(offer, coin))
+        return actions._replace(write=write._replace(record=record))
 
     def _resume(self, actions: Actions) -> Actions:
         if self._back is None:
@@ -200,7 +236,18 @@ class DrivenEndpoint(PlantEndpoint):
         return Actions(write=Append(payload, b"", coin), settle=True)
 
     def _ended(self) -> Actions:
-        return self._read()
+        assert self._acting is not None
+        _, offer, coin = self._acting
+        if offer.session == self._driven.receiver.record.session:
+            return self._read()
+        return self._abandon(BegunStep(offer, coin))
+
+    def _abandon(self, begun: BegunStep) -> Actions:
+        """The session ended while the plant acted: the step counts in neither, and is missed."""
+        self._acting = None
+        event = self._driven.interrupted(begun, self._driven.read(), sure=True)
+        receiver = self._driven.receiver
+        return Actions((event,), Keep(receiver.record, settled=receiver.keying.settled()))
 
     def _read(self) -> Actions:
         """The step is over: read the plant, save, report, and only then count."""

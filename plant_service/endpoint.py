@@ -16,12 +16,20 @@ from plant_service.status import PlantTelemetry
 from plant_service.stepper import Stepper
 from plant_service.telling import Telling
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
-from protocol.link.events import Applied, FrameRefused, Missed, Recovered, SessionBegan
-from protocol.link.key_events import key_actions
+from protocol.link.events import (
+    NEW_JOURNAL,
+    Applied,
+    FrameRefused,
+    Missed,
+    Recovered,
+    SessionBegan,
+)
+from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, STATUS_S, Pacing
 from protocol.link.receiver import ReceiverEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
+    BlockWord,
     ControllerHello,
     Measurement,
     Message,
@@ -38,8 +46,17 @@ from protocol.secret.tasks import Done
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
 
+MEETING_S: Final = 10.0
+"""Seconds at least that a plant which has never moved has for meeting its controller, before its
+watchdog bites: a controller starts in some of them."""
+
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
+
+LAST_KEYS_S: Final = 20.0
+"""Seconds to wait at the end for key blocks that are whole to be confirmed at both ends."""
+
+LAST_KEYS_REPEAT_S: Final = 0.05
 
 
 class PlantEndpoint:
@@ -64,11 +81,19 @@ class PlantEndpoint:
     status_s : float
         Seconds between statuses.
     watchdog_s : float, optional
-        Seconds without an applied offer after which the plant goes to its safe state.
+        Seconds without an applied offer after which the plant goes to its safe state: counted from
+        :meth:`start` on, so that a plant that was started again is watched while its controller is
+        away. One that has never moved has :data:`MEETING_S` at least to meet it.
     """
 
-    hears: tuple[type[Message], ...] = (Offer, ControllerHello)
-    says: tuple[type[Message], ...] = (Measurement, PlantHello, PlantModel, PlantStatus)
+    hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockWord)
+    says: tuple[type[Message], ...] = (
+        Measurement,
+        PlantHello,
+        PlantModel,
+        PlantStatus,
+        BlockWord,
+    )
 
     def __init__(
         self,
@@ -101,6 +126,9 @@ class PlantEndpoint:
         self._taken_up = ("", "")
         self._moved = plant.receiver.record.k > 0 or pending is not None
         self._gives_up_at: float | None = None
+        self._counted = False  # the last step, by the controller
+        self._keys_until: float | None = None
+        self._waiting_there = 1  # until it says how many
         self._watchdog_s = inf if watchdog_s is None else watchdog_s
         self._bites_at = inf
 
@@ -108,6 +136,11 @@ class PlantEndpoint:
     def _running(self) -> bool:
         """Whether ticks count: not before the plant has moved or is sure of a controller."""
         return self._moved or self.plant.receiver.accepted
+
+    @property
+    def _patience_s(self) -> float:
+        """Seconds without an applied offer that the watchdog allows."""
+        return self._watchdog_s if self._moved else max(self._watchdog_s, MEETING_S)
 
     @property
     def _finished(self) -> bool:
@@ -118,8 +151,9 @@ class PlantEndpoint:
     def start(self, now: float) -> Actions:
         """Say which session this is; a step that the journal holds is counted now."""
         self._now = now
+        self._bites_at = now + self._patience_s
         record = self.plant.receiver.record
-        reason = "new journal" if self._fresh else "resumed from the journal"
+        reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         return Actions(
             events=(SessionBegan(record.session, reason),),
             write=Keep(record) if self._fresh else None,
@@ -135,9 +169,11 @@ class PlantEndpoint:
         try:
             if kind is Offer:
                 return self._offered(payload, now)
+            if kind is BlockWord:
+                return self._heard_word(BlockWord.model_validate_json(payload))
             return self._heard(ControllerHello.model_validate_json(payload), now)
         except ValidationError as error:
-            what = "offer" if kind is Offer else "hello"
+            what = {Offer: "offer", BlockWord: "word"}.get(kind, "hello")
             return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
 
     def wake_at(self) -> float:
@@ -168,7 +204,7 @@ class PlantEndpoint:
         if self._finished:
             return self._last_word(now)
         if now >= self._bites_at:
-            why = f"the watchdog: no offer was applied for {self._watchdog_s:g} s"
+            why = f"the watchdog: no offer was applied for {self._patience_s:g} s"
             self.plant.safe(why)
             raise PlantError(why)
         if pacing.waiting:
@@ -237,20 +273,46 @@ class PlantEndpoint:
         return self._anew(text, notice, actions)._replace(keys=tasks)
 
     def kept(self, done: Done, now: float) -> Actions:
-        """The keeper of keys has done a task."""
+        """The keeper of keys has done a task; rows that nobody needs any more go at once."""
         self._now = now
-        return key_actions(self.plant.receiver.keying, done)
+        actions = key_actions(self.plant.receiver.keying, done)
+        return actions._replace(write=self._settled_rows())
+
+    @property
+    def _between_steps(self) -> bool:
+        """Whether the record is all that the journal must hold."""
+        return self._uncounted is None
+
+    def _settled_rows(self) -> Keep | None:
+        """What has the journal erase the rows of blocks that are confirmed, if there are any."""
+        receiver = self.plant.receiver
+        settled = receiver.keying.settled() if self._between_steps else ()
+        return Keep(receiver.record, settled=settled) if settled else None
+
+    def appear(self, count: int) -> Actions:
+        """From now on a message leaves ``count`` times."""
+        record = self.plant.receiver.record
+        return appeared(self.plant.receiver.keying, record.session, record.k, count)
 
     def stop(self, now: float) -> Actions:
         """The last status."""
         self._now = now
         self._telling.stopped()
         self.plant.safe("the process ended")
-        self.plant.close()
+        failed = self.plant.close()
         receiver = self.plant.receiver
         publish, health = self._telling.status(receiver, self.garbage, now, force=True)
         timing = self._telling.timing(receiver.record.k)
-        return Actions(timing, publish=publish, health=health)
+        notices = waiting_notice(receiver.keying)
+        if failed:
+            notices = (*notices, Notice(failed, "error"))
+        return Actions(
+            timing,
+            write=self._settled_rows(),
+            publish=publish,
+            notices=notices,
+            health=health,
+        )
 
     def status(self, now: float) -> PlantStatus:
         """What the dashboard is told; an endpoint without news has none."""
@@ -266,8 +328,9 @@ class PlantEndpoint:
         offer = Offer.model_validate_json(payload)
         record = receiver.record
         if self._finished:  # all that matters now is that the last step was counted
-            if offer.k == record.k:
-                self.code = DONE
+            if offer.k == record.k and not self._counted:
+                self._counted, self._last_at = True, now
+                return self._last_keys(now)
             return NOTHING_TO_DO
         try:
             what = receiver.check(offer)
@@ -335,10 +398,16 @@ class PlantEndpoint:
         events = (applied, Recovered(frame.payload))
         return Actions(events, write, publish, (Notice(text),), health)
 
+    def _has_moved(self) -> None:
+        """From its first step on the watchdog has its own time."""
+        if not self._moved:
+            self._moved = True
+            self._bites_at = min(self._bites_at, self._now + self._patience_s)
+
     def _missed(self) -> Actions:
         step = self.plant.miss()
         record = self.plant.receiver.record
-        self._moved = True
+        self._has_moved()
         missed = Missed(record.session, step.k, step.x, step.u, step.x_next)
         settled = self.plant.receiver.keying.settled()
         return Actions(events=(missed,), write=Keep(record, settled=settled))
@@ -347,12 +416,44 @@ class PlantEndpoint:
         """Report the last transition until the controller has answered, or a second has passed."""
         if self._gives_up_at is None:
             self._gives_up_at = now + LAST_WORD_S
-        elif now >= self._gives_up_at:
+        elif now >= self._gives_up_at and not self._counted:
             self.code = DONE
             return NOTHING_TO_DO
+        if self._counted:
+            return self._last_keys(now)
         self._last_at = now + LOCKSTEP_REPEAT_S
         measurement = self.plant.receiver.measurement().wire()
         return Actions(publish=(Outgoing(Measurement, measurement),))
+
+    def _last_keys(self, now: float) -> Actions:
+        """Wait for blocks that are whole, at both ends, and no longer than :data:`LAST_KEYS_S`."""
+        receiver = self.plant.receiver
+        keying, waits = receiver.keying, max(receiver.keying.waiting, self._waiting_there)
+        notices: tuple[Notice, ...] = ()
+        if self._keys_until is None:
+            self._keys_until = now + LAST_KEYS_S
+            if keying.waiting:
+                text = f"waiting for key blocks that are whole: {keying.waiting}, "
+                text += f"{LAST_KEYS_S:g} s at most"
+                notices = (Notice(text),)
+        if not keying.on or not waits or now >= self._keys_until:
+            self.code = DONE
+            return Actions(notices=notices)
+        self._last_at = now + LAST_KEYS_REPEAT_S
+        word = keying.block_word("plant", receiver.record.session)
+        return Actions(publish=(Outgoing(BlockWord, word.wire()),), notices=notices)
+
+    def _heard_word(self, word: BlockWord) -> Actions:
+        """The controller's word on blocks, after the last step."""
+        receiver = self.plant.receiver
+        keying = receiver.keying
+        if word.side != "controller" or word.session != receiver.record.session or not keying.on:
+            return NOTHING_TO_DO
+        self._waiting_there = word.waiting
+        judged = keying.heard(word)
+        if any(judgement.what == "unequal" for judgement in judged):
+            self._waiting_there = 0  # nothing of this session comes any more
+        return Actions(keys=keying.tasks(judged))
 
     # --- sessions ---------------------------------------------------------------------------------
 

@@ -4,19 +4,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
+from plant_service.adapters.base import PlantAdapter, Stepped
+from plant_service.adapters.operated import Operated
 from plant_service.adapters.registry import is_model, open_plant
 from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.endpoint import PlantEndpoint
 from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import BegunStep, ReceiverRecord
 from protocol.runtime.errors import UsageError
-from protocol.runtime.journal import BegunStep, ReceiverStep
+from protocol.runtime.journal import ReceiverStep
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
+from protocol.vectors import Vector
 
 
 class PlantDisk(Protocol):
@@ -29,7 +31,7 @@ class PlantDisk(Protocol):
         """The step that followed it and was not counted, if any."""
 
     def begun(self) -> BegunStep | None:
-        """The step that was begun after it and not read, if any."""
+        """The step that was begun and not read, if any."""
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record."""
@@ -81,9 +83,50 @@ def plant_endpoint(
             if operated.device and pacing.step_s != scenario.plant.period_s:
                 raise UsageError("--pace: expected realtime, as the plant is a device")
             x = operated.start(seed)
-        except (PlantError, UsageError):
+        except BaseException:
             operated.close()
             raise
+    try:
+        return _endpoint(
+            scenario,
+            journal,
+            coin,
+            noise,
+            new_id,
+            now,
+            pacing,
+            steps,
+            news,
+            status_s,
+            operated,
+            record,
+            step,
+            x,
+        )
+    except BaseException:  # it was started: whoever cannot go on leaves it safe
+        if operated is not None:
+            operated.safe("its service could not start")
+            operated.close()
+        raise
+
+
+def _endpoint(
+    scenario: Scenario,
+    journal: PlantDisk,
+    coin: SymbolSource,
+    noise: Stream,
+    new_id: Callable[[], str],
+    now: float,
+    pacing: Pacing,
+    steps: int | None,
+    news: PlantTelemetry | None,
+    status_s: float,
+    operated: Operated | None,
+    record: ReceiverRecord | None,
+    step: ReceiverStep | None,
+    x: Vector | None,
+) -> PlantEndpoint:
+    """The endpoint of a plant that was started and reads ``x``, or of a computed one."""
     first = record or first_record(scenario, new_id(), x)
     said = None if step is None else step.measurement
     chunks, raws = journal.chunks(), journal.raws(first.session)

@@ -172,5 +172,6 @@ class Plant:
     def safe(self, why: str) -> None:
         """Nothing moves that would have to be stopped."""
 
-    def close(self) -> None:
-        """Nothing is open."""
+    def close(self) -> str:
+        """Nothing is open, and nothing fails."""
+        return ""

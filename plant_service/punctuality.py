@@ -8,14 +8,15 @@ from protocol.agreement import INSIDE
 from protocol.link.events import Timing
 from protocol.link.session import CountedTransition
 from protocol.scenario import Calibration
+from protocol.statistics import better_than
 
 Vector = tuple[float, ...]
 
 STEPS: Final = 1000
 """Steps that the figures are of, the newest."""
 
-DOUBT: Final = 0.999
-"""Confidence with which a promise must be contradicted before it is said."""
+DOUBT: Final = 0.001
+"""Probability at most, over all sessions together, that a promise that is kept is doubted."""
 
 
 class Punctuality:
@@ -115,12 +116,9 @@ class ReachWatch:
         return self._doubted(c)
 
     def _doubted(self, c: Calibration) -> str | None:
-        if self._contradicted or self.exceeded < c.violation * self.sessions:
+        if self._contradicted:
             return None
-        from scipy.stats import binom
-
-        # How probable so many would be, were the promise true.
-        if binom.sf(self.exceeded - 1, self.sessions, c.violation) > 1 - DOUBT:
+        if not better_than(c.violation, self.exceeded, self.sessions, DOUBT):
             return None
         self._contradicted = True
         return (

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,38 +70,53 @@ def open_plant(
     UsageError
         When the journal cannot be used.
     """
+    with ExitStack() as undone:
+        try:
+            endpoint, files = _opened(config, now, phase, status_s, undone)
+        except (JournalError, PlantError) as error:
+            raise UsageError(str(error)) from None
+        undone.pop_all()
+    return endpoint, files
+
+
+def let_go(endpoint: PlantEndpoint) -> None:
+    """Leave a plant safe whose service does not come to run."""
+    endpoint.plant.safe("its service could not start")
+    endpoint.plant.close()
+
+
+def _opened(
+    config: PlantConfig, now: float, phase: float | None, status_s: float, undone: ExitStack
+) -> tuple[PlantEndpoint, Files]:
+    """As :func:`open_plant`; ``undone`` closes what is open where something fails."""
     scenario, seeded = config.scenario, config.seed is not None
-    try:
-        journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
-        news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
-        keeper = open_keeper(
-            *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
-            *(config.secret, journal.load()),
-        )
-        if scenario.keys is not None:
-            news.keys_refused = refusal(scenario, config.seed) or ""
-        for payload in journal.inbox(1):
-            news.last_message = readable(payload)
-        step_s = config.pace.step_s(scenario.plant.period_s)
-        endpoint = plant_endpoint(
-            scenario,
-            journal,
-            symbols(config.seed, COIN),
-            noise(config.seed, len(scenario.plant.disturbance.half_widths)),
-            new_id,
-            now,
-            Pacing(step_s, scenario.link.repeats_per_period, now, phase),
-            steps=config.steps,
-            news=news,
-            folder=config.folder,
-            seed=config.seed,
-            status_s=status_s,
-        )
-    except (JournalError, PlantError) as error:
-        raise UsageError(str(error)) from None
-    except UsageError:
-        journal.close()
-        raise
+    journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
+    undone.callback(journal.close)
+    news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
+    keeper = open_keeper(
+        *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
+        *(config.secret, journal.load()),
+    )
+    if scenario.keys is not None:
+        news.keys_refused = refusal(scenario, config.seed) or ""
+    for payload in journal.inbox(1):
+        news.last_message = readable(payload)
+    step_s = config.pace.step_s(scenario.plant.period_s)
+    endpoint = plant_endpoint(
+        scenario,
+        journal,
+        symbols(config.seed, COIN),
+        noise(config.seed, len(scenario.plant.disturbance.half_widths)),
+        new_id,
+        now,
+        Pacing(step_s, scenario.link.repeats_per_period, now, phase),
+        steps=config.steps,
+        news=news,
+        folder=config.folder,
+        seed=config.seed,
+        status_s=status_s,
+    )
+    undone.callback(let_go, endpoint)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
     return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
 
@@ -131,7 +147,11 @@ class PlantService(EndService[PlantEndpoint]):
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log, opened = logger("plant"), open_plant(config, clock())
-        super().__init__(config, opened, OpeningEnd, log, field, ops, stopping, clock)
+        try:
+            super().__init__(config, opened, OpeningEnd, log, field, ops, stopping, clock)
+        except BaseException:
+            let_go(opened[0])
+            raise
         record = self.endpoint.plant.receiver.record
         code = getattr(config.scenario.plant, "object", None)
         if code is not None:
@@ -156,7 +176,11 @@ class PlantService(EndService[PlantEndpoint]):
         try:
             return super().run()
         except PlantError as error:
-            write_atomically(self._safe_state, f"{error}\n".encode())
+            try:
+                write_atomically(self._safe_state, f"{error}\n".encode())
+            except OSError as full:
+                reason = f"and {self._safe_state} cannot be written: {full.strerror}"
+                raise PlantError(f"{error}; {reason}") from error
             raise
 
 

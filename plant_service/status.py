@@ -114,6 +114,7 @@ class PlantTelemetry:
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
             **receiver.keying.told(self.keys_refused),
+            key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=pictured.x if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),
@@ -133,6 +134,8 @@ class PlantTelemetry:
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
     """What does not change while this process lives."""
     H, h = scenario.defender.disturbance.rows()
+    own = scenario.secrecy.disturbance is not None
+    hers = scenario.eavesdropper_set.rows() if own else ((), ())
     return PlantModel(
         scenario=scenario.name,
         law=scenario.control.law,
@@ -144,6 +147,8 @@ def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
         defender_h=h,
         A=scenario.A,
         B=scenario.B,
+        eavesdropper_H=hers[0],
+        eavesdropper_h=hers[1],
         keys_claim="" if scenario.keys is None else scenario.keys.assumption().sentence(),
     )
 

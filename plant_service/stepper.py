@@ -27,5 +27,5 @@ class Stepper(Protocol):
     def safe(self, why: str) -> None:
         """Go to the safe state."""
 
-    def close(self) -> None:
-        """Let go of what is stepped."""
+    def close(self) -> str:
+        """Let go of what is stepped; a line where that failed."""

@@ -125,9 +125,9 @@ class Verdict(NamedTuple):
 class AgreementRule:
     """Equation (20) as a test on one transition, for M >= 2 candidates.
 
-    x_next is in Diff when every candidate's gauge is at most alpha (all are possible for the
-    eavesdropper) and exactly one is at most 1, to rounding (one only is possible for the defender).
-    The key symbol is that one's index (equations 21 and 22).
+    x_next is in Diff when every candidate's gauge, of D_c or of ``reach``, is at most alpha (all
+    are possible for the eavesdropper) and exactly one is at most 1 in that of D_c, to rounding (one
+    only is possible for the defender). The key symbol is that one's index (equations 21 and 22).
 
     Parameters
     ----------
@@ -137,12 +137,15 @@ class AgreementRule:
         The gauge of D_c.
     alpha : float
         D_e = alpha D_c.
+    reach : Gauge, optional
+        Where D_e has a shape of its own: the gauge of D_e over alpha.
     """
 
     A: Matrix
     B: Matrix
     gauge: Gauge
     alpha: float
+    reach: Gauge | None = None
 
     def verdict(
         self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
@@ -151,18 +154,24 @@ class AgreementRule:
         A, B = self.A, self.B
         return self.verdict_at([predict(A, B, x, u) for u in candidates], x_next)
 
+    def widest(self, centres: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
+        """The largest gauge of D_e over alpha: up to alpha she finds every candidate possible."""
+        gauge = self.gauge if self.reach is None else self.reach
+        return max(gauge(tuple(map(sub, x_next, centre))) for centre in centres)
+
     def verdict_at(self, centres: Iterable[Sequence[float]], x_next: Sequence[float]) -> Verdict:
         """Evaluate it for centres c_i = f_c(x(k), u_i) that are given."""
         gauges = []
         symbol = NO_SYMBOL
         inside = 0
         possible = True
-        gauge, alpha = self.gauge, self.alpha
+        gauge, alpha, reach = self.gauge, self.alpha, self.reach
         for i, centre in enumerate(centres):
-            g = gauge(tuple(map(sub, x_next, centre)))
+            difference = tuple(map(sub, x_next, centre))
+            g = gauge(difference)
             gauges.append(g)
             fits = g <= INSIDE  # no branch: the verdict must not show in the time it takes
             inside += fits
             symbol = i if fits else symbol
-            possible &= g <= alpha
+            possible &= (g if reach is None else reach(difference)) <= alpha
         return Verdict(tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside)

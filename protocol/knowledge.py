@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from protocol.brief import Brief
 from protocol.secret.bound import Assumption
 from protocol.vectors import Matrix, Vector
 
@@ -51,6 +52,10 @@ class Policy(BaseModel):
         Whether every candidate is K x inside the terminal set.
     certain : bool
         Whether the candidates stand so far apart that every transition agrees.
+    regulator : PolicyCost, optional
+        Weights of the regulator from which K is computed, where the designer stated these instead.
+    spacing : float, optional
+        Distance of neighbouring candidates at fixed offsets, in half-lengths of D_c.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -60,9 +65,11 @@ class Policy(BaseModel):
     gain: Matrix | None = None
     together: bool = False
     certain: bool = False
+    regulator: PolicyCost | None = None
+    spacing: float | None = None
 
 
-class Knowledge(BaseModel):
+class Knowledge(Brief, BaseModel):
     """An eavesdropper's model (10): f_c and D_e, after the paper's assumption 2.
 
     Parameters
@@ -82,7 +89,10 @@ class Knowledge(BaseModel):
     policy : Policy, optional
         The control policy, as far as it does not depend on D_c.
     alpha : float, optional
-        D_e over D_c. Only the oracle, which knows what the defender knows, is told.
+        D_e over D_c, or over the shape that it has of its own. Only the oracle, which knows what
+        the defender knows, is told.
+    defender_H, defender_h : tuple, shapes (rows, n) and (rows,), optional
+        D_c, where D_e has a shape of its own. Only the oracle is told.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
@@ -101,6 +111,22 @@ class Knowledge(BaseModel):
     disturbance_h: Vector | None = None
     policy: Policy | None = None
     alpha: float | None = None
+    defender_H: Matrix | None = None
+    defender_h: Vector | None = None
     keys: Assumption | None = None
     noise: float = 0.0
     quantise: float = 0.0
+
+    def without_secrets(self) -> "Knowledge":
+        """The same for one who is no oracle: neither alpha nor D_c."""
+        return self.model_copy(update={"alpha": None, "defender_H": None, "defender_h": None})
+
+    def brief(self) -> dict[str, object]:
+        """Of which system it is, and what of it she knows."""
+        told = ("A", "B", "disturbance_H", "policy", "alpha", "keys")
+        return {
+            "scenario": self.scenario,
+            "candidates": self.candidates,
+            "scheme": self.scheme,
+            "knows": [name for name in told if getattr(self, name) is not None],
+        }

@@ -1,14 +1,16 @@
 """Registries: what can be named in a file or on a command line, and what each name stands for."""
 
+import hashlib
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
-from typing import Generic, TypeVar, cast
+from types import CodeType, ModuleType
+from typing import Generic, NamedTuple, TypeVar, cast
 
 T = TypeVar("T")
 
@@ -41,6 +43,24 @@ class Registry(Generic[T]):
     def __init__(self, what: str) -> None:
         self.what = what
         self._entries: dict[str, T] = {}
+        self._own: Callable[[str, OwnClass], T] | None = None
+
+    def take_own(self, entry: Callable[[str, "OwnClass"], T]) -> None:
+        """Take classes in files of the user's as well, ``path/to/file.py:Name``.
+
+        Parameters
+        ----------
+        entry : callable
+            Makes the entry of a name and what stands in the file; UnknownError where it is none.
+        """
+        self._own = entry
+
+    def source(self, name: str) -> str:
+        """SHA-256 (hex) of the user's file that ``name`` names a class of; empty for any other.
+
+        It is of the text that runs: the file as it was when its class was first asked for.
+        """
+        return own_class(name).sha256 if names_a_file(name) and name not in self._entries else ""
 
     def register(self, name: str, entry: T) -> T:
         """Add an entry.
@@ -65,10 +85,13 @@ class Registry(Generic[T]):
 
     def __getitem__(self, name: str) -> T:
         entries = self._all()
-        if name not in entries:
-            known = ", ".join(entries) or "none"
-            raise UnknownError(f"got {name!r}, expected a {self.what}: {known}")
-        return entries[name]
+        if name in entries:
+            return entries[name]
+        if self._own is not None and names_a_file(name):
+            return self._own(name, own_class(name))
+        known = ", ".join(entries) or "none"
+        or_own = "" if self._own is None else ", or path/to/file.py:Name"
+        raise UnknownError(f"got {name!r}, expected a {self.what}: {known}{or_own}")
 
     def __contains__(self, name: object) -> bool:
         return name in self._all()
@@ -104,6 +127,7 @@ class Classes(Registry[type[T]]):
         super().__init__(what)
         self.base = base
         self.shipped = dict(shipped)
+        self.take_own(lambda name, own: self._checked(name, own.found, own.name))
 
     def register(self, name: str, entry: type[T]) -> type[T]:
         """Add a class.
@@ -120,6 +144,8 @@ class Classes(Registry[type[T]]):
         return super().register(name, self._checked(name, entry, name))
 
     def __getitem__(self, name: str) -> type[T]:
+        if names_a_file(name) and name not in self._entries:
+            return super().__getitem__(name)
         if name not in self._entries:
             self._entries[name] = self._find(name)
         return self._entries[name]
@@ -134,27 +160,14 @@ class Classes(Registry[type[T]]):
         return len(self._names())
 
     def _names(self) -> list[str]:
-        return [
-            *self.shipped,
-            *(n for n in self._entries if n not in self.shipped and ":" not in n),
-        ]
+        return [*self.shipped, *(n for n in self._entries if n not in self.shipped)]
 
     def _find(self, name: str) -> type[T]:
         if name in self.shipped:
             where, _, class_name = self.shipped[name].partition(":")
             return self._checked(name, getattr(import_module(where), class_name), class_name)
-        where, colon, class_name = name.rpartition(":")
-        if not colon or not where.endswith(".py"):
-            known = ", ".join(self)
-            raise UnknownError(f"got {name!r}, expected {known} or path/to/file.py:Name")
-        try:
-            module = load_file(Path(where))
-        except FileNotFoundError:
-            raise UnknownError(f"got {name!r}, expected an existing Python file") from None
-        except Exception as error:  # the file is the user's: what it raises is told in one line
-            problem = f"{type(error).__name__}: {error}"
-            raise UnknownError(f"{where}: cannot be loaded: {problem}") from None
-        return self._checked(name, getattr(module, class_name, None), class_name)
+        known = ", ".join(self)
+        raise UnknownError(f"got {name!r}, expected {known} or path/to/file.py:Name")
 
     def _checked(self, name: str, found: object, class_name: str) -> type[T]:
         if not (isinstance(found, type) and issubclass(found, self.base)):
@@ -169,6 +182,48 @@ class Classes(Registry[type[T]]):
         return cast("type[T]", found)
 
 
+class OwnClass(NamedTuple):
+    """What a file of the user's calls ``name``, and the SHA-256 (hex) of the file that ran."""
+
+    name: str
+    found: object
+    sha256: str
+
+
+_OWN: dict[tuple[Path, str], OwnClass] = {}
+
+
+def names_a_file(name: str) -> bool:
+    """Whether ``name`` is of the form ``path/to/file.py:Name``."""
+    where, colon, _ = name.rpartition(":")
+    return bool(colon) and where.endswith(".py")
+
+
+def own_class(name: str) -> OwnClass:
+    """What ``path/to/file.py:Name`` names; the path is taken from the working folder.
+
+    A file is read once in a process, so what is hashed is what runs. Modules that it imports are
+    not in the hash.
+
+    Raises
+    ------
+    UnknownError
+        When there is no such file, or it cannot be loaded.
+    """
+    where, _, class_name = name.rpartition(":")
+    key = Path(where).resolve(), class_name
+    if key not in _OWN:
+        try:
+            module, sha256 = _run_file(Path(where))
+        except FileNotFoundError:
+            raise UnknownError(f"got {name!r}, expected an existing Python file") from None
+        except Exception as error:  # the file is the user's: what it raises is told in one line
+            problem = f"{type(error).__name__}: {error}"
+            raise UnknownError(f"{where}: cannot be loaded: {problem}") from None
+        _OWN[key] = OwnClass(class_name, getattr(module, class_name, None), sha256)
+    return _OWN[key]
+
+
 def load_file(path: Path) -> ModuleType:
     """A Python file of the user's, as a module.
 
@@ -178,13 +233,30 @@ def load_file(path: Path) -> ModuleType:
     Exception
         Whatever the file raises.
     """
+    return _run_file(path)[0]
+
+
+def _run_file(path: Path) -> tuple[ModuleType, str]:
+    """The module, and the SHA-256 (hex) of the bytes that ran."""
     if not path.is_file():
         raise FileNotFoundError(path)
     stem = re.sub(r"\W", "_", path.stem)
-    spec = spec_from_file_location(f"own_{stem}", path.resolve())
+    spec = spec_from_file_location(f"own_{stem}", path.resolve(), loader=_OnceRead(path))
     assert spec is not None
-    assert spec.loader is not None
+    assert isinstance(spec.loader, _OnceRead)
     module = module_from_spec(spec)
     sys.modules[spec.name] = module  # a dataclass looks its own module up there, and so does pickle
     spec.loader.exec_module(module)
-    return module
+    return module, hashlib.sha256(spec.loader.text).hexdigest()
+
+
+class _OnceRead(SourceFileLoader):
+    """Runs the text that it has read, and no compiled one of a file that has changed since."""
+
+    def __init__(self, path: Path) -> None:
+        where = path.resolve()
+        super().__init__(f"own_{path.stem}", str(where))
+        self.text = where.read_bytes()
+
+    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
+        return self.source_to_code(self.text, self.path)

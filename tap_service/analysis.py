@@ -5,6 +5,7 @@ the mirror never waits for it. It rests in proportion to its work, so that it ta
 of a core; where it falls further behind than the capture keeps, the reader counts what is missing.
 """
 
+import logging
 import os
 import signal
 import time
@@ -91,15 +92,17 @@ class Listeners:
                 self._log.write(guess_line(self.session, listener.name, guess, "review"))
 
 
-def listeners_of(names: Iterable[str], knowledge: dict[str, Knowledge]) -> list[Listener]:
-    """Eavesdroppers by name, each with what she is told.
+def listeners_of(
+    names: Iterable[str], knowledge: dict[str, Knowledge], log: logging.Logger | None = None
+) -> list[Listener]:
+    """Eavesdroppers by name, each with what she is told; ``log`` is told when one fails.
 
     Raises
     ------
     KnowledgeError
         When one cannot be found or is not told enough.
     """
-    return [Listener.of(guarded(name), knowledge[name]) for name in names]
+    return [Listener.of(guarded(name), knowledge[name], log) for name in names]
 
 
 def analyse(assignment: Assignment, pipe: Connection) -> None:
@@ -122,7 +125,8 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
         assignment.limits,
         logger("tap.analysis"),
     )
-    listeners = Listeners(listeners_of(assignment.names, assignment.knowledge), log)
+    told = logger("tap.analysis")
+    listeners = Listeners(listeners_of(assignment.names, assignment.knowledge, told), log)
     while True:
         try:
             reader = CaptureReader(assignment.run_dir / CAPTURE, assignment.header)
@@ -180,5 +184,5 @@ def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, la
             "dropped": reader.skipped,
         }
         status = status_of(listener, belief, counts)
-        record = belief_record(listeners.session, listener, belief, last=last)
+        record = belief_record(listeners.session, listener, belief, last=last, behind=behind)
         pipe.send((status, record))

@@ -73,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[,NAME...]",
-        help="which to run, by name or as path/to/file.py:Name (default: the strongest)",
+        help="which to run in place of the strongest, by name or as path/to/file.py:Name",
     )
     add_view_arguments(parser)
     parser.add_argument("--run-dir", required=True, metavar="D", help="write below D/tap")
@@ -227,7 +227,7 @@ def run_told(
         view = view_of(args, told.view)
         config = TapConfig(
             run_dir=folder,
-            knowledge=told.knowledge.model_copy(update={"alpha": None}),
+            knowledge=told.knowledge.without_secrets(),
             field=field,
             intel=intel,
             oracle_knowledge=told.oracle,

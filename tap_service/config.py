@@ -69,6 +69,7 @@ class TapConfig:
             "knowledge": self.knowledge.model_dump(mode="json"),
             "view": self.view.model_dump(mode="json"),
             "eavesdroppers": self.names,
+            "appearances": 1,  # of a message that reach her: she has one link to each end
             "wyner_version": version("wyner"),
         }
 

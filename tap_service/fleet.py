@@ -20,6 +20,7 @@ from protocol.runtime.rates import Throttle
 from protocol.runtime.signals import stop_on_signals
 from protocol.topics import every_loop
 from tap_service.config import TapConfig
+from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import NICENESS, Note, TapService
 
 if TYPE_CHECKING:
@@ -75,8 +76,8 @@ class TapFleet:
         self._known[loop.id] = loop
         try:
             tap = TapService(self._config_of(loop))
-        except (UsageError, Failure, OSError) as error:
-            self._log.error("loop %s: %s", loop.id, error)
+        except (UsageError, Failure, KnowledgeError, OSError) as error:
+            self._log.error("loop %s: not listened to: %s", loop.id, error)
             return
         tap.publish_on(self._intel, many=True)
         self._taps[loop.id] = tap
@@ -85,13 +86,33 @@ class TapFleet:
 
     def _close(self, name: str) -> None:
         del self._known[name]
+        self._end(name, lambda tap: tap.finish())
+
+    def _end(self, name: str, settle: Callable[[TapService], None]) -> None:
+        """Take one loop's tap out, and end its files; whatever comes of it, the others go on."""
         tap = self._taps.pop(name, None)
-        if tap is not None:
-            for key in tap.keys:
-                del self._by_key[key]
-            tap.finish()
+        if tap is None:
+            return
+        for key in tap.keys:
+            del self._by_key[key]
+        try:
+            settle(tap)
+        except Exception as error:
+            self._failed(name, error)
+        finally:
             tap.close()
             self._share()
+
+    def _let(self, name: str, do: Callable[[TapService], None]) -> None:
+        """Have one loop's tap do something; one that fails ends alone, with its end marks."""
+        try:
+            do(self._taps[name])
+        except Exception as error:
+            self._failed(name, error)
+            self._end(name, lambda tap: tap.write_beliefs())
+
+    def _failed(self, name: str, error: Exception) -> None:
+        self._log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
 
     def _share(self) -> None:
         for tap in self._taps.values():
@@ -101,8 +122,8 @@ class TapFleet:
         """Record and guess until ``stopping``; then settle what is left."""
         follow = Throttle(FOLLOW_S)
         while not stopping.is_set():
-            for tap in list(self._taps.values()):
-                tap.work(0.0)
+            for name in list(self._taps):
+                self._let(name, lambda tap: tap.work(0.0))
             time.sleep(ROUND_S)
             self._tell()
             if follow.ready(time.monotonic()):
@@ -112,13 +133,13 @@ class TapFleet:
 
     def _tell(self) -> None:
         """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""
-        taps = list(self._taps.values())
-        share = -(-len(taps) * ROUND_S // TELL_S)
+        names = list(self._taps)
+        share = -(-len(names) * ROUND_S // TELL_S)
         for _ in range(int(share)):
-            tap = taps[self._next % len(taps)]
+            name = names[self._next % len(names)]
             self._next += 1
-            tap.publish()
-            tap.write_beliefs()
+            if name in self._taps:
+                self._let(name, _tell_of)
 
     def _follow(self) -> None:
         for name in self._fleet.left(self._known, self._log):
@@ -126,6 +147,11 @@ class TapFleet:
         for name, loop in self._fleet.loops.items():
             if name not in self._known:
                 self._open(loop)
+
+
+def _tell_of(tap: TapService) -> None:
+    tap.publish()
+    tap.write_beliefs()
 
 
 def run_taps(

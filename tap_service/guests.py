@@ -24,7 +24,7 @@ HEAVY_S: Final = 15.0
 """Seconds that a heavy one has for an answer."""
 
 LACKS: Final = "lacks"
-TOLD: Final = ("name", "heavy", "told_model", "hears_messages")
+TOLD: Final = ("name", "heavy", "told_model", "hears_messages", "guesses")
 
 
 class Guest(Eavesdropper):
@@ -104,8 +104,25 @@ def guarded(name: str) -> type[Eavesdropper]:
         "heavy": bool(told["heavy"]),
         "told_model": bool(told["told_model"]),
         "hears_messages": bool(told["hears_messages"]),
+        "guesses": bool(told["guesses"]),
     }
     return type("Guest", (Guest,), attributes)
+
+
+def each_once(names: Sequence[str]) -> tuple[str, ...]:
+    """The eavesdroppers without those that are named again.
+
+    Raises
+    ------
+    KnowledgeError
+        When two have one name: nobody could tell their guesses apart.
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        its = guarded(name).name
+        if found.setdefault(its, name) != name:
+            raise KnowledgeError(f"{found[its]} and {name} are both named {its!r}")
+    return tuple(dict.fromkeys(names))
 
 
 # --- her side -------------------------------------------------------------------------------------

@@ -1,4 +1,9 @@
-"""The heavy eavesdroppers' process as the tap sees it: started, asked, ended."""
+"""The heavy eavesdroppers' process as the tap sees it: started, asked, started again, ended.
+
+A process that died looks from outside like one that has nothing new to say. So its end is noticed,
+told, and mended: another is started, which reads the capture from its beginning, up to
+:data:`RESTARTS` times.
+"""
 
 import logging
 import multiprocessing
@@ -7,7 +12,9 @@ import signal
 import time
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
-from typing import Any
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any, Final
 
 from protocol.messages import TapStatus
 from tap_service.analysis import Assignment, analyse
@@ -15,9 +22,22 @@ from tap_service.analysis import Assignment, analyse
 Report = tuple[TapStatus, dict[str, Any]]
 """What one of them believes: as published, and as kept in ``beliefs.json``."""
 
+RESTARTS: Final = 3
+"""Times that it is started again; whoever dies that often dies of what she hears."""
+
+REST_S: Final = 1.0
+"""Seconds before it is started again, doubled each time: memory may be short for a while."""
+
 
 class HeavyProcess:
     """Runs :func:`tap_service.analysis.analyse` beside the tap.
+
+    Attributes
+    ----------
+    down : str
+        Why nobody runs there now, as ``her process died (signal 9)``; empty while it does.
+    process : multiprocessing.process.BaseProcess
+        The last one that was started.
 
     Parameters
     ----------
@@ -27,12 +47,22 @@ class HeavyProcess:
     """
 
     def __init__(self, assignment: Assignment, log: logging.Logger) -> None:
+        self._assignment = assignment
         self._log = log
+        self._deaths = 0
+        self._again_at = 0.0
         # one thread is all it may take of the processor
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        self._start()
+
+    def _start(self) -> None:
+        self.down = ""
         context = multiprocessing.get_context("spawn")
+        self._pipe: Connection
         self._pipe, theirs = context.Pipe()
-        self.process = context.Process(target=analyse, args=(assignment, theirs), daemon=True)
+        self.process: BaseProcess = context.Process(
+            target=analyse, args=(self._assignment, theirs), daemon=True
+        )
         # Ctrl-C in a terminal reaches both, and is not for the child, even before it runs. The
         # tracker would be started here too, and unblock the signal.
         resource_tracker.ensure_running()
@@ -44,43 +74,57 @@ class HeavyProcess:
         theirs.close()
 
     def reports(self) -> Iterator[Report]:
-        """What it has told since the last time."""
+        """What it has told since the last time; one that died is started again when it is time."""
+        if self.down and self._deaths <= RESTARTS and time.monotonic() >= self._again_at:
+            self._start()
         try:
-            while not self.gone and self._pipe.poll():
+            while not self._pipe.closed and self._pipe.poll():
                 report = self._pipe.recv()
                 if report is None:
                     return
                 yield report
         except (EOFError, OSError):
-            self._lost()
-
-    @property
-    def gone(self) -> bool:
-        """Whether nothing comes from it any more."""
-        return self._pipe.closed
+            self._died()
 
     def finish(self, within_s: float) -> Iterator[Report]:
-        """Its last reports, once it has read all that there is; it is ended if that takes long."""
+        """Its last reports, once it has read all that there is; it is ended if that takes long.
+
+        One that is down, or dies, is started again where it may be and there is time.
+        """
         deadline = time.monotonic() + within_s
-        try:
-            self._pipe.send("finish")
-            while (left := deadline - time.monotonic()) > 0:
-                if not self._pipe.poll(left):
-                    break
-                report = self._pipe.recv()
-                if report is None:
-                    self._pipe.close()
+        while (left := deadline - time.monotonic()) > 0:
+            if self.down:
+                if self._deaths > RESTARTS:
                     return
-                yield report
-        except (EOFError, OSError):
-            self._lost()
-            return
+                time.sleep(min(left, max(0.0, self._again_at - time.monotonic())))
+                if time.monotonic() >= deadline:
+                    break
+                self._start()
+            try:
+                self._pipe.send("finish")
+                while (left := deadline - time.monotonic()) > 0 and self._pipe.poll(left):
+                    report = self._pipe.recv()
+                    if report is None:
+                        self._pipe.close()
+                        return
+                    yield report
+            except (EOFError, OSError):
+                self._died()
         self._log.error("the heavy eavesdroppers did not finish within %g s", within_s)
         self.process.terminate()
 
-    def _lost(self) -> None:
-        self._log.error("the heavy eavesdroppers' process is gone")
+    def _died(self) -> None:
         self._pipe.close()
+        self.process.join(1.0)
+        code = self.process.exitcode
+        how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        self.down = f"her process died ({how})"
+        self._deaths += 1
+        self._again_at = time.monotonic() + REST_S * 2 ** (self._deaths - 1)
+        told = "it is started again, and reads the capture from its beginning"
+        if self._deaths > RESTARTS:
+            told = f"it died {self._deaths} times, and is not started again"
+        self._log.error("the heavy eavesdroppers' process died (%s): %s", how, told)
 
     def close(self) -> None:
         """End it."""

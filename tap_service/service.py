@@ -32,9 +32,15 @@ from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
-from tap_service.guests import guarded
+from tap_service.guests import each_once, guarded
 from tap_service.heavy import HeavyProcess
-from tap_service.status import belief_record, beliefs_json, status_of
+from tap_service.status import (
+    absent_record,
+    absent_status,
+    belief_record,
+    beliefs_json,
+    status_of,
+)
 
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
@@ -99,10 +105,11 @@ class TapService:
     def __init__(self, config: TapConfig) -> None:
         self.log: logging.Logger = logger("tap")
         self._config = config
+        each_once(config.names)
         knowledge = {name: config.knowledge_of(name) for name in config.names}
         light = [name for name in config.names if not guarded(name).heavy]
         heavy = tuple(name for name in config.names if guarded(name).heavy)
-        listeners = listeners_of(light, knowledge)
+        listeners = listeners_of(light, knowledge, self.log)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
         header = config.header()
         guesses = eighth(config.limits)
@@ -119,11 +126,12 @@ class TapService:
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
-        self._heavy_status: dict[str, TapStatus] = {}
+        self._heavy_status: dict[str, tuple[TapStatus, int]] = {}
         self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
         self._status_file = StatusFile(config.run_dir / TAP_STATUS)
         self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
         self._heavy: HeavyProcess | None = None
+        self._heavy_names = tuple(guarded(name).name for name in heavy)
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self._heavy = HeavyProcess(assignment, self.log)
@@ -242,11 +250,13 @@ class TapService:
         self._guesses.flush()
         self.publish(last=True)
         self.write_beliefs()
-        if self._heavy is not None and not self._heavy.gone:
+        if self._heavy is not None:
             for report in self._heavy.finish(self._config.finish_s):
                 self._note(*report)
                 self.write_beliefs()
+            self._note_down()
             self.publish(last=True)
+            self.write_beliefs()
 
     # --- what is told -----------------------------------------------------------------------------
 
@@ -261,8 +271,27 @@ class TapService:
         }
 
     def _note(self, status: TapStatus, record: dict[str, Any]) -> None:
-        self._heavy_status[status.name] = status
+        self._heavy_status[status.name] = status, self._capture.written
         self._records[status.name] = record
+
+    def _note_down(self) -> None:
+        """Where nobody runs in the heavy ones' process: what each said last is not said anew."""
+        if self._heavy is None or not self._heavy.down:
+            return
+        for name in self._heavy_names:
+            status, written = self._heavy_status.get(name, (absent_status(name), 0))
+            status = status.model_copy(update={"failed": self._heavy.down})
+            self._heavy_status[name] = status, written
+            record = self._records.get(name) or absent_record(name)
+            self._records[name] = record | {
+                "failed": self._heavy.down,
+                "behind": self._unread(status, written),
+                "symbols": None,
+            }
+
+    def _unread(self, status: TapStatus, written: int) -> int:
+        """Steps that a heavy one has not looked at: those of her report, and captured since."""
+        return status.behind + max(self._capture.written - written, 0) // 2
 
     def publish(self, *, last: bool = False) -> None:
         """Publish the status of every eavesdropper."""
@@ -273,10 +302,12 @@ class TapService:
             self._records[listener.name] = record
             counts = self._counts() | {"behind": self._behind()}
             statuses.append(status_of(listener, belief, counts))
-        for report in () if self._heavy is None else self._heavy.reports():
-            self._note(*report)
-        for status in self._heavy_status.values():
-            counts = self._counts()
+        if self._heavy is not None and not last:
+            for report in self._heavy.reports():
+                self._note(*report)
+            self._note_down()
+        for status, written in self._heavy_status.values():
+            counts = self._counts() | {"behind": self._unread(status, written)}
             counts["dropped"] += status.dropped
             statuses.append(status.model_copy(update=counts))
         if self._put is not None:
@@ -290,7 +321,11 @@ class TapService:
 
     def _health(self) -> str:
         """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
-        behind = max(self._behind(), *(s.behind for s in self._heavy_status.values()), 0)
+        failed = {x.name: x.failed for x in self._listeners.listeners if x.failed}
+        failed |= {s.name: s.failed for s, _ in self._heavy_status.values() if s.failed}
+        if failed:
+            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}\n"
+        behind = max(self._behind(), *(self._unread(*x) for x in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
         return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"

@@ -1,6 +1,7 @@
 """From what an eavesdropper says to what is published, logged and kept of it."""
 
 import base64
+import logging
 from array import array
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.runtime.guest import GuestError
-from protocol.text import readable
+from protocol.text import printable, readable
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -40,19 +41,27 @@ class Listener:
     name : str
     size : int
         M.
+    log : logging.Logger, optional
+        Told when she fails.
     """
 
-    def __init__(self, tap: Eavesdropper, name: str, size: int) -> None:
+    def __init__(
+        self, tap: Eavesdropper, name: str, size: int, log: logging.Logger | None = None
+    ) -> None:
         self.tap = tap
         self.name = name
         self.steps = 0
         self.holes = 0
         self.failed = ""
+        self.log = log
         self.tail: deque[Guess] = deque(maxlen=TAIL)
         self._size = size
+        self._believed = Belief()
 
     @classmethod
-    def of(cls, kind: type[Eavesdropper], knowledge: Knowledge) -> Self:
+    def of(
+        cls, kind: type[Eavesdropper], knowledge: Knowledge, log: logging.Logger | None = None
+    ) -> Self:
         """Make one of a kind.
 
         Raises
@@ -61,7 +70,7 @@ class Listener:
             When she cannot be made: she lacks knowledge, or her constructor raises.
         """
         try:
-            return cls(kind(knowledge), kind.name, knowledge.candidates)
+            return cls(kind(knowledge), kind.name, knowledge.candidates, log)
         except KnowledgeError:
             raise
         except Exception as error:
@@ -70,7 +79,7 @@ class Listener:
             ) from None
 
     def observe(self, transition: Transition) -> Guess | None:
-        """Feed her one transition; None once she has failed."""
+        """Feed her one transition; None once she has failed, and from one who does not guess."""
         if self.failed:
             return None
         try:
@@ -80,6 +89,8 @@ class Listener:
             return None
         self.steps += 1
         self.holes += not transition.whole
+        if not self.tap.guesses:
+            return None
         self.tail.append(guess)
         return guess
 
@@ -116,17 +127,18 @@ class Listener:
             return ()
 
     def belief(self) -> Belief:
-        """What she believes by now."""
-        if self.failed:
-            return Belief()
-        try:
-            return sound_belief(self.tap.belief())
-        except Exception as error:
-            self._fail("belief", error)
-            return Belief()
+        """What she believes by now; once she has failed, what she believed last."""
+        if not self.failed:
+            try:
+                self._believed = sound_belief(self.tap.belief())
+            except Exception as error:
+                self._fail("belief", error)
+        return self._believed
 
     def _fail(self, where: str, error: Exception) -> None:
         self.failed = f"{where}: {_in_short(error)}"
+        if self.log is not None:
+            self.log.error("eavesdropper %s failed at %s", self.name, self.failed)
 
 
 def _in_short(error: Exception) -> str:
@@ -169,6 +181,9 @@ def sound_belief(belief: object) -> Belief:
     confidence = float(belief.confidence)
     if not 0.0 <= confidence <= MOST:
         raise ValueError(f"expected a confidence from 0 to 1, got {confidence}")
+    left = None if belief.bits_left is None else float(belief.bits_left)
+    if left is not None and not (isfinite(left) and left >= 0.0):
+        raise ValueError(f"expected bits left of 0 or more, got {left}")
     A = tuple(tuple(map(float, row)) for row in belief.A)
     B = tuple(tuple(map(float, row)) for row in belief.B)
     if not all(map(isfinite, chain.from_iterable((*A, *B)))):
@@ -188,6 +203,7 @@ def sound_belief(belief: object) -> Belief:
         symbols=belief.symbols,
         A=A,
         B=B,
+        bits_left=left,
         keys=belief.keys,
     )
 
@@ -199,12 +215,12 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         name=listener.name,
         steps=listener.steps,
         lost=listener.holes,
-        message=f"stopped: {listener.failed}"
-        if listener.failed
-        else readable(belief.message)[:SHOWN_TEXT],
+        message=readable(belief.message)[:SHOWN_TEXT],
         confidence=belief.confidence,
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
+        bits_left=belief.bits_left,
+        failed=printable(listener.failed)[:SHOWN_TEXT],
         A=belief.A,
         B=belief.B,
         **_of_keys(belief.keys),
@@ -226,6 +242,8 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
         "copies": keys.copies,
         "copies_missed": keys.missed,
         "missed_at_most": keys.at_most,
+        "missed_direction": keys.direction,
+        "copies_absent": keys.absent,
         "claim_refuted": keys.refuted,
         "misses_in_bursts": keys.bursts,
         "sealed_bits": sum(text.bits for text in keys.sealed),
@@ -248,28 +266,58 @@ def guess_line(session: str, name: str, guess: Guess, event: str = "guess") -> b
 
 
 def belief_record(
-    session: str, listener: Listener, belief: Belief, *, last: bool
+    session: str, listener: Listener, belief: Belief, *, last: bool, behind: int = 0
 ) -> dict[str, Any]:
     """One belief as it is written to ``beliefs.json``; payloads as base64.
 
-    The symbols are long, and scoring needs them at the end only: before, they are None.
+    The symbols are long, and scoring needs them at the end only: before, they are None, and so they
+    are of one who failed. ``behind`` counts the steps captured that she has not looked at.
     """
-    return {
-        "name": listener.name,
-        "session": session,
-        "steps": listener.steps,
+    symbols = [(int(k), int(s)) for k, s in belief.symbols]
+    return _record(session, listener.name, listener.steps, belief) | {
         "failed": listener.failed,
+        "behind": behind,
+        "symbols": symbols if last and not listener.failed else None,
+    }
+
+
+def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, Any]:
+    return {
+        "name": name,
+        "session": session,
+        "steps": steps,
+        "failed": "",
+        "behind": 0,
         "message": base64.b64encode(belief.message).decode("ascii"),
         "whole": [base64.b64encode(w).decode("ascii") for w in belief.whole],
         "whole_count": belief.whole_count,
         "confidence": belief.confidence,
         "candidates_left": belief.candidates_left,
         "solved_k": belief.solved_k,
-        "symbols": [(int(k), int(s)) for k, s in belief.symbols] if last else None,
+        "bits_left": belief.bits_left,
+        "symbols": None,
         "A": belief.A,
         "B": belief.B,
         "keys": None if belief.keys is None else belief.keys.model_dump(),
     }
+
+
+def absent_status(name: str) -> TapStatus:
+    """The status of one who has not said anything yet."""
+    return TapStatus(
+        **dict.fromkeys(("seq", "t_ns", "steps", "lost", "mirrored", "dropped", "behind"), 0),
+        name=name,
+        garbage=0,
+        message="",
+        confidence=0.0,
+        candidates_left=0,
+        solved_k=-1,
+    )
+
+
+def absent_record(name: str) -> dict[str, Any]:
+    """Her record."""
+    return _record("", name, 0, Belief())
 
 
 def beliefs_json(records: Mapping[str, dict[str, Any]]) -> bytes:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from protocol.runtime.errors import needs
+from wyner.scoring.report import percent
 from wyner.shipped import DATA
 from wyner.studies.secrecy.tables import exact_of, read_rows, share_of
 
@@ -37,7 +38,9 @@ def results(data: Path = DATA) -> str:
             r for r in read_rows(study, data) if r["tap"] == tap and r["condition"] == condition
         ]
         keys = share_of(rows, "keys_right_reviewed", "keys")
-        lines.append(f"| `{tap}`: {what} | {len(rows)} | {keys.text()} | {exact_of(rows).text()} |")
+        lines.append(
+            f"| `{tap}`: {what} | {len(rows)} | {percent(keys)} | {percent(exact_of(rows))} |"
+        )
     caption = ": Shares of key symbols and of whole messages; 95 % intervals over runs."
     return "\n".join([*lines, "", caption])
 

@@ -14,6 +14,7 @@ from controller_service.laws.online import OneState, ProgramError, Solver
 from controller_service.laws.planar import Planar
 from controller_service.laws.programs import General, Quadratic
 from controller_service.sets.design import Design, Progress, input_interval, synthesise
+from controller_service.sets.gains import advised_start
 from protocol.arrays import Array, Indices
 from protocol.scenario import Cost, Scenario
 from protocol.scenario.sets import ConvexSet
@@ -126,7 +127,7 @@ class ProgramLaw(OneState):
         SynthesisError
             With one line, when there are none.
         """
-        return synthesise(scenario, progress)
+        return synthesise(scenario, progress, advised_start)
 
     def indices(self, X: ArrayLike) -> Indices:
         """See :meth:`CandidateLaw.indices`."""

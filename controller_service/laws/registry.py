@@ -1,17 +1,17 @@
 """The control laws by name: the table that a law reads, and what makes it of a design.
 
-A law is a class and a row here. The rows name the classes and do not load them: who only reads a
-scenario needs no numerics.
+A law is a class and a row here, or a class in a file of the user's, ``path/to/file.py:Name``. The
+rows name the classes and do not load them: who only reads a scenario needs no numerics.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 from controller_service.laws.tables import PackedControl, PaperControl
-from protocol.registry import Registry
+from protocol.registry import OwnClass, Registry, UnknownError
 from protocol.scenario import LAWS, Control, Scenario
 
 if TYPE_CHECKING:
@@ -28,6 +28,32 @@ class LawFactory(Protocol):
 
 
 _LAWS: Registry[LawFactory | str] = Registry("law")
+
+
+def _own_law(name: str, own: OwnClass) -> LawFactory:
+    """The law in a file of the user's."""
+    found = own.found
+    if not (isinstance(found, type) and callable(getattr(found, "synthesise", None))):
+        raise UnknownError(
+            f"got {name!r}, expected a class {own.name} that extends "
+            "controller_service.laws.base.ProgramLaw, or has its methods"
+        )
+    return cast("LawFactory", found)
+
+
+def _own_table(name: str, own: OwnClass) -> type[Control]:
+    """The table that it reads: its class attribute ``table``, or that of every law."""
+    table = getattr(_own_law(name, own), "table", Control)
+    if not (isinstance(table, type) and issubclass(table, Control)):
+        raise UnknownError(
+            f"{name}: expected its table to be a class that extends protocol.scenario.Control, "
+            f"got {table!r}"
+        )
+    return table
+
+
+_LAWS.take_own(_own_law)
+LAWS.take_own(_own_table)
 
 
 def register(name: str, law: LawFactory | str, table: type[Control] = Control) -> None:

@@ -52,11 +52,14 @@ class PackedControl(Control):
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
 
     def policy(self, n: int, m: int) -> Policy:
-        """The cost, and whether every transition agrees; the offsets are on the wire."""
-        certain = self.alphabet.spacing >= CERTAIN
-        return super().policy(n, m).model_copy(update={"certain": certain})
+        """The cost, how far apart the candidates are, and whether every transition agrees."""
+        spacing = self.alphabet.spacing
+        update = {"certain": spacing >= CERTAIN, "spacing": spacing}
+        return super().policy(n, m).model_copy(update=update)
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
-        """The alphabet depends on M and alpha too."""
+        """The alphabet depends on M and D_e too."""
         key = super().design_key(secrecy)
-        return {**key, "candidates": secrecy.candidates, "alpha": secrecy.alpha}
+        hers = secrecy.disturbance
+        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        return {**key, **shape, "candidates": secrecy.candidates, "alpha": secrecy.alpha}

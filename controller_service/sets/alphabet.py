@@ -189,8 +189,9 @@ def choose_alphabet(
     alpha: float,
     size: int,
     spacing: float = CERTAIN,
+    shape: ConvexSet | None = None,
 ) -> Alphabet:
-    """The alphabet of ``size`` candidates for one or two inputs.
+    """The alphabet of ``size`` candidates for one or two inputs; D_e = alpha ``shape``, or D_c.
 
     Raises
     ------
@@ -198,7 +199,7 @@ def choose_alphabet(
         When no such alphabet is certain, or U has no room; it names the most that fit. Below a
         spacing of 2 the spread is not held against alpha: that is the bet.
     """
-    sep = Separation.of(B, disturbance)
+    sep = Separation.of(B, disturbance, shape)
     if sep.inputs > 2:
         raise AlphabetError(f"plant.B: got {sep.inputs} inputs, expected 1 or 2 for packed")
     spaced = sep.spaced(spacing)
@@ -213,7 +214,8 @@ def choose_alphabet(
         if sep.inputs == 1:
             return line_offsets(spaced, count)
         # A bet draws an alphabet of a larger alpha together.
-        return plane_offsets(spaced, alpha if count <= most else 3 + 2 * math.sqrt(count), count)
+        wide = float(sep.taken.max()) * (3 + 2 * math.sqrt(count))
+        return plane_offsets(spaced, alpha if count <= most else wide, count)
 
     chosen = offsets(size)
     if smaller_inputs(inputs, chosen) is None:

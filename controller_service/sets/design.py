@@ -24,6 +24,7 @@ from controller_service.sets.terminal import (
 )
 from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN
 from protocol.arrays import Array
+from protocol.brief import Brief
 from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import ConvexSet, Scenario
 
@@ -46,8 +47,8 @@ Start = tuple[Array, Polytope, Terminal]
 """K, T_0 and how it was made."""
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Brief):
     """The sets of one scenario.
 
     Parameters
@@ -85,6 +86,16 @@ class Design:
     seconds: float
     cached: bool = False
     offsets: Array | None = None
+
+    def brief(self) -> dict[str, object]:
+        """How many sets there are, how large, and K."""
+        return {
+            "horizon": self.horizon,
+            "states": len(self.A),
+            "inputs": self.B.shape[1],
+            "facets": f"{min(self.facets)} to {max(self.facets)}",
+            "K": self.K.tolist(),
+        }
 
     @property
     def horizon(self) -> int:
@@ -135,9 +146,67 @@ def _remedy(complaint: str) -> str:
     return "; wider control.inputs, a smaller defender.disturbance or a softer K would do"
 
 
-def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) -> None:
-    """T_0 robust invariant with the programs' margin to spare, K T_0 within U, T_0 within X."""
-    V = corners(T0.H, T0.h)
+@dataclass(frozen=True, eq=False)
+class InvariantSet:
+    """A robust invariant set of u = K x, not yet held against the bounds.
+
+    Parameters
+    ----------
+    K : array, shape (m, n)
+    T0 : Polytope
+        Robust invariant for D_c, with the programs' margin to spare.
+    terminal : Terminal
+        How it was made.
+    reaches : tuple of array
+        For each row of U, and of the state bounds where there are some: how far T_0 reaches, as a
+        share of what the row allows. It grows in proportion to D_c.
+    """
+
+    K: Array
+    T0: Polytope
+    terminal: Terminal
+    reaches: tuple[Array, ...]
+
+
+def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
+    """The terminal set of a gain, for a D_c that is larger by a margin.
+
+    Raises
+    ------
+    SynthesisError
+        When K gives none, or brings the state back too slowly.
+    SetError
+        When D_c is no compact set.
+    """
+    refused: TooSlowError | None = None
+    for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
+        larger = scenario.control_set.scaled(1 + margin)
+        r = recursion(scenario)
+        try:
+            T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+            V = corners(T0.H, T0.h)
+            _check_invariant(V, T0, K, r)
+        except TooSlowError as error:
+            refused = error
+            continue
+        reaches = []
+        for points, allowed in _bounded(V, K, scenario):
+            H, h = (np.array(a) for a in allowed.rows())
+            reaches.append(support(points, H) / h)
+        return InvariantSet(K, T0, terminal, tuple(reaches))
+    assert refused is not None
+    raise refused
+
+
+def _bounded(V: Array, K: Array, scenario: Scenario) -> list[tuple[Array, ConvexSet]]:
+    """The inputs and the states of T_0, whose corners are V, each with what bounds it."""
+    control = scenario.control
+    inputs = [(V @ K.T, control.inputs)]
+    return inputs if control.states is None else [*inputs, (V, control.states)]
+
+
+def _check_invariant(V: Array, T0: Polytope, K: Array, r: Recursion) -> None:
+    """T_0, whose corners are V, is robust invariant with the programs' margin to spare."""
     needed = support(V @ (r.A + r.B @ K).T, T0.H) + support(r.DV, T0.H)
     worst = float((needed / T0.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
@@ -146,18 +215,23 @@ def _check_terminal(T0: Polytope, K: Array, r: Recursion, scenario: Scenario) ->
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
             f"of itself): K is too slow; {faster(r.A + r.B @ K)}"
         )
-    control = scenario.control
-    bounds = [("control.gain: K T_0 is not within control.inputs", V @ K.T, control.inputs)]
-    if control.states is not None:
-        bounds.append(("control.states: T_0 is not within the state bounds", V, control.states))
-    for complaint, points, allowed in bounds:
-        H, h = (np.array(a) for a in allowed.rows())
-        reach = support(points, H)
-        if not (reach <= h).all():
-            j = int((reach / h).argmax())
+
+
+def _check_bounds(found: InvariantSet, scenario: Scenario) -> None:
+    """K T_0 within U, T_0 within X."""
+    complaints = (
+        "control.gain: K T_0 is not within control.inputs",
+        "control.states: T_0 is not within the state bounds",
+    )
+    bounds = (scenario.control.inputs, scenario.control.states)
+    for complaint, allowed, reach in zip(complaints, bounds, found.reaches, strict=False):
+        if not (reach <= 1).all():
+            assert allowed is not None  # it has a reach
+            H, h = (np.array(a) for a in allowed.rows())
+            j = int(reach.argmax())
             raise SynthesisError(
-                f"{complaint}: {_in_words(H[j], allowed, complaint)} reaches {reach[j]:.6g}, "
-                f"expected at most {h[j]:.6g}{_remedy(complaint)}"
+                f"{complaint}: {_in_words(H[j], allowed, complaint)} reaches "
+                f"{reach[j] * h[j]:.6g}, expected at most {h[j]:.6g}{_remedy(complaint)}"
             )
 
 
@@ -170,21 +244,12 @@ def stated_start(scenario: Scenario) -> Start:
         When they give no terminal set within the bounds.
     """
     K = feedback_gain(scenario)
-    refused: TooSlowError | None = None
-    for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
-        larger = scenario.control_set.scaled(1 + margin)
-        try:
-            r = recursion(scenario)
-            T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
-            _check_terminal(T0, K, r, scenario)
-        except SetError as error:
-            raise SynthesisError(f"control.gain: no terminal set: {error}") from None
-        except TooSlowError as error:
-            refused = error
-        else:
-            return K, T0, terminal
-    assert refused is not None
-    raise refused
+    try:
+        found = invariant_start(K, scenario)
+    except SetError as error:
+        raise SynthesisError(f"control.gain: no terminal set: {error}") from None
+    _check_bounds(found, scenario)
+    return K, found.T0, found.terminal
 
 
 def synthesise(

@@ -4,6 +4,8 @@ The law solves one program for v and offers v + p for each offset p. With D' = D
 U' = U less conv P every one of these inputs is in U and leads into the next set, whatever d in D_c.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from controller_service.sets.alphabet import (
@@ -15,6 +17,7 @@ from controller_service.sets.alphabet import (
     smaller_inputs,
 )
 from controller_service.sets.design import Start, stated_start
+from controller_service.sets.gains import find_gain, with_gain
 from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.separation import AlphabetError
 from controller_service.sets.terminal import SynthesisError, Terminal
@@ -49,6 +52,7 @@ def alphabet_of(scenario: Scenario, spacing: float) -> Alphabet:
                 alpha=scenario.secrecy.alpha,
                 size=size,
                 spacing=spacing,
+                shape=scenario.secrecy.disturbance,
             )
 
         size = scenario.secrecy.candidates
@@ -79,7 +83,7 @@ def reduced(scenario: Scenario, alphabet: Alphabet) -> Scenario:
 
 
 def search_terminal(problem: Scenario) -> Start:
-    """T_0 by the stated gain or regulator, else the nearest regulator, else of any control.
+    """T_0 by the stated gain or regulator, the nearest regulator or one that decays, or no gain.
 
     Parameters
     ----------
@@ -98,6 +102,10 @@ def search_terminal(problem: Scenario) -> Start:
     found = nearest_regulator(problem)
     if found is not None:
         return found
+    decaying = find_gain(problem, shares=(1.0,))
+    if decaying is not None:
+        K, T0, terminal = stated_start(with_gain(problem, decaying.K))
+        return K, T0, replace(terminal, decay=decaying.decay)
     T0, terminal = invariant_set(problem)
     return np.zeros((problem.m, problem.n)), T0, terminal
 
@@ -115,7 +123,7 @@ def nearest_regulator(problem: Scenario) -> Start | None:
             K, T0, terminal = stated_start(problem.model_copy(update={"control": control}))
         except SynthesisError:
             continue
-        return K, T0, Terminal(**{**vars(terminal), "weight": factor})
+        return K, T0, replace(terminal, weight=factor)
     return None
 
 

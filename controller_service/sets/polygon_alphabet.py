@@ -85,7 +85,7 @@ class Ball:
 
 def balls(sep: Separation, alpha: float) -> tuple[Ball, Ball]:
     """Differences that the defender may mistake, and those that she cannot tell from 0."""
-    return Ball.of(sep.apart), Ball.of(sep.together / (alpha - 1))
+    return Ball.of(sep.apart), Ball.of(sep.together_at(alpha))
 
 
 def grid_counts(apart: Ball, together: Ball) -> tuple[float, float] | None:
@@ -106,7 +106,7 @@ def grid_counts(apart: Ball, together: Ball) -> tuple[float, float] | None:
 
 def plane_points(sep: Separation, alpha: float) -> Array:
     """The largest alphabet found, uncentred, shape (M, 2)."""
-    if not alpha > 1:
+    if not sep.room(alpha) > 0:
         return np.zeros((1, 2))
     apart, together = _clear(*_balls(sep, alpha))
     counts = grid_counts(apart, together)
@@ -213,7 +213,7 @@ def clique_points(apart: Ball, together: Ball, basis: Array, *, at_least: int = 
 
 def plane_bound(sep: Separation, alpha: float) -> int:
     """No alphabet of two inputs is larger: Brunn's inequality, or Oler's where it says less."""
-    if not alpha > 1:
+    if not sep.room(alpha) > 0:
         return 1
     apart, together = _balls(sep, alpha)
     counts = grid_counts(apart, together)

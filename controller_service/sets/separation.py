@@ -15,6 +15,9 @@ APART = 1e-6
 """Candidates are this fraction farther apart than they must be: the verdict counts a gauge up to
 1 + 1e-9 as inside, and the plant's sum rounds."""
 
+TINY = 1e-12
+"""Room, in gauges, below which she has none along a row."""
+
 TOGETHER = 1e-9
 """Candidates are this fraction closer together than alpha allows: alpha is compared sharply."""
 
@@ -25,28 +28,42 @@ class AlphabetError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Separation:
-    """Two norms of a difference of inputs v, of which both are the largest ``abs(row v)``.
+    """Two norms of a difference of inputs v: the largest ``abs(row v)``, of the second over a room.
 
     Parameters
     ----------
     apart : array, shape (r, m)
         Rows of the gauge of D_c - D_c at B v: above 1 the defender tells the candidates apart.
     together : array, shape (r', m)
-        Rows of the gauge of D_c and -D_c at B v: up to alpha - 1 the eavesdropper does not.
+        Rows of the gauge of D_e over alpha and its mirror image at B v: up to alpha - ``taken`` the
+        eavesdropper does not.
+    taken : array, shape (r',)
+        How far D_c reaches along each of these rows: 1 where D_e = alpha D_c.
     """
 
     apart: Array
     together: Array
+    taken: Array
 
     @classmethod
-    def of(cls, B: ArrayLike, disturbance: ConvexSet) -> "Separation":
-        """For the inputs of B, shape (n, m), and D_c."""
+    def of(
+        cls, B: ArrayLike, disturbance: ConvexSet, shape: ConvexSet | None = None
+    ) -> "Separation":
+        """For the inputs of B, shape (n, m), D_c, and D_e over alpha where it is not D_c."""
         matrix = np.asarray(B, dtype=float)
         rows, bounds = disturbance.rows()
         H = np.array(rows) / np.array(bounds)[:, None]
+        if shape is not None:
+            own = cls.of(B, disturbance)
+            hers_rows, hers_bounds = shape.rows()
+            hers = np.array(hers_rows) / np.array(hers_bounds)[:, None]
+            taken = (set_corners(disturbance) @ hers.T).max(axis=0)
+            return cls(own.apart, hers @ matrix, np.asarray(taken, dtype=float))
         if _symmetric(H):
-            return cls(_distinct(H @ matrix / 2), _distinct(H @ matrix))
-        return cls(_distinct(_difference_rows(set_corners(disturbance)) @ matrix), H @ matrix)
+            together = _distinct(H @ matrix)
+            return cls(_distinct(H @ matrix / 2), together, np.ones(len(together)))
+        apart = _distinct(_difference_rows(set_corners(disturbance)) @ matrix)
+        return cls(apart, H @ matrix, np.ones(len(H)))
 
     @property
     def inputs(self) -> int:
@@ -55,7 +72,16 @@ class Separation:
 
     def spaced(self, spacing: float) -> "Separation":
         """With candidates ``spacing`` half-lengths apart instead of 2."""
-        return Separation(self.apart * (CERTAIN / spacing), self.together)
+        return Separation(self.apart * (CERTAIN / spacing), self.together, self.taken)
+
+    def room(self, alpha: float) -> float:
+        """The smallest of alpha less what D_c takes: above 0 where D_c is well inside D_e."""
+        return float((alpha - self.taken).min())
+
+    def together_at(self, alpha: float) -> Array:
+        """Rows of the norm up to 1 of which both candidates are possible for her, for every d."""
+        out: Array = self.together / np.maximum(alpha - self.taken, TINY)[:, None]
+        return out
 
     def sigma(self) -> float:
         """One input: the largest difference that the defender may mistake, infinite where b = 0."""
@@ -63,7 +89,11 @@ class Separation:
 
     def omega(self, alpha: float) -> float:
         """One input: the largest difference of two candidates that are both possible for her."""
-        return (alpha - 1) * _reciprocal(float(np.abs(self.together).max()))
+        moved = np.abs(self.together).max(axis=1)
+        if not moved.any():
+            return math.inf
+        room = np.maximum(0.0, alpha - self.taken)
+        return float((room[moved > 0] / moved[moved > 0]).min())
 
 
 def _reciprocal(value: float) -> float:

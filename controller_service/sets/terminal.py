@@ -12,6 +12,9 @@ from protocol.scenario import ConvexSet, Scenario
 MOST_TERMS = 200
 """Terms of a sum after which T_0 is taken as it is, or K said to be too slow."""
 
+UNREACHED = 1e-9
+"""A mode is not moved by B where its left eigenvector meets B by less than this part of B."""
+
 
 class SynthesisError(Exception):
     """A scenario for which no sets exist; the message is one line."""
@@ -41,6 +44,8 @@ class Terminal:
         radius.
     weight : float
         Factor on the regulator's stated weights of the input, where a scan was needed.
+    decay : float
+        The regulator was made to decay by so much a step at least, where no plain one would do.
     """
 
     method: str
@@ -48,6 +53,7 @@ class Terminal:
     alpha: float
     bound: float
     weight: float = 1.0
+    decay: float = 1.0
 
 
 def set_corners(s: ConvexSet) -> Array:
@@ -78,21 +84,12 @@ def feedback_gain(scenario: Scenario) -> Array:
     """
     A, B = np.array(scenario.A), np.array(scenario.B)
     if scenario.control.gain is not None:
-        K = np.array(scenario.control.gain)
+        K = np.array(scenario.control.gain, dtype=float)
     else:
-        from scipy.linalg import LinAlgError, solve_discrete_are
-
         weights = scenario.control.regulator
         if weights is None:
             raise SynthesisError("control.regulator: got none, expected weights, or a gain")
-        Q, R = np.diag(weights.next_state), np.diag(weights.input)
-        try:
-            P = solve_discrete_are(A, B, Q, R)
-        except (LinAlgError, ValueError) as error:
-            raise SynthesisError(
-                f"control.regulator: no stabilising regulator exists ({str(error).rstrip('.')})"
-            ) from None
-        K = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        K = regulator_gain(A, B, np.diag(weights.next_state), np.diag(weights.input))
     radius = float(np.abs(np.linalg.eigvals(A + B @ K)).max())
     if not radius < 1:
         raise SynthesisError(
@@ -100,6 +97,44 @@ def feedback_gain(scenario: Scenario) -> Array:
             "expected below 1"
         )
     return K
+
+
+def regulator_gain(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """K, shape (m, n), of the linear quadratic regulator u = K x with weights Q and R.
+
+    Raises
+    ------
+    SynthesisError
+        When there is none; the line names the mode that no input reaches, where that is why.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    try:
+        P = solve_discrete_are(A, B, Q, R)
+    except (LinAlgError, ValueError) as error:
+        why = _unreached(A, B) or str(error).rstrip(".")
+        raise SynthesisError(
+            f"control.regulator: no stabilising regulator exists ({why})"
+        ) from None
+    return np.asarray(-np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), dtype=float)
+
+
+def _unreached(A: Array, B: Array) -> str:
+    """The mode of A that does not decay and that no input moves, in words; else nothing."""
+    values, left = np.linalg.eig(A.T)
+    moved = np.abs(left.T @ B).max(axis=1)
+    still = (np.abs(values) >= 1) & (moved <= UNREACHED * np.abs(B).max())
+    if not still.any():
+        return ""
+    j = int(still.argmax())
+    return (
+        f"plant.B: no input moves the mode of A with eigenvalue {_eigenvalue(values[j])}, seen "
+        f"most in x_{int(np.abs(left[:, j]).argmax()) + 1}, and it does not decay"
+    )
+
+
+def _eigenvalue(value: complex) -> str:
+    return f"{value.real:.4g}" + (f" +- {abs(value.imag):.4g}i" if value.imag else "")
 
 
 def slowest_state(Ac: Array) -> int:
@@ -222,16 +257,23 @@ def modal(Ac: Array, V: Array) -> tuple[Polytope, Terminal]:
         elif value.imag > 0:
             columns += [vector.real, vector.imag]
     basis = np.stack(columns, axis=1)
-    refusal = SynthesisError(
-        "control.gain: the modes of A + B K give no invariant parallelepiped, expected real or "
-        "well damped, distinct eigenvalues"
-    )
     if np.linalg.cond(basis) > 1e8:
-        raise refusal
+        pairs = [(abs(v - w), v, w) for i, v in enumerate(values) for w in values[:i]]
+        _, v, w = min(pairs, key=lambda pair: pair[0])
+        raise SynthesisError(
+            f"control.gain: the eigenvalues {_eigenvalue(v)} and {_eigenvalue(w)} of A + B K "
+            "nearly coincide, expected distinct ones for a terminal set in its modes"
+        )
     W = np.linalg.inv(basis)
     M = np.abs(W @ Ac @ basis)
     if not np.abs(np.linalg.eigvals(M)).max() < 1 - 1e-9:
-        raise refusal
+        turning = [(abs(v.real) + abs(v.imag), v) for v in values]
+        size, v = max(turning, key=lambda pair: pair[0])
+        raise SynthesisError(
+            "control.gain: no terminal set in the modes of A + B K: that of the eigenvalue "
+            f"{_eigenvalue(v)} turns faster than it decays (abs(re) + abs(im) is {size:.4g}, "
+            "expected below 1)"
+        )
     z = np.linalg.solve(np.eye(len(M)) - M, np.abs(V @ W.T).max(axis=0))
     p = Polytope.from_rows(np.vstack([W, -W]), np.concatenate([z, z]))
     return p, Terminal("modal", 0, 0.0, float(np.abs(corners(p.H, p.h)).max()))

@@ -188,9 +188,18 @@ class Operated:
         except Exception as error:
             self._fault += f"; and its safe() failed: {error}"
 
-    def close(self) -> None:
-        """Let go of the plant."""
-        self.adapter.close()
+    def close(self) -> str:
+        """Let go of the plant; what its own code raised over it, in a line, or nothing.
+
+        Whoever lets go of a plant has had its last word of it: a failure here must not hide the one
+        that led here, nor keep the files of the end from being closed.
+        """
+        try:
+            self.adapter.close()
+        except Exception as error:
+            text = error if isinstance(error, PlantError) else f"{type(error).__name__}: {error}"
+            return f"{self._name}: close: {' '.join(str(text).split())}"
+        return ""
 
     def _guarded(self, what: str, call: "Callable[[], _R]") -> _R:
         """Call into the plant's own code: whatever it raises becomes one line, and it is safe."""

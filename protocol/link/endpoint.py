@@ -124,5 +124,8 @@ class Endpoint(Protocol):
     def kept(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done one of its tasks."""
 
+    def appear(self, count: int) -> Actions:
+        """From now on a message on the field bus leaves ``count`` times."""
+
     def stop(self, now: float) -> Actions:
         """The last word."""

@@ -1,10 +1,13 @@
 """What a side traces: one class an event, which says itself how it reads in a trace."""
 
 import base64
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from protocol.link.session import CountedTransition
 from protocol.vectors import Vector
+
+NEW_JOURNAL: Final = "new journal"
+"""Why the first session of a journal begins: the plant counts its steps from 0."""
 
 
 class Event(Protocol):
@@ -55,10 +58,12 @@ class Missed(NamedTuple):
 
 
 class Interrupted(NamedTuple):
-    """A step under way when the plant's process died; x_next is what it read when it was back.
+    """A step that counts as missed, since it was under way when something ended.
 
-    ``candidates`` and ``coin`` are those of an offer that it had begun to apply (else empty and
-    -1): whether ``u``, the one chosen, was applied is not known.
+    Either the plant's process died, and x_next is what it read when it was back; or its session
+    ended, and x_next is what it read at the end of the step. ``session`` is the one in which the
+    plant went on. ``candidates`` and ``coin`` are those of an offer that it had begun to apply
+    (else empty and -1). Whether ``u``, the one chosen, was applied is not known after a death.
     """
 
     session: str

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from protocol.link.endpoint import Actions, Notice
+from protocol.link.endpoint import NOTHING_TO_DO, Actions, Notice
 from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.secret.blocks import Stored
@@ -10,11 +10,15 @@ from protocol.secret.tasks import Broken, Done, Judged
 
 
 class BlockStored(NamedTuple):
-    """A key block was stored; ``keys`` were made of it."""
+    """A key block was stored; ``keys`` were made of it.
+
+    ``signed`` names the set of pads that its tag was made with; empty where tags are public.
+    """
 
     session: str
     number: int
     keys: int
+    signed: str = ""
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
@@ -33,16 +37,50 @@ class BlockJudged(NamedTuple):
         return {"event": "judged", **self._asdict()}
 
 
+class Appearances(NamedTuple):
+    """A message leaves this end so many ``times`` from step k on, give or take one."""
+
+    session: str | None
+    k: int
+    times: int
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "appearances", **self._asdict()}
+
+
+def appeared(keying: Keying, session: str | None, k: int, count: int) -> Actions:
+    """What an end does when the links that its messages leave by have become more or fewer."""
+    changed = keying.appear(count)
+    if not keying.on:
+        return NOTHING_TO_DO
+    notices: tuple[Notice, ...] = ()
+    if changed and keying.crowded:
+        notices = (Notice(f"keys stop: {keying.crowded}", "error", "appearances"),)
+    elif changed:
+        text = f"keys go on: a message leaves {count} {'time' if count == 1 else 'times'} again"
+        notices = (Notice(text, "info", "appearances"),)
+    return Actions(events=(Appearances(session, k, count),), notices=notices)
+
+
 def key_actions(keying: Keying, done: Done) -> Actions:
     """What an end does when the keeper of keys has done a task."""
     tasks = keying.done(done)
     return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
 
+def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
+    """What an end that stops says of blocks whose keys nobody gets yet."""
+    if not keying.waiting:
+        return ()
+    text = f"key blocks that wait for the other end: {keying.waiting}; their keys come with the "
+    return (Notice(f"{text}next start of both ends", "warning"),)
+
+
 def key_events(done: Done) -> tuple[Event, ...]:
     """What goes to the trace when the keeper has done a task."""
     if isinstance(done, Stored):
-        return (BlockStored(done.session, done.number, done.keys),)
+        return (BlockStored(done.session, done.number, done.keys, done.signed),)
     if isinstance(done, Judged):
         return (BlockJudged(done.session, done.number, done.what),)
     return ()

@@ -8,9 +8,10 @@ from collections.abc import Iterable
 from math import inf
 from typing import Any, Final
 
-from protocol.messages import Measurement, Offer
+from protocol.messages import BlockWord, Measurement, Offer
 from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
-from protocol.secret.nonces import NonceSource, Raw, contribution, fresh_nonce
+from protocol.secret.nonces import FIRST, Copy, NonceSource, Raw, contribution, fresh_nonce
+from protocol.secret.records import Side
 from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
 
 NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
@@ -39,6 +40,8 @@ class Keying:
         """Keys and steps of the last block confirmed."""
         self._newest = -1.0
         """Number of the newest block of this session that became anything; inf: none will."""
+        self.appearances = 1
+        """Times that a message leaves this end, as its host has counted last."""
         self._fresh = fresh
 
     @property
@@ -66,6 +69,30 @@ class Keying:
     def nonce(self) -> str:
         """A fresh nonce."""
         return self._fresh() if self.on else ""
+
+    @property
+    def crowded(self) -> str:
+        """Why no copy that leaves this end now may count; empty where it may.
+
+        The claim was made of a message that leaves so many times, and it would leave more often.
+        """
+        if self.schedule is None:
+            return ""
+        stated = self.schedule.assumption.appearances
+        if self.appearances <= stated:
+            return ""
+        times = f"{self.appearances} times"
+        return f"a message leaves {times}, and keys.appearances = {stated} was stated"
+
+    def copy(self) -> Copy:
+        """The number of a step's first copy: one that leaves too often may not count (rule 8)."""
+        return 1 if self.crowded else FIRST
+
+    def appear(self, count: int) -> bool:
+        """Take how often a message leaves from here on; whether that allows or forbids keys now."""
+        before = self.crowded
+        self.appearances = count
+        return bool(self.crowded) != bool(before)
 
     def word(self) -> tuple[int, str]:
         """The block to announce in a new message, with its tag."""
@@ -103,9 +130,24 @@ class Keying:
         self.blocks.count(raw)
         return raw
 
-    def heard(self, message: Measurement | Offer) -> tuple[Judgement, ...]:
+    def heard(self, message: Measurement | Offer | BlockWord) -> tuple[Judgement, ...]:
         """What the partner's word says of the blocks here."""
         return () if self.blocks is None else self.blocks.heard(message.block, message.tag)
+
+    @property
+    def waiting(self) -> int:
+        """Blocks that are whole and that the partner has not confirmed."""
+        return 0 if self.blocks is None or self.broken else self.blocks.waiting
+
+    def block_word(self, side: Side, session: str) -> BlockWord:
+        """The word on blocks where no step is left to carry it."""
+        block, tag = self.word()
+        return BlockWord(side=side, session=session, block=block, tag=tag, waiting=self.waiting)
+
+    @property
+    def began(self) -> bool:
+        """Whether the transition counted last was the first one of a block."""
+        return self.blocks is not None and self.blocks.began
 
     # --- the keeper's side ------------------------------------------------------------------------
 
@@ -151,8 +193,10 @@ class Keying:
             "keys_of_block": self.last[0],
             "key_block_steps": self.last[1],
             "keys_refused": self.broken or refused,
-            "keys_stopped": self.stopped,
+            "keys_stopped": self.crowded or self.stopped,
             "key_blocks_lost": self.lost,
+            "key_blocks_waiting": self.waiting,
+            "appearances": self.appearances,
         }
 
     def settled(self) -> tuple[range, ...]:

@@ -11,7 +11,8 @@ traced, and then saved with the next step. So a process may die between any two 
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
-puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone.
+puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone. A
+device is no port; a make-believe one asks :meth:`Mortal.passes` itself.
 """
 
 from typing import Literal, Protocol
@@ -64,12 +65,12 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
         actions = endpoint.settle()
 
 
-CrashPoint = Literal["writing", "publishing", "tracing", "keeping"]
-"""Before what a process dies."""
+CrashPoint = Literal["writing", "publishing", "tracing", "keeping", "acting"]
+"""The call before which a simulated process dies; ``acting`` is the device's, actuated or read."""
 
 
-class Killed(Exception):
-    """The process is dead: everything but its journal is gone."""
+class Killed(BaseException):
+    """The process is dead: everything but its journal is gone, and no handler sees it coming."""
 
 
 class Mortal:
@@ -94,29 +95,30 @@ class Mortal:
         self._before = before
         self._left = after
 
-    def _passes(self, point: CrashPoint) -> None:
+    def passes(self, point: CrashPoint) -> None:
+        """Die, or go on."""
         if point == self._before or self._left == 0:
             raise Killed
         self._left -= 1
 
     def write(self, write: Write) -> None:
         """Die, or write."""
-        self._passes("writing")
+        self.passes("writing")
         self._ports.write(write)
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
         """Die, or publish."""
-        self._passes("publishing")
+        self.passes("publishing")
         self._ports.publish(kind, payload)
 
     def trace(self, event: Event) -> None:
         """Die, or trace."""
-        self._passes("tracing")
+        self.passes("tracing")
         self._ports.trace(event)
 
     def keep(self, task: Task) -> None:
         """Die, or hand it over."""
-        self._passes("keeping")
+        self.passes("keeping")
         self._ports.keep(task)
 
     def tell(self, notice: Notice) -> None:

@@ -79,7 +79,7 @@ class Receiver:
     ) -> None:
         self.rules = rules
         self.instance = instance
-        self.record = record._replace(state=rules.scheme.restore(record.state))
+        self.record = record._replace(state=rules.scheme.restore(record.state), begun=None)
         self.deframer = Deframer(rules.size)
         self._covers = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
@@ -188,7 +188,7 @@ class Receiver:
         The first one of a step is its copy 0 and must leave; each one after it is another copy.
         """
         record = self.record
-        again = self._left and self.keying.on
+        again = (self._left or bool(self.keying.crowded)) and self.keying.on
         self._left = True
         return Measurement(
             session=record.session,
@@ -219,6 +219,7 @@ class Receiver:
                 x=x_next,
                 applied_k=record.k,
                 x_after=x_next,
+                copy_number=self.keying.copy(),
                 nonce=self.keying.nonce(),
                 applied_copy=offer.copy_number,
                 block=block,
@@ -305,6 +306,7 @@ class Receiver:
             applied_copy=report.applied_copy,
             block=report.block,
             tag=report.tag,
+            blocks_begun=record.blocks_begun + (raw is not None and self.keying.began),
         )
         return ReceiverEffects(transition, chunk, frame, raw, self.keying.heard(offer))
 

@@ -8,6 +8,13 @@ from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
 
 
+class BegunStep(NamedTuple):
+    """A step that a plant has begun and not read: the offer, and the candidate it had chosen."""
+
+    offer: Offer
+    coin: int
+
+
 class SenderRecord(NamedTuple):
     """All that the controller must not forget, as its journal keeps it.
 
@@ -54,7 +61,10 @@ class ReceiverRecord(NamedTuple):
     the frame under way in hexadecimal digits. Counters run over all sessions but ``transitions``
     and ``p``, which begin with the session. ``controller`` is the process that was asked last to
     take the session up, ``life`` the one of its journal's that it was. ``nonce`` belongs to copy 0
-    of Measurement(k); the three fields behind it are those of that message.
+    of Measurement(k); the three fields behind it are those of that message. ``blocks_begun`` counts
+    key blocks that were begun, in all sessions, whatever became of them. ``begun`` is there only in
+    what is written while a plant acts: the step that is under way. The session of its offer may be
+    one that has ended since.
     """
 
     session: str
@@ -79,6 +89,8 @@ class ReceiverRecord(NamedTuple):
     block: int = -1
     tag: str = ""
     life: int = 0
+    blocks_begun: int = 0
+    begun: BegunStep | None = None
 
     @property
     def s(self) -> int:

@@ -1,14 +1,16 @@
 """Both ends of sealed messages, beside the control loop: sealed, repeated, opened, acknowledged.
 
 They use the keys that the loop has made, and neither wait for it nor hold it up. A message goes out
-again until the plant has acknowledged it; the next one only after that.
+again until the plant has acknowledged it; the next one only after that. The two ends also ask each
+other what may be given (:mod:`protocol.link.asking`).
 """
 
 from math import inf
-from typing import Final, Protocol
+from typing import Protocol
 
 from pydantic import ValidationError
 
+from protocol.link.asking import REPEAT_S, Asker
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Notice, Outgoing
 from protocol.messages import Message, SealCommand, Sealed, SealedReceipt, SealReply
 from protocol.schemes.framing import MAX_PAYLOAD
@@ -33,22 +35,29 @@ class End(Protocol):
         """Do what is due at ``now``."""
 
 
-REPEAT_S: Final = 0.25
-"""Seconds after which a message goes out again, or keys are looked for again."""
-
-
 class SealingEnd:
-    """The controller's: takes messages from the operator and sends them sealed."""
+    """The controller's: takes messages from the operator and sends them sealed.
 
-    hears: tuple[type[Message], ...] = (SealCommand, SealedReceipt)
-    says: tuple[type[Message], ...] = (Sealed, SealReply)
+    Attributes
+    ----------
+    due_at : float
+        When a message is to go out again, or may at last be sealed.
+    """
+
+    hears: tuple[type[Message], ...] = (SealCommand, SealedReceipt, *Asker.hears)
+    says: tuple[type[Message], ...] = (Sealed, SealReply, *Asker.says)
 
     def __init__(self, book: SealedBook, now: float) -> None:
         self._book = book
-        self._due_at = now if book.waiting() else inf
+        self._asker = Asker(book)
+        self.due_at = now if book.waiting() else inf
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A message to be sealed, or the plant's acknowledgement."""
+        """A message to be sealed, the plant's acknowledgement, or its word on keys."""
+        if kind in Asker.hears:
+            actions = self._asker.receive(kind, payload)
+            self.due_at = now if self._book.waiting() else inf
+            return actions
         try:
             if kind is SealCommand:
                 return self._commanded(SealCommand.model_validate_json(payload), now)
@@ -56,28 +65,39 @@ class SealingEnd:
         except ValidationError as error:
             text = f"sealing: {error.error_count()} fields not as expected; ignored"
             return Actions(notices=(Notice(text, "warning", "garbage"),))
-        if not self._book.acknowledged(receipt.id):
+        if receipt.refused:
+            if not self._book.give_up(receipt.id, receipt.key_ids):
+                return NOTHING_TO_DO
+            told = f"sealed message {receipt.id} given up: the plant cannot open it: "
+            notice = Notice(f"{told}{receipt.refused}", "error")
+        elif self._book.acknowledged(receipt.id):
+            notice = Notice(f"sealed message {receipt.id} delivered")
+        else:
             return NOTHING_TO_DO
-        self._due_at = now if self._book.waiting() else inf
-        return Actions(notices=(Notice(f"sealed message {receipt.id} delivered"),))
+        self.due_at = now if self._book.waiting() else inf
+        return Actions(notices=(notice,))
 
     def wake_at(self) -> float:
-        """When a message is to go out again, or may at last be sealed."""
-        return self._due_at
+        """When a message is to go out again, or may at last be sealed, or keys are asked for."""
+        return min(self.due_at, self._asker.wake_at())
 
     def wake(self, now: float) -> Actions:
-        """Send the oldest message that was not acknowledged."""
-        if now < self._due_at:
-            return NOTHING_TO_DO
-        self._due_at = now + REPEAT_S
-        try:
-            text = self._book.next()
-        except KeysRefused as error:
-            return Actions(notices=(Notice(f"nothing can be sealed: {error}", "error", "keys"),))
-        if text is None:
-            return NOTHING_TO_DO
-        sealed = Sealed(id=text.identifier, key_ids=text.key_ids, cipher=text.cipher, tag=text.tag)
-        return Actions(publish=(Outgoing(Sealed, sealed.wire()),))
+        """Send the oldest message that was not acknowledged; ask what is to be asked."""
+        text = None
+        notices: tuple[Notice, ...] = ()
+        if now >= self.due_at:
+            self.due_at = now + REPEAT_S
+            try:
+                text = self._book.next()
+            except KeysRefused as error:
+                notices = (Notice(f"nothing can be sealed: {error}", "error", "keys"),)
+        publish = self._asker.wake(now)
+        if text is not None:
+            sealed = Sealed(
+                id=text.identifier, key_ids=text.key_ids, cipher=text.cipher, tag=text.tag
+            )
+            publish = (Outgoing(Sealed, sealed.wire()), *publish)
+        return Actions(publish=publish, notices=notices)
 
     def _commanded(self, command: SealCommand, now: float) -> Actions:
         size = len(command.payload)
@@ -87,11 +107,14 @@ class SealingEnd:
         else:
             try:
                 state = self._book.queue(command.id, command.payload)
-                accepted, delivered = True, state == "done"
+                accepted, delivered = state != "lost", state == "done"
                 detail = f"{state}: takes {keys_needed(size)} keys"
                 if state == "queued":
                     detail += f", {self._book.store.available()} there"
-                    self._due_at = min(self._due_at, now)
+                    self.due_at = min(self.due_at, now)
+                elif state == "lost":
+                    detail = f"id: {command.id!r} was given up: the plant had lost its keys; send "
+                    detail += "the message again, under another id"
             except (KeysRefused, ValueError) as error:
                 detail = str(error)
         reply = SealReply(id=command.id, accepted=accepted, delivered=delivered, detail=detail)
@@ -101,31 +124,41 @@ class SealingEnd:
 class OpeningEnd:
     """The plant's: opens what comes, keeps it, and acknowledges it."""
 
-    hears: tuple[type[Message], ...] = (Sealed,)
-    says: tuple[type[Message], ...] = (SealedReceipt,)
+    hears: tuple[type[Message], ...] = (Sealed, *Asker.hears)
+    says: tuple[type[Message], ...] = (SealedReceipt, *Asker.says)
 
     def __init__(self, book: SealedBook) -> None:
         self._book = book
+        self._asker = Asker(book)
 
     def wake_at(self) -> float:
-        """Never by itself."""
-        return inf
+        """When keys are asked for."""
+        return self._asker.wake_at()
 
-    def wake(self, now: float) -> Actions:  # noqa: ARG002
-        """Nothing is due."""
-        return NOTHING_TO_DO
+    def wake(self, now: float) -> Actions:
+        """Ask what is to be asked."""
+        return Actions(publish=self._asker.wake(now))
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:  # noqa: ARG002
-        """Open a message once; acknowledge it each time that it comes."""
+        """Open a message once; acknowledge it each time that it comes, or say that it cannot be."""
+        if kind in Asker.hears:
+            return self._asker.receive(kind, payload)
         try:
             message = Sealed.model_validate_json(payload)
-            text = SealedText(message.id, message.key_ids, message.cipher, message.tag)
-            first = self._book.open(text)
         except ValidationError as error:
             why = f"sealed: {error.error_count()} fields not as expected; ignored"
             return Actions(notices=(Notice(why, "warning", "garbage"),))
-        except (Unsealed, UnknownKeys, KeysRefused, ValueError) as error:
+        text = SealedText(message.id, message.key_ids, message.cipher, message.tag)
+        receipt, told = SealedReceipt(id=message.id), ""
+        try:
+            if self._book.open(text):
+                told = f"sealed message {message.id} opened: {len(message.cipher)} bytes"
+        except (Unsealed, KeysRefused, ValueError) as error:
             return Actions(notices=(Notice(f"not opened: {error}", "warning", "sealed"),))
-        receipt = Outgoing(SealedReceipt, SealedReceipt(id=message.id).wire())
-        told = f"sealed message {message.id} opened: {len(message.cipher)} bytes"
-        return Actions(publish=(receipt,), notices=(Notice(told),) if first else ())
+        except UnknownKeys as error:
+            # a forger who names other keys is answered too: the controller compares them
+            receipt = SealedReceipt(id=message.id, key_ids=message.key_ids, refused=str(error))
+            notice = Notice(f"not opened: {error}", "warning", "sealed")
+            return Actions(publish=(Outgoing(SealedReceipt, receipt.wire()),), notices=(notice,))
+        notices = (Notice(told),) if told else ()
+        return Actions(publish=(Outgoing(SealedReceipt, receipt.wire()),), notices=notices)

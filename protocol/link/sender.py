@@ -160,6 +160,7 @@ class Sender(SenderSession):
             candidates=candidates,
             centres=centres,
             cipher=record.cipher if counted is None else counted.following.cipher,
+            copy_number=self.keying.copy(),
             nonce=self.keying.nonce(),
             heard=measurement.copy_number,
             block=block,

@@ -104,12 +104,14 @@ class Rules:
 def rules_of(scenario: Scenario) -> Rules:
     """The rules that both ends of a scenario share."""
     H, h = scenario.defender.disturbance.rows()
+    hers = scenario.secrecy.disturbance
     return Rules(
         agreement=AgreementRule(
             A=scenario.A,
             B=scenario.B,
             gauge=Gauge.from_rows(H, h),
             alpha=scenario.secrecy.alpha,
+            reach=None if hers is None else Gauge.from_rows(*hers.rows()),
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
         states=scenario.n,

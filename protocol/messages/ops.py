@@ -4,9 +4,17 @@ from collections.abc import Iterable
 from functools import cache
 from typing import Annotated, ClassVar, Final, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
-from protocol.messages.base import Count, Fingerprint, Identifier, Message, SessionId
+from protocol.messages.base import (
+    BlockNumber,
+    Count,
+    Fingerprint,
+    Identifier,
+    Message,
+    SessionId,
+    Tag,
+)
 from protocol.vectors import FiniteVector
 
 
@@ -85,10 +93,64 @@ class SealReply(Message):
 
 
 class SealedReceipt(Message):
-    """The plant's acknowledgement of a `Sealed`, each time that it comes."""
+    """The plant's acknowledgement of a `Sealed`, each time that it comes.
+
+    ``refused`` says why it will never open it, and ``key_ids`` are then those of the message.
+    """
 
     topic: ClassVar[str] = "ops/plant/receipt"
     id: Identifier
+    key_ids: Annotated[tuple[Identifier, ...], Field(max_length=4096)] = ()
+    refused: str = ""
+
+
+_Use = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._ -]{1,128}$")]
+_Names = Annotated[
+    tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._/-]{1,64}$")], ...],
+    Field(max_length=4096),
+]
+
+
+_What = Literal["keys", "pads", "unused", "marked", "ready"]
+
+
+class BlockWord(Message):
+    """An end's word on key blocks once no step is left to carry it: the other end answers it.
+
+    ``waiting`` counts blocks that are whole there and not confirmed.
+    """
+
+    topic: ClassVar[str] = "ops/keys/word"
+    side: Literal["controller", "plant"]
+    session: SessionId
+    block: BlockNumber
+    tag: Tag
+    waiting: Count
+
+
+class KeyRequest(Message):
+    """An end asks the other to mark ``keys``, or ``pads``, that it is about to give, for a use.
+
+    After its start it asks besides which of those that it holds were given before: keys that it
+    knows of no use for (``unused``), keys that were given there (``marked``), pads (``ready``). It
+    is said again until it is answered.
+    """
+
+    topic: ClassVar[str] = "ops/keys/request"
+    side: Literal["controller", "plant"]
+    use: _Use
+    what: _What
+    names: _Names
+
+
+class KeyAnswer(Message):
+    """The answer to a `KeyRequest` of ``side``: names that it must not give; none: all marked."""
+
+    topic: ClassVar[str] = "ops/keys/answer"
+    side: Literal["controller", "plant"]
+    use: _Use
+    what: _What
+    refused: _Names
 
 
 _Rows = Annotated[tuple[FiniteVector, ...], Field(min_length=1)]
@@ -110,8 +172,9 @@ class PlantModel(Message):
     """What does not change while a plant's process lives, for the dashboard: said now and then.
 
     It travels right before a status: the first one, and one in a second or few. ``A``, ``B`` are
-    the controller's f_c, {d : H d <= h} is D_c, ``alpha`` that of D_e; ``keys_claim`` says under
-    which claim keys are secret, and is empty where none are made.
+    the controller's f_c, {d : H d <= h} is D_c, ``alpha`` that of D_e, which is alpha D_c where
+    ``eavesdropper_H`` is empty; ``keys_claim`` says under which claim keys are secret, and is empty
+    where none are made.
     """
 
     topic: ClassVar[str] = "ops/plant/model"
@@ -126,12 +189,15 @@ class PlantModel(Message):
     A: _Rows
     B: _Rows
     keys_claim: str = ""
+    eavesdropper_H: tuple[FiniteVector, ...] = ()
+    eavesdropper_h: FiniteVector = ()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         n = len(self.A)
         if (
-            any(len(row) != n for row in (*self.A, *self.defender_H))
+            any(len(row) != n for row in (*self.A, *self.defender_H, *self.eavesdropper_H))
+            or len(self.eavesdropper_h) != len(self.eavesdropper_H)
             or len(self.B) != n
             or not _alike(self.B)
             or len(self.defender_h) != len(self.defender_H)
@@ -185,7 +251,11 @@ class PlantStatus(_Status):
     ``keys_made`` counts keys of confirmed blocks in this process's life, ``keys_of_block`` those of
     the last one and ``key_block_steps`` its steps; ``keys_refused`` says why nobody gets them, and
     ``keys_stopped`` why the session's newest block made none: empty again once a later one has made
-    some. ``key_blocks_lost`` counts those that made none in this process's life.
+    some. ``key_blocks_lost`` counts those that made none in this process's life, and
+    ``key_blocks_waiting`` those that are whole and that the partner has not confirmed.
+    ``key_blocks_begun`` counts all that were begun, in all lives: each may be ``eps_sec`` away
+    from perfect keys, whatever became of it. A message on the field bus leaves ``appearances``
+    times.
     ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
     ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
     the step at which ``last_message`` was whole (-1: none yet, or before this process began).
@@ -227,6 +297,9 @@ class PlantStatus(_Status):
     keys_refused: str = ""
     keys_stopped: str = ""
     key_blocks_lost: Count = 0
+    key_blocks_waiting: Count = 0
+    key_blocks_begun: Count = 0
+    appearances: Count = 1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -289,6 +362,8 @@ class ControllerStatus(_Status):
     keys_refused: str = ""
     keys_stopped: str = ""
     key_blocks_lost: Count = 0
+    key_blocks_waiting: Count = 0
+    appearances: Count = 1
 
 
 Status = PlantStatus | ControllerStatus
@@ -301,6 +376,9 @@ OPS: tuple[type[Message], ...] = (
     SealCommand,
     SealReply,
     SealedReceipt,
+    BlockWord,
+    KeyRequest,
+    KeyAnswer,
     PlantModel,
     PlantStatus,
     ControllerStatus,

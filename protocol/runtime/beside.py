@@ -75,6 +75,9 @@ class Beside:
                     self._perform(self._end.wake(now))
             except (StoreError, TransportError) as error:  # a full disk: it may be better next time
                 self._complaints.add(f"sealed messages: {error}")
+            except Exception as error:  # a fault: told, and no reason to seal nothing any more
+                what = f"unexpected {type(error).__name__}: {error}"
+                self._complaints.add(f"sealed messages: {' '.join(what.split())}")
             self._complaints.tell_rest()
         self._complaints.tell_rest(last=True)
 

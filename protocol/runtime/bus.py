@@ -59,6 +59,17 @@ class Bus(Protocol):
     def channel(self, key_expr: str, capacity: int) -> Channel:
         """The messages of others that fit, for a thread that waits for them."""
 
+    def appearances(self) -> int:
+        """How often a message that is put now leaves, as far as this end can know; 1 at least.
+
+        On a medium each link to another machine, and each multicast group, is one time. Within the
+        machine nothing is on a medium: each link but the partner's is one, for it is a tap's.
+        """
+
+    def left(self, loop: str) -> None:  # noqa: ARG002
+        """A loop has left: whoever keeps what was published of it forgets it."""
+        return
+
     def close(self) -> None:
         """End all subscriptions and publishers; closing twice is allowed."""
 

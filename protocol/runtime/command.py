@@ -8,6 +8,7 @@ import io
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from typing import Final
 
@@ -63,27 +64,43 @@ def entered(command: Callable[[], int]) -> int:
     Being told to end, or losing the terminal, is Ctrl-C: whatever a command holds open it gives
     back, the screen above all. A service stops on these signals in its own way.
     """
-    for number in ENDING:
-        if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored
-            signal.signal(number, _interrupt)
-    sys.unraisablehook = _once_more
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # a message may hold any character, and the terminal's encoding not all of them
-        sys.stdout.reconfigure(errors="backslashreplace")
+    over = False
+
+    def interrupt(_signal: int, _frame: object) -> None:
+        if not over:
+            raise KeyboardInterrupt
+
     try:
+        for number in (signal.SIGINT, *ENDING):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, interrupt)
+        sys.unraisablehook = _once_more
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            # a message may hold any character, and the terminal's encoding not all of them
+            sys.stdout.reconfigure(errors="backslashreplace")
         return command()
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:  # all is given back: one more signal ends the interpreter without a word
+        over = True
         for number in (signal.SIGINT, *ENDING):
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
 
 
+AGAIN_S: Final = 0.02
+"""After so long an interrupt that could not be raised is tried again."""
+
+
 def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
-    """An interrupt that came where none can be raised, as in a finaliser, is tried again."""
+    """An interrupt that came where none can be raised, as in a finaliser, is tried again.
+
+    Later, from another thread: here, where none can be raised either, it would be lost again.
+    """
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        _thread.interrupt_main()
+        again = threading.Timer(AGAIN_S, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
     else:
         sys.__unraisablehook__(unraisable)
 
@@ -130,7 +147,3 @@ def _in_a_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror
     return " ".join(f"unexpected {type(error).__name__}: {error}".split())
-
-
-def _interrupt(_signal: int, _frame: object) -> None:
-    raise KeyboardInterrupt

@@ -74,8 +74,9 @@ class HealthWriter:
         """Have a status written; returns at once. It takes the place of one that still waits."""
         with self._lock:
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="health", daemon=True)
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name="health", daemon=True)
+                thread.start()
+                self._thread = thread  # started: close() joins no other
             if loop not in self._newest:
                 self._order.put(loop)
             self._newest[loop] = files, status, time.monotonic()

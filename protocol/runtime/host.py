@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -22,8 +22,8 @@ from protocol.link.endpoint import Actions, Endpoint, Notice
 from protocol.link.perform import perform
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
-from protocol.runtime.bus import Bus, Channel, ChannelClosed
-from protocol.runtime.errors import DONE
+from protocol.runtime.bus import Bus, Channel, ChannelClosed, Publisher
+from protocol.runtime.errors import DONE, Failure
 from protocol.runtime.health_files import HealthFiles, HealthWriter
 from protocol.runtime.inbox import Inbox
 from protocol.runtime.ports import Files, LoopPorts
@@ -76,6 +76,23 @@ class _Loop:
     endpoint: Endpoint
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
+    started: bool = False
+    appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
+
+
+class _Sparing:
+    """A publisher that does not send while ``crowding``: to the partner that is a lost message.
+
+    A link that comes up between a message and its put would be one more chance to hear it.
+    """
+
+    def __init__(self, publisher: Publisher, crowding: Callable[[], bool]) -> None:
+        self._put = publisher.put
+        self._crowding = crowding
+
+    def put(self, payload: bytes) -> None:
+        if not self._crowding():
+            self._put(payload)
 
 
 class Turns:
@@ -169,6 +186,9 @@ class Host:
             }
             keeper = None
             if files.keeper is not None:
+                crowding = partial(self._crowding, loop)
+                for kind in publishers.keys() & FIELD:
+                    publishers[kind] = _Sparing(publishers[kind], crowding)
                 if self._worker is None:
                     self._worker = KeyWorker()
                 keeper = partial(
@@ -221,21 +241,29 @@ class Host:
             Whatever an endpoint, a file or a bus cannot go on after.
         """
         try:
-            for loop in self.loops:
-                with self._turns:
-                    self._do(loop, self._loops[loop].endpoint.start)
-            self._started = True
-            for thread in self._threads:
-                thread.start()
-            while (self._fleet or self._loops) and not self._stopping.is_set():
-                self._housekeep()
-                self._wake()
-                self._take()
-            if self._error is not None:
-                raise self._error
-        finally:
-            self.close()
+            self._go_on()
+        except BaseException as why:
+            try:
+                self.close()
+            except Exception as also:  # why it ends is what counts, and what is told
+                why.add_note(f"and while it ended: {type(also).__name__}: {also}")
+            raise
+        self.close()
         return self._code
+
+    def _go_on(self) -> None:
+        for loop in self.loops:
+            with self._turns:
+                self._do(loop, self._loops[loop].endpoint.start)
+        self._started = True
+        for thread in self._threads:
+            thread.start()
+        while (self._fleet or self._loops) and not self._stopping.is_set():
+            self._housekeep()
+            self._wake()
+            self._take()
+        if self._error is not None:
+            raise self._error
 
     def _listen(self, channel: Channel) -> None:
         """The field bus's own thread: nobody else is woken for a step."""
@@ -311,6 +339,18 @@ class Host:
 
     # --- under the lock ---------------------------------------------------------------------------
 
+    def _look_at_links(self, loop: _Loop) -> None:
+        """Tell an end how often its messages leave, where that has changed."""
+        count = self._field.appearances()
+        if count != loop.appearances:
+            loop.appearances = count
+            perform(loop.endpoint.appear(count), loop.endpoint, loop.ports)
+
+    def _crowding(self, name: str) -> bool:
+        """Whether messages leave more often than the loop knew when it made its last one."""
+        loop = self._loops.get(name)
+        return loop is not None and self._field.appearances() > loop.appearances
+
     def _hear(self, key: str, payload: bytes) -> None:
         name, kind = self._by_key.get(key, ("", Message))
         loop = self._loops.get(name)
@@ -320,8 +360,11 @@ class Host:
     def _do(self, name: str, act: Callable[[float], Actions]) -> None:
         loop = self._loops[name]
         try:
+            if loop.started and loop.ports.keeper is not None:
+                self._look_at_links(loop)
             actions = act(self._clock())
             perform(actions, loop.endpoint, loop.ports)
+            loop.started = True
         except Exception as error:
             if not self._fleet:
                 raise
@@ -353,28 +396,34 @@ class Host:
             self._by_key.pop(key_of(kind, name), None)
         try:
             perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
-        except OSError as error:
+        except (OSError, Failure) as error:
             loop.ports.log.warning("the last word is lost: %s", error)
         finally:
             if self._worker is not None and loop.ports.files.keeper is not None:
                 self._worker.leave(loop.ports.files.keeper)
             loop.ports.close()
+            self._field.left(name)
+            self._ops.left(name)
         if not self._loops:
             self._inbox.put(None, None)
 
     def close(self) -> None:
-        """Say the last word of every end, and close its files."""
-        for channel in self._channels.values():
-            channel.close()
-        if self._started:
+        """Say the last word of every end, and close its files: each, also where another fails."""
+        with ExitStack() as last:  # from below
+            if self._worker is not None:
+                last.callback(self._worker.close)
+            last.callback(self._health.close, LAST_S)
+            last.callback(self._end_all)
             for thread in self._threads:
-                thread.join(LAST_S)
-        with self._turns.last():
-            for name in self.loops:
-                self._end(name)
-        self._health.close(LAST_S)
-        if self._worker is not None:
-            self._worker.close()
+                if thread.ident is not None:  # an interrupt may have come before it was started
+                    last.callback(thread.join, LAST_S)
+            for channel in self._channels.values():
+                last.callback(channel.close)
+
+    def _end_all(self) -> None:
+        with self._turns.last(), ExitStack() as ends:
+            for name in reversed(self.loops):
+                ends.callback(self._end, name)
 
 
 def _cannot(error: Exception, _now: float) -> Actions:

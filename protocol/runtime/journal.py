@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter
 
 from protocol.link.endpoint import Keep
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.runtime.journal_files import JournalError, JournalFiles
 from protocol.secret.store_file import check_of
@@ -27,13 +27,6 @@ class ReceiverStep(NamedTuple):
 
     offer: Offer
     measurement: Measurement
-    coin: int
-
-
-class BegunStep(NamedTuple):
-    """A step that the plant had begun when it died: the offer, and the candidate it had chosen."""
-
-    offer: Offer
     coin: int
 
 
@@ -130,7 +123,7 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
         return None if found is None else ReceiverStep(*found)
 
     def begun(self) -> BegunStep | None:
-        """The step that was begun after the record and not read, if any.
+        """The step that was begun and not read, if any: after the record, or as the record says.
 
         Raises
         ------
@@ -138,10 +131,13 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
             When it is not one.
         """
         last = self._last
-        if last is None or not last.begun:
+        if last is None or last.said:
             return None
         with self._readable():
-            return BegunStep(Offer.model_validate_json(last.heard), last.coin)
+            if last.begun:
+                return BegunStep(Offer.model_validate_json(last.heard), last.coin)
+            record: ReceiverRecord = self.adapter.validate_json(last.record)
+            return record.begun
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

@@ -131,6 +131,10 @@ class MemoryBus(Bus):
         self.hub.add(self, key_expr, channel.deliver)
         return channel
 
+    def appearances(self) -> int:
+        """Once: nothing leaves the process."""
+        return 1
+
     def close(self) -> None:
         """End all subscriptions."""
         self._closed = True

@@ -7,9 +7,9 @@ that was only staged: who dies comes back with the record before the step, and t
 from typing import Generic
 
 from protocol.link.endpoint import Append, Keep, Write
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
-from protocol.runtime.journal import BegunStep, ReceiverStep, SenderStep
+from protocol.runtime.journal import ReceiverStep, SenderStep
 from protocol.runtime.journal_files import R
 from protocol.secret.nonces import Raw
 
@@ -136,8 +136,10 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord]):
         )
 
     def begun(self) -> BegunStep | None:
-        """The step that was begun after the record and not read, if any."""
-        if self._append is None or self._append.said:
+        """The step that was begun and not read, if any: after the record, or as the record says."""
+        if self._append is None:
+            return None if self._record is None else self._record.begun
+        if self._append.said:
             return None
         return BegunStep(Offer.model_validate_json(self._append.heard), self._append.coin)
 

@@ -115,6 +115,16 @@ class NotedBus(Bus):
         """As the bus does."""
         return self._bus.channel(key_expr, capacity)
 
+    def appearances(self) -> int:
+        """As the bus does."""
+        return self._bus.appearances()
+
+    def left(self, loop: str) -> None:
+        """Nothing is told any more of a loop that has left."""
+        self._bus.left(loop)
+        for place in [place for place in list(self._board) if place[1] == loop]:
+            del self._board[place]
+
     def close(self) -> None:
         """As the bus does."""
         self._bus.close()
@@ -141,7 +151,7 @@ class StatusCollector:
             "from a step's first measurement to its offer",
             labels=["loop"],
         )
-        for (topic, loop, name), payload in sorted(self._board.items()):
+        for (topic, loop, name), payload in sorted(self._board.copy().items()):
             status: dict[str, Any] = from_json(payload)
             service = topic.split("/")[1]
             for kind, fields in kinds:

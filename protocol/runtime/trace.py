@@ -30,8 +30,9 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #                offer's, 2 that of the measurement it answers); the plant's adds coin (b_r) and u
 #                a side that was killed may have written one (session, j) twice: the last counts
 #   missed       a step without an offer (plant): session, k, x, u, x_next
-#   interrupted  a step under way when the plant's process died (plant): session, k, x, u, x_next,
-#                candidates and coin of an offer that it had begun to apply (else empty and -1)
+#   interrupted  a step under way when the plant's process died or its session ended (plant):
+#                session, k, x, u, x_next, candidates and coin of an offer that it had begun to
+#                apply (else empty and -1)
 #   timing       at the end (plant): k, steps, and (median, p99, largest) seconds of
 #                sampled_late_s and actuated_after_s; overruns
 #   session      a session began: session, reason
@@ -44,6 +45,8 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #   block        a key block was stored (either): session, number, keys
 #   judged       the partner's word on it is on disk (either): session, number, what
 #                ("confirmed" | "unequal")
+#   appearances  how often a message of the side leaves from here on (either, where keys are made):
+#                session, k (give or take one), times; a process that starts tells it first
 
 
 class TraceError(Exception):

@@ -21,6 +21,11 @@ ONE_THREAD: Final = (
 thread of its own instead of four, and so fewer to wake for a message."""
 
 
+JOIN_MS: Final = 250
+"""Between two greetings to a multicast group. Who has not heard a sender's greeting hears nothing
+of it, and greetings get lost like everything else."""
+
+
 def settings_of(endpoints: Endpoints) -> dict[str, Any]:
     """What a session with these endpoints is told, key to JSON value."""
     client, tls = endpoints.client, endpoints.tls
@@ -48,6 +53,7 @@ def settings_of(endpoints: Endpoints) -> dict[str, Any]:
         "transport/link/tx/queue/size/data": 16,
         # Messages over 3 kB, statuses among them, would go through 16 MiB of it in each process.
         "transport/shared_memory/enabled": False,
+        "transport/multicast/join_interval": JOIN_MS,
         "transport/unicast/open_timeout": OPEN_MS,
         "transport/unicast/accept_timeout": 2000,
     }

@@ -51,7 +51,7 @@ class Control(ScenarioTable):
     needs_gain: ClassVar[bool] = True
     knows_alpha: ClassVar[bool] = False
     law: str = "sustained"
-    """How the candidates are computed."""
+    """How the candidates are computed: a shipped law, or ``path/to/file.py:Name``."""
     horizon: Annotated[int, Field(ge=1, le=10000)]
     """Sets T_1 to T_N to compute: from farther out the loop can start, and N costs time."""
     inputs: ConvexSet
@@ -119,7 +119,10 @@ class Control(ScenarioTable):
             PolicyCost(next_state=_spread(cost.next_state, n), input=_spread(cost.input, m))
             for cost in self.costs
         )
-        return Policy(law=self.law, costs=costs, gain=self.gain)
+        regulator = None
+        if self.regulator is not None:
+            regulator = PolicyCost(next_state=self.regulator.next_state, input=self.regulator.input)
+        return Policy(law=self.law, costs=costs, gain=self.gain, regulator=regulator)
 
 
 def _spread(weights: float | tuple[float, ...], size: int) -> tuple[float, ...]:

@@ -1,6 +1,6 @@
 """``[keys]``: what the operator claims that every tap misses, and so which keys are made."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -9,6 +9,10 @@ from protocol.secret.blocks import Schedule, schedule_of
 from protocol.secret.bound import NONCE_BITS, Assumption, Directions, GilbertElliott
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+MOST_APPEARANCES: Final = 16
+"""Links that a claim may be made for."""
 
 
 class Bursts(ScenarioTable):
@@ -28,13 +32,15 @@ class Keys(ScenarioTable):
     """The claim that keys rest on.
 
     ``eps_E`` is the least probability, given everything that happened before, that a tap misses the
-    next copy 0 entirely; it has no default above 0, and 0 makes no key. ``bursts`` takes its place
+    next appearance of a copy 0 entirely; it has no default above 0, and 0 makes no key. A copy that
+    leaves ``appearances`` times is missed with that power of it. ``bursts`` takes its place
     where all of the tap's channel is known. ``assume = "independent"`` claims besides that her
     misses have nothing to do with the link's own losses.
     """
 
     eps_E: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
-    """Least probability that a tap misses the next copy, whatever happened; 0 makes no key."""
+    """Least probability that a tap misses the next appearance of a copy, whatever happened before;
+    0 makes no key."""
     eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
     """How far a key may be from a perfect one."""
     directions: Directions = "both"
@@ -45,12 +51,29 @@ class Keys(ScenarioTable):
     """All of the tap's channel, in place of eps_E."""
     unheard_bits: Annotated[int, Field(ge=16, le=NONCE_BITS, multiple_of=16)] = NONCE_BITS
     """Of the nonce in a message that she misses, bits that stay unheard, in whole words of 16."""
+    appearances: Annotated[int, Field(ge=1, le=MOST_APPEARANCES)] = 1
+    """How often a first copy leaves an end at most; where it leaves more often no key is made."""
 
     @model_validator(mode="after")
     def _one_claim(self) -> Self:
         if self.bursts is not None and self.eps_E:
             raise ValueError("expected eps_E, or a table bursts that takes its place, and not both")
         return self
+
+    @model_validator(mode="after")
+    def _whole_appearances(self) -> Self:
+        """What is heard of one appearance completes what is heard of another."""
+        for name, stated in (("bursts", self.bursts is not None), ("unheard_bits", self._partly)):
+            if self.appearances > 1 and stated:
+                raise ValueError(
+                    f"got appearances = {self.appearances} beside {name}, expected 1: "
+                    "a claim for several appearances is of whole messages, one by one"
+                )
+        return self
+
+    @property
+    def _partly(self) -> bool:
+        return self.unheard_bits < NONCE_BITS
 
     def assumption(self) -> Assumption:
         """The claim, as the bound reads it."""
@@ -64,6 +87,7 @@ class Keys(ScenarioTable):
             independent=self.assume == "independent",
             bursts=bursts,
             unheard_bits=self.unheard_bits,
+            appearances=self.appearances,
         )
 
     def schedule(self) -> Schedule | None:

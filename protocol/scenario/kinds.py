@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import ValidatorFunctionWrapHandler, WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
-from protocol.registry import Registry
+from protocol.registry import Registry, UnknownError
 from protocol.scenario.control import Control
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import PlantTable
@@ -60,11 +60,18 @@ def by_kind(
         if not registry:
             return unchecked.model_validate(table)
         kind = table.get(field, common.model_fields[field].default)
-        if not isinstance(kind, str) or kind not in registry:
-            names = ", ".join(f"'{name}'" for name in registry)
-            wrong = PydanticCustomError("kind", f"expected a known {registry.what}: {names}")
-            problem = InitErrorDetails(type=wrong, loc=(field,), input=kind)
+        try:
+            model = registry[kind] if isinstance(kind, str) else None
+        except UnknownError as error:
+            model = None
+            why = str(error).removeprefix(f"got {kind!r}, ")
+        else:
+            why = "expected a name"
+        if model is None:
+            problem = InitErrorDetails(
+                type=PydanticCustomError("kind", "{why}", {"why": why}), loc=(field,), input=kind
+            )
             raise ValidationError.from_exception_data(common.__name__, [problem])
-        return registry[kind].model_validate(table)
+        return model.model_validate(table)
 
     return WrapValidator(read)

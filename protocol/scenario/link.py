@@ -17,6 +17,7 @@ class Link(ScenarioTable):
     fallback: Literal["hold", "zero", "regulator"] = "hold"
     """What the plant applies in a step without an offer."""
     watchdog_s: Positive | None = None
-    """Seconds without an applied offer after which the plant goes to its safe state, for good."""
+    """Seconds without an applied offer after which the plant goes to its safe state, for good; a
+    plant that has never moved has 10 at least, to meet its controller."""
     repeats_per_period: Annotated[int, Field(ge=1, le=100)] = 4
     """How often a measurement is repeated while no offer has come."""

@@ -2,9 +2,10 @@
 
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -20,6 +21,10 @@ EXPECTED = {
     "model_attributes_type": "expected a table",
 }
 """What pydantic's errors are called where a scenario's reader would not know its words."""
+
+
+LARGEST: Final = 1e150
+"""Of every number in a scenario: the square of one beyond is no number to a computer."""
 
 
 class ScenarioError(Exception):
@@ -70,6 +75,19 @@ def describe_errors(error: ValidationError, source: str) -> list[str]:
     return lines
 
 
+def _beyond(value: object, path: tuple[str, ...] = ()) -> Iterator[str]:
+    """Numbers too large for any field, a line each; of any length, and in tables of any kind."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _beyond(item, (*path, str(key)))
+    elif isinstance(value, list | tuple):
+        for number, item in enumerate(value):
+            yield from _beyond(item, (*path, str(number)))
+    elif isinstance(value, int | float) and abs(value) > LARGEST and abs(value) != inf:
+        what = f"got {value!r}" if isinstance(value, float) else "got a longer one"
+        yield f"{'.'.join(path)}: {what}, expected a number of at most {LARGEST:g}"
+
+
 def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
     """Build a scenario from parsed TOML.
 
@@ -79,6 +97,8 @@ def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
         With one line for each wrong field; shapes are compared once every field by itself is right.
     """
     try:
+        if beyond := [f"{source}: {line}" for line in _beyond(data)]:
+            raise ScenarioError(beyond)
         return Scenario.model_validate(data)
     except ValidationError as error:
         raise ScenarioError(describe_errors(error, source)) from None

@@ -6,18 +6,22 @@ from pydantic import Field, field_validator
 
 from protocol.registry import UnknownError
 from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.sets import ConvexSet
 from protocol.schemes.registry import SCHEMES
 
 
 class Secrecy(ScenarioTable):
-    """The agreement rule's public-by-assumption half: D_e = alpha D_c, and M candidates.
+    """The agreement rule's public-by-assumption half: D_e and M candidates.
 
-    ``scheme`` is one that :data:`protocol.schemes.registry.SCHEMES` knows, or a class of the
-    user's, ``path/to/file.py:Name``.
+    D_e is alpha D_c, or alpha times ``disturbance`` where that is given: equation (11) asks no more
+    than that D_e contains D_c. ``scheme`` is one that :data:`protocol.schemes.registry.SCHEMES`
+    knows, or a class of the user's, ``path/to/file.py:Name``.
     """
 
     alpha: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     """D_e = alpha D_c, her set; 1: she knows what the ends know."""
+    disturbance: ConvexSet | None = None
+    """Of another shape than D_c: D_e is alpha times this, and must contain D_c."""
     candidates: Annotated[int, Field(ge=2, le=256)] = 2
     """M, inputs in an offer; a key symbol is one of M."""
     scheme: str = "switched"

@@ -8,13 +8,14 @@ from typing import Annotated, Self
 
 from pydantic import Field, SerializeAsAny, model_validator
 
+from protocol.brief import Brief
 from protocol.knowledge import Knowledge
 from protocol.scenario.control import Control
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
 from protocol.scenario.link import Link
-from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.parts import ScenarioTable, shape_problem
 from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
@@ -29,7 +30,7 @@ DESIGN_VERSION = 3
 """Version of the synthesis; part of the key of a cached design."""
 
 
-class Scenario(ScenarioTable):
+class Scenario(Brief, ScenarioTable):
     """One system: plant, defender's model, law, agreement rule, link, tap and keys."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
@@ -54,6 +55,19 @@ class Scenario(ScenarioTable):
     """The eavesdropper's place."""
     keys: Keys | None = None
     """What the operator claims that she misses; distilled keys rest on it."""
+
+    def brief(self) -> dict[str, object]:
+        """Name, sizes and what it runs under."""
+        return {
+            "name": self.name,
+            "states": self.n,
+            "inputs": self.m,
+            "candidates": self.secrecy.candidates,
+            "law": self.control.law,
+            "scheme": self.secrecy.scheme,
+            "alpha": self.secrecy.alpha,
+            "period_s": self.plant.period_s,
+        }
 
     @property
     def A(self) -> FiniteMatrix:
@@ -94,6 +108,24 @@ class Scenario(ScenarioTable):
         """The disturbances that the sets T_i resist: ``control.disturbance``, else D_c."""
         return self.control.disturbance or self.defender.disturbance
 
+    @property
+    def eavesdropper_shape(self) -> ConvexSet:
+        """D_e over alpha: ``secrecy.disturbance``, else D_c."""
+        return self.secrecy.disturbance or self.defender.disturbance
+
+    @property
+    def eavesdropper_set(self) -> ConvexSet:
+        """D_e, the disturbances that she finds possible (equation 10)."""
+        return self.eavesdropper_shape.scaled(self.secrecy.alpha)
+
+    @property
+    def hidden_widths(self) -> int:
+        """Widths of D_c unknown to one who knows f_c and D_e: one where D_e = alpha D_c."""
+        if self.secrecy.disturbance is None:
+            return 1
+        D_c = self.defender.disturbance
+        return self.n if D_c.half_widths is not None else len(D_c.rows()[1])
+
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:
         for name in ("A", "B"):
@@ -107,7 +139,10 @@ class Scenario(ScenarioTable):
             *self.defender.problems(self.n, self.m),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
-        bounds = self.defender.disturbance.rows()[1]
+        hers = self.eavesdropper_shape
+        if self.secrecy.disturbance is not None:
+            problems += shape_problem("secrecy.disturbance", hers.dimension, self.n)
+        bounds = hers.rows()[1]
         if not all(isfinite(self.secrecy.alpha * bound) for bound in bounds):
             text = f"secrecy.alpha: alpha D_c is too large to reckon with: {self.secrecy.alpha:g}"
             problems.append(f"{text} times {max(bounds):g}")
@@ -127,6 +162,11 @@ class Scenario(ScenarioTable):
 
     def _safety_problems(self) -> Iterator[str]:
         D_c = self.defender.disturbance
+        if self.secrecy.disturbance is not None and not self.eavesdropper_set.contains(D_c):
+            yield (
+                "secrecy.disturbance: expected a set that, times secrecy.alpha, contains "
+                "defender.disturbance (D_c within D_e, equation 11)"
+            )
         if self.control.disturbance is not None and not self.control.disturbance.contains(D_c):
             yield "control.disturbance: expected a set that contains defender.disturbance, D_c"
         if self.link.fallback == "regulator" and self.control.gain is None:
@@ -156,24 +196,30 @@ class Scenario(ScenarioTable):
                 "initial_state": self.initial_state,
                 "fallback": self.link.fallback,
                 **({} if self.defender.model is None else {"model": self.defender.model}),
+                **self._own_law(),
             }
         )
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over what both ends must share for their verdicts to be the same.
 
+        A scheme in a file of the user's enters with the SHA-256 of the file, too.
         Compared over ops only: on the field bus it would let an eavesdropper test her guesses.
         """
-        scheme = SCHEMES[self.secrecy.scheme]
+        scheme, source = SCHEMES[self.secrecy.scheme], SCHEMES.source(self.secrecy.scheme)
+        own = (source,) if source else ()
         keys = {} if self.keys is None else {"keys": self.keys.shared()}
         # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
         f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
+        hers = self.secrecy.disturbance
+        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
         return _digest(
             {
                 **keys,
                 **f_c,
+                **shape,
                 "rules": RULES_VERSION,
-                "scheme": (scheme.name, scheme.version),
+                "scheme": (scheme.name, scheme.version, *own),
                 "A": self.A,
                 "B": self.B,
                 "D_c": self.defender.disturbance.model_dump(exclude_none=True),
@@ -204,7 +250,10 @@ class Scenario(ScenarioTable):
         }
 
     def design_fingerprint(self) -> str:
-        """SHA-256 (hex) over what the synthesis depends on; the key of a cached design."""
+        """SHA-256 (hex) over what the synthesis depends on; the key of a cached design.
+
+        So does a law in a file of the user's: it may have a synthesis of its own.
+        """
         control = self.control.design_key(self.secrecy)
         return _digest(
             {
@@ -213,12 +262,18 @@ class Scenario(ScenarioTable):
                 "B": self.B,
                 "D_c": self.control_set.model_dump(exclude_none=True),
                 "control": control,
+                **self._own_law(),
             }
         )
 
+    def _own_law(self) -> dict[str, str]:
+        """The source of a law in a file of the user's, where this process knows laws."""
+        source = LAWS.source(self.control.law) if LAWS else ""
+        return {"law": f"{self.control.law.rpartition(':')[2]} {source}"} if source else {}
+
     def knowledge(self) -> Knowledge:
         """What the paper's eavesdropper knows: f_c, D_e and the control policy, not D_c."""
-        H, h = self.defender.disturbance.scaled(self.secrecy.alpha).rows()
+        H, h = self.eavesdropper_set.rows()
         return Knowledge(
             scenario=self.name,
             period_s=self.plant.period_s,
@@ -234,7 +289,11 @@ class Scenario(ScenarioTable):
 
     def oracle_knowledge(self) -> Knowledge:
         """What the defender knows, in the form a tap reads: the control of the measurement."""
-        return self.knowledge().model_copy(update={"alpha": self.secrecy.alpha})
+        told: dict[str, object] = {"alpha": self.secrecy.alpha}
+        if self.secrecy.disturbance is not None:
+            H, h = self.defender.disturbance.rows()
+            told |= {"defender_H": H, "defender_h": h}
+        return self.knowledge().model_copy(update=told)
 
 
 def _as_floats(value: object) -> object:

@@ -53,7 +53,8 @@ class Carries(NamedTuple):
 class Scheme(ABC, Generic[S]):
     """Which transitions agree on a key symbol, and which carry a message symbol under which key.
 
-    A subclass sets ``name`` and ``version``, which both enter the fingerprint, and ``initial``. Its
+    A subclass sets ``name`` and ``version``, which both enter the fingerprint (with the SHA-256 of
+    the file, where a file of the user's is named), and ``initial``. Its
     state is a NamedTuple of integers whose first one, ``s``, numbers what the automaton is doing;
     it is journalled as it is.
 

@@ -54,6 +54,21 @@ class Anchor:
             if given > counted:  # whoever gave it died before it was counted
                 self._write(file, given, announced)
 
+    def look(self, given: int) -> None:
+        """What :meth:`compare` sees, and nothing is written.
+
+        Raises
+        ------
+        StoreError
+            Where that does.
+        """
+        if given == 0 and not self.path.exists():
+            return
+        with self._open(os.O_RDONLY, fcntl.LOCK_SH) as file:
+            counted, announced = self._read(file)
+        if not counted <= given <= announced:
+            raise self._older(given, counted)
+
     def _older(self, given: int, counted: int) -> StoreError:
         return StoreError(
             f"{self._store}: has given {given} times, and {self.path.name} counts {counted}: "
@@ -82,8 +97,8 @@ class Anchor:
             self._write(file, max(counted, given), announced)
 
     @contextmanager
-    def _open(self, flags: int) -> Iterator[int]:
-        """One process at a time."""
+    def _open(self, flags: int, lock: int = fcntl.LOCK_EX) -> Iterator[int]:
+        """One process at a time, where it writes."""
         try:
             file = open_private(self.path, flags)
         except FileNotFoundError:
@@ -94,7 +109,7 @@ class Anchor:
         except OSError as error:
             raise StoreError(f"{self.path}: {error.strerror}") from None
         try:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            fcntl.flock(file, lock)
             yield file
         except OSError as error:
             raise StoreError(f"{self.path}: {error.strerror}") from None

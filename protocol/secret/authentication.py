@@ -1,7 +1,9 @@
 """One-time tags: a polynomial modulo 2^127 - 1 at a secret point, under a pad used once.
 
 A message of w words is forged with probability (w + 1) / (2^127 - 1) at most, whatever the forger
-can compute (Wegman and Carter 1981; den Boer 1993). The point may stay, the pad may not.
+can compute (Wegman and Carter 1981; den Boer 1993). The point may stay, the pad may not. Two tags
+whose pads and texts are known are two equations for one point, so it does not stay for long either:
+:mod:`protocol.secret.ledger` renews it.
 """
 
 import os
@@ -15,10 +17,12 @@ WORD_BYTES: Final = 15
 """A word is below 2^120 and so below the prime, whatever its bytes are."""
 
 RESERVE: Final = 16
-"""Pads that a first secret holds for each direction: a block that a session's end cuts off burns
-one of each, and up to two are under way."""
+"""Sets of pads in a first secret: each session takes one for its first key block."""
 
-SECRET_BYTES: Final = TAG_BYTES * (1 + 2 * RESERVE)
+PADS_BYTES: Final = 3 * TAG_BYTES
+"""A set: the point, the pad of the controller's tag, that of the plant's."""
+
+SECRET_BYTES: Final = RESERVE * PADS_BYTES
 
 
 def polynomial(point: int, data: bytes) -> int:
@@ -49,18 +53,16 @@ def tag(point: int, pad: int, data: bytes) -> str:
 
 
 class Secret(NamedTuple):
-    """What the two ends share before the first block: the point and a reserve of pads.
+    """What the two ends share before the first block: sets of pads.
 
     ``name`` says in logs and ledgers which secret it is; it is public and random.
     """
 
     name: str
-    point: int
-    pads: tuple[tuple[int, ...], tuple[int, ...]]
-    """Pads of the controller's tags, then of the plant's."""
+    sets: tuple[bytes, ...]
 
 
-_FORM: Final = "wyner-secret-1"
+_FORM: Final = "wyner-secret-2"
 _USED: Final = "used"
 
 
@@ -119,10 +121,8 @@ def read_secret(path: Path) -> Secret | str:
         raw = b""
     if len(raw) != SECRET_BYTES:
         raise SecretError(f"{path}: expected {2 * SECRET_BYTES} hexadecimal digits")
-    numbers = [number(raw[i : i + TAG_BYTES]) for i in range(0, len(raw), TAG_BYTES)]
-    return Secret(
-        name, numbers[0], (tuple(numbers[1 : 1 + RESERVE]), tuple(numbers[1 + RESERVE :]))
-    )
+    starts = range(0, len(raw), PADS_BYTES)
+    return Secret(name, tuple(raw[start : start + PADS_BYTES] for start in starts))
 
 
 def spend_secret(path: Path, name: str) -> None:

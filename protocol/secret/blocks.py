@@ -10,9 +10,10 @@ jammer chose. Block b is the N_b transitions after that, N_b = min(N, N_0 2^b), 
 about it follows from the transitions' numbers, which both ends count alike.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from hmac import compare_digest
 from typing import Final, Literal, NamedTuple
 
 from protocol.secret.bound import Assumption, least
@@ -34,11 +35,6 @@ that is further on is judged. Each holds a pad; no more are spent on a partner t
 
 TAG_DIGITS: Final = 32
 NO_TAG: Final = "0" * TAG_DIGITS
-
-NO_PAD: Final = 0
-"""In place of a pad's number, where a tag has none."""
-
-NONE_ACCEPTED: Final[Mapping[str, int]] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +150,11 @@ class OpenBlock:
         self._nonces: list[bytes] = []
         self._pattern: list[str] = []
 
+    @property
+    def empty(self) -> bool:
+        """Whether no row was taken yet."""
+        return not self._pattern
+
     def add(self, raw: Raw) -> None:
         """Take the row of the next transition."""
         counts = self._assumption.counting(raw.counts)
@@ -182,30 +183,30 @@ class OpenBlock:
 
 
 class Stored(NamedTuple):
-    """A block is on disk: its own tag, and those of the partner that would confirm it, with the pad
-    that each was made with.
+    """A block is on disk: its own tag, and that of the partner which would confirm it.
 
-    No tag: the block made no key, and nobody announces it; ``exhausted`` says that no pad was left
+    No tag: the block made no key, and nobody announces it; ``exhausted`` says that there was no pad
     to sign it with, ``older`` that it began before its store did. ``confirmed`` says that it was
-    confirmed before this process began. ``keys`` were made of it.
+    confirmed before this process began. ``keys`` were made of it. ``signed`` names the set of pads
+    that its tag was made with; empty where tags are public.
     """
 
     session: str
     number: int
     tag: str
-    accepted: Mapping[str, int] = NONE_ACCEPTED
+    accepted: str = ""
     confirmed: bool = False
     keys: int = 0
     exhausted: bool = False
     older: bool = False
+    signed: str = ""
 
 
 class Judgement(NamedTuple):
-    """What the partner's word says of a stored block, and the pad that its tag was made with."""
+    """What the partner's word says of a stored block."""
 
     number: int
     what: Literal["confirmed", "unequal"]
-    pad: int = NO_PAD
 
 
 class Blocks:
@@ -219,6 +220,11 @@ class Blocks:
         What this end has announced last, as read back.
     raws : iterable of Raw
         Rows of transitions whose block is open or not settled, as read back.
+
+    Attributes
+    ----------
+    began : bool
+        Whether the row taken last was the first one of its block.
     """
 
     def __init__(
@@ -240,6 +246,8 @@ class Blocks:
         self._unequal = False
         self._closed: list[Closed] = []
         self._kept: set[int] = set()
+        self._newest = -1
+        self.began = False
         for raw in raws:
             self.count(raw)
         # what stood before the block announced was confirmed, or it would not have been announced
@@ -248,7 +256,9 @@ class Blocks:
 
     def count(self, raw: Raw) -> None:
         """Take the row of the next transition."""
+        self.began = self._open.empty
         self._open.add(raw)
+        self._newest = raw.j
         number = self.schedule.block_of(raw.j)
         if raw.j + 1 == self.schedule.begins(number + 1):
             closed = self._open.close(self.session, number, raw.j)
@@ -284,10 +294,15 @@ class Blocks:
         return ()
 
     def word(self) -> tuple[int, str]:
-        """The block to announce in the next new message, with its tag."""
+        """The block to announce in the next new message, with its tag.
+
+        Not before a later transition was counted. The partner has then counted the block's last
+        one, which an end that is put back from a copy could else count otherwise, in the same
+        session, and sign once more.
+        """
         if self._confirmed >= self.block:
             following = min((n for n in self._stored if n > self.block), default=None)
-            if following is not None:
+            if following is not None and self._newest >= self.schedule.begins(following + 1):
                 self.block, self.tag = following, self._stored[following].tag
         return self.block, self.tag
 
@@ -296,13 +311,25 @@ class Blocks:
         mine = self._stored.get(block)
         if mine is None or block <= self._confirmed or self._unequal:
             return ()
-        if tag not in mine.accepted:
+        if not compare_digest(tag, mine.accepted):
             self._unequal = True
             return (Judgement(block, "unequal"),)
         done = sorted(n for n in self._stored if self._confirmed < n <= block)
         self._confirmed = block
-        pad = mine.accepted[tag]
-        return tuple(Judgement(n, "confirmed", pad if n == block else NO_PAD) for n in done)
+        return tuple(Judgement(n, "confirmed") for n in done)
+
+    @property
+    def waiting(self) -> int:
+        """Blocks that are whole and not confirmed, and make keys as far as is known.
+
+        Not one that only a further transition may announce.
+        """
+        closed = {block.number for block in self._closed if block.makes_keys}
+        kept = {n for n in self._kept if n not in self._settled}
+        return sum(
+            n > self._confirmed and self._newest >= self.schedule.begins(n + 1)
+            for n in closed | kept
+        )
 
     def judged(self, session: str, number: int) -> None:
         """A judgement of :meth:`heard` is on disk."""

@@ -147,6 +147,10 @@ class Assumption:
     unheard_bits : int
         Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
         all 256, unless she may hear a part of a message.
+    appearances : int
+        How often a copy 0 leaves an end at most. Each time is a chance for her, so that eps_E is
+        claimed of each appearance, given all before it, and a copy is missed with eps_E to that
+        power at least.
     """
 
     eps_E: float
@@ -155,6 +159,12 @@ class Assumption:
     independent: bool = False
     bursts: GilbertElliott | None = None
     unheard_bits: int = NONCE_BITS
+    appearances: int = 1
+
+    @property
+    def eps_copy(self) -> float:
+        """Least probability that she misses a copy 0 in all of its appearances."""
+        return self.eps_E**self.appearances
 
     @property
     def by_words(self) -> bool:
@@ -176,7 +186,7 @@ class Assumption:
             return 0
         if self.bursts is not None:
             return self.bursts.quantile(n, self.eps_sec)
-        return quantile(n, self.eps_E, self.eps_sec)
+        return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
         """Rows R that a block may have; below 2 it makes no key.
@@ -207,6 +217,8 @@ class Assumption:
         if not self.eps_E and self.bursts is None:
             return "nothing is claimed that a tap misses (eps_E = 0): no secret"
         share = f"{100 * self.eps_E:.4g} % of {where}"
+        if self.appearances > 1:
+            share = f"{100 * self.eps_E:.4g} % of the {self.appearances} appearances of {where}"
         if self.bursts is not None:
             share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
         beside = ", whatever the link itself loses" if self.independent else ""

@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from protocol.secret.blocks import NO_PAD, Closed, Judgement, Stored
-from protocol.secret.ledger import Authentication, pads_of
-from protocol.secret.records import BlockRow, Side, StoreError, block_name
+from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.ledger import Authentication, Made, spent_rows
+from protocol.secret.records import BlockRow, Side, StoreError
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Broken, Done, Judged, Task
 
@@ -36,27 +36,30 @@ class Keeper:
     def keep(self, closed: Closed) -> Stored:
         """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
 
-        Where no pad is left for its tag, or it began before the store did, the block is stored
-        without keys.
+        A signed block of many rows spends two more (:mod:`protocol.secret.ledger`). Where there is
+        no pad for its tag, or it began before the store did, the block is stored without keys.
         """
         session, number = closed.session, closed.number
         known = self.store.block_tag(session, number)
         if known is not None and known.state != "stored":
             confirmed = known.state == "confirmed"
             return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
-        rows: list[bytes] = []
-        tag, accepted = "", dict[str, int]()
+        keys: list[bytes] = []
+        tag, accepted, origin = "", "", ""
+        pads: tuple[Made, ...] = ()
         first = closed.last - closed.transitions + 1
         older = known is None and self.store.is_younger(session, first)
         if closed.makes_keys and not older:
             from protocol.secret.extractor import extract
 
             rows = extract(closed.nonces, closed.rows, closed.by_words)
-            tag, accepted = self._tags(closed, rows[0])
-            if not tag:
-                rows = []
+            if self.authentication is None:
+                tag = accepted = rows[0][:PUBLIC_TAG_BYTES].hex()
+                keys = rows[1:]
+            elif signed := self.authentication.tags(session, number, closed.message(), rows):
+                tag, accepted, origin, pads = signed
+                keys = rows[1 : len(rows) + 1 - spent_rows(len(rows))]
         if known is None:
-            pads = pads_of(rows[0]) if rows and self.authentication is not None else ()
             row = BlockRow(
                 session=session,
                 number=number,
@@ -64,24 +67,14 @@ class Keeper:
                 steps=closed.steps,
                 counted=closed.counted,
                 rows=closed.rows,
-                keys=max(0, len(rows) - 1),
-                state="stored" if rows else "empty",
+                keys=len(keys),
+                state="stored" if tag else "empty",
                 t_ns=time.time_ns(),
             )
-            self.store.add(row, rows[1:], tag=tag, pads=pads)
-        keys = max(0, len(rows) - 1)
-        exhausted = closed.makes_keys and not keys and not older
-        return Stored(session, number, tag, accepted, keys=keys, exhausted=exhausted, older=older)
-
-    def _tags(self, closed: Closed, row: bytes) -> tuple[str, dict[str, int]]:
-        if self.authentication is None:
-            tag = row[:PUBLIC_TAG_BYTES].hex()
-            return tag, {tag: NO_PAD}
-        message = closed.message()
-        own = self.authentication.tag(closed.name, message)
-        if own is None:
-            return "", {}
-        return own, self.authentication.accepted(closed.name, message)
+            self.store.add(row, keys, tag=tag, pads=pads)
+        exhausted = closed.makes_keys and not tag and not older
+        stored = Stored(session, number, tag, accepted, keys=len(keys))
+        return stored._replace(exhausted=exhausted, older=older, signed=origin)
 
     def judge(self, session: str, judgement: Judgement) -> None:
         """Confirm a block or erase it, as the partner's word has it."""
@@ -90,10 +83,7 @@ class Keeper:
             return
         self.store.confirm(session, judgement.number)
         if self.authentication is not None:
-            name = block_name(session, judgement.number)
-            if judgement.pad != NO_PAD:
-                self.authentication.spend(name, judgement.pad)
-            self.authentication.settle(name)
+            self.authentication.settle(session, judgement.number)
 
 
 def work(keeper: Keeper, task: Task) -> Done:

@@ -5,6 +5,7 @@ without the keys learns more than its length, and a forger changes it unseen wit
 (words + 1) / (2^127 - 1) at most, whatever either can compute. A key serves one message.
 """
 
+import hmac
 from collections.abc import Sequence
 from typing import Final
 
@@ -54,7 +55,7 @@ def unseal(header: bytes, cipher: bytes, tag: str, keys: Sequence[bytes]) -> byt
         When a bit of header, ciphertext or tag is not as it was sealed.
     """
     tag_key, pad = _split(keys, len(cipher))
-    if tag != _tag(tag_key, header, cipher):
+    if not hmac.compare_digest(tag.encode(), _tag(tag_key, header, cipher).encode()):
         raise Unsealed("sealed message: its tag does not hold; it was changed on its way")
     return bytes(a ^ b for a, b in zip(cipher, pad, strict=True))
 

@@ -1,20 +1,31 @@
 """Sealed messages beside the keys they use, in one file: taken and written in one transaction.
 
-At the controller a message is ``queued``, then ``sealed`` (its keys are erased, its text too, the
-ciphertext kept), then ``done`` once the plant has acknowledged it. At the plant the text is kept
-and its keys are erased in the same transaction. So a process may die at any instant: nothing is
-sealed twice under one key, nothing is opened twice, and nothing that was accepted is lost.
+At the controller a message is ``queued``, then ``asked`` (keys are set aside for it, and the plant
+is asked to mark them), then ``sealed`` (its keys are erased, its text too, the ciphertext kept),
+then ``done`` once the plant has acknowledged it, or ``lost`` where the plant cannot open it. At the
+plant the text is kept and its keys are erased in the same transaction. So a process may die at any
+instant, and a store may be put back: nothing is sealed twice under one key, nothing is opened
+twice, and nothing that was accepted is lost in silence.
 """
 
 import hashlib
 import json
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Final, Literal, NamedTuple
 
+from protocol.secret.giving import SEALED, new_use
 from protocol.secret.records import KeysRefused, TooFewKeys
-from protocol.secret.sealed import keys_needed, seal, unseal
+from protocol.secret.sealed import Unsealed, keys_needed, seal, unseal
 from protocol.secret.store import KeyStore
 
-SealState = Literal["queued", "sealed", "done"]
+SealState = Literal["queued", "asked", "sealed", "done", "lost"]
+
+MOST_TRIES: Final = 16
+"""Messages whose tag does not hold that a plant looks at under the keys of one. A forger who makes
+as many has a chance of 16 (words + 1) / (2^127 - 1), and the keys are then given up."""
+
+
+_OPEN: Final = "state NOT IN ('done', 'lost')"
 
 
 class SealedText(NamedTuple):
@@ -74,39 +85,77 @@ class SealedBook:
     def waiting(self) -> int:
         """Messages that the plant has not acknowledged."""
         with self.store.transaction() as db:
-            row = db.execute("SELECT COUNT(*) FROM sealed WHERE state != 'done'").fetchone()
+            row = db.execute(f"SELECT COUNT(*) FROM sealed WHERE {_OPEN}").fetchone()
         return int(row[0])
 
     def next(self) -> SealedText | None:
-        """The message to send now: the oldest, sealed if it is not yet; None without enough keys.
+        """The oldest message, once it is sealed; one that is queued has keys set aside for it.
+
+        None while there is none, or not enough keys, or the plant has not marked them.
 
         Raises
         ------
         KeysRefused
             When this store's keys are for nobody.
         """
-        try:
-            with self.store.transaction() as db:
-                row = db.execute(
-                    "SELECT number, id, state, payload, key_ids, cipher, tag FROM sealed "
-                    "WHERE state != 'done' ORDER BY number LIMIT 1"
-                ).fetchone()
-                if row is None:
-                    return None
-                number, identifier, state, payload, key_ids, cipher, tag = row
-                if state == "sealed":
-                    return SealedText(identifier, tuple(json.loads(key_ids)), cipher, tag)
-                keys = self.store.take(db, keys_needed(len(payload)), f"sealed {identifier}")
-                blank = SealedText(identifier, tuple(key.key_id for key in keys), b"", "")
-                cipher, tag = seal(blank.header(), payload, [key.key for key in keys])
+        with self.store.transaction() as db:
+            row = db.execute(
+                "SELECT number, id, state, payload, key_ids, cipher, tag FROM sealed "
+                f"WHERE {_OPEN} ORDER BY number LIMIT 1"
+            ).fetchone()
+            if row is None:
+                return None
+            number, identifier, state, payload, key_ids, cipher, tag = row
+            if state == "sealed":
+                return SealedText(identifier, tuple(json.loads(key_ids)), cipher, tag)
+            if state == "asked":
+                return None
+            use = new_use(SEALED, identifier)
+            try:
+                names = self.store.set_aside_within(db, use, keys_needed(len(payload)))
+            except TooFewKeys:
+                return None
+            db.execute(
+                "UPDATE sealed SET state = 'asked', key_ids = ?, use = ? WHERE number = ?",
+                (json.dumps(names), use, number),
+            )
+        return None
+
+    def answered(self, use: str, refused: Sequence[str]) -> int:
+        """The plant has marked a use's keys, and its message is sealed now; or it refuses some.
+
+        These are erased, and the message waits for others.
+
+        Returns
+        -------
+        int
+            How many keys were erased.
+        """
+        with self.store.transaction() as db:
+            row = db.execute(
+                "SELECT number, id, payload FROM sealed WHERE use = ? AND state = 'asked'", (use,)
+            ).fetchone()
+            if row is None:  # of a key server
+                return self.store.answered_within(db, use, refused)
+            number, identifier, payload = row
+            erased = self.store.answered_within(db, use, refused)
+            if refused:
+                db.execute("DELETE FROM asked WHERE use = ?", (use,))
                 db.execute(
-                    "UPDATE sealed SET state = 'sealed', payload = NULL, key_ids = ?, cipher = ?, "
-                    "tag = ? WHERE number = ?",
-                    (json.dumps(blank.key_ids), cipher, tag, number),
+                    "UPDATE sealed SET state = 'queued', key_ids = NULL, use = NULL "
+                    "WHERE number = ?",
+                    (number,),
                 )
-        except TooFewKeys:
-            return None
-        return blank._replace(cipher=cipher, tag=tag)
+                return erased
+            keys = self.store.take_within(db, use, f"{SEALED} {identifier}")
+            blank = SealedText(identifier, tuple(key.key_id for key in keys), b"", "")
+            cipher, tag = seal(blank.header(), payload, [key.key for key in keys])
+            db.execute(
+                "UPDATE sealed SET state = 'sealed', payload = NULL, key_ids = ?, cipher = ?, "
+                "tag = ? WHERE number = ?",
+                (json.dumps(blank.key_ids), cipher, tag, number),
+            )
+        return 0
 
     def acknowledged(self, identifier: str) -> bool:
         """The plant has it; True the first time."""
@@ -117,11 +166,24 @@ class SealedBook:
             )
         return cursor.rowcount == 1
 
+    def give_up(self, identifier: str, key_ids: Sequence[str]) -> bool:
+        """The plant cannot open the message that was sealed under these keys; True the first time.
+
+        Its text is gone: whoever sent it has to send it again.
+        """
+        with self.store.transaction() as db:
+            cursor = db.execute(
+                "UPDATE sealed SET state = 'lost' WHERE id = ? AND state = 'sealed' "
+                "AND key_ids = ?",
+                (identifier, json.dumps(tuple(key_ids))),
+            )
+        return cursor.rowcount == 1
+
     def sent(self) -> list[tuple[SealedText, bytes]]:
         """Every message that was sealed here, in order, with the SHA-256 of its text."""
         with self.store.transaction() as db:
             rows = db.execute(
-                "SELECT id, key_ids, cipher, tag, digest FROM sealed WHERE state != 'queued' "
+                "SELECT id, key_ids, cipher, tag, digest FROM sealed WHERE cipher IS NOT NULL "
                 "ORDER BY number"
             ).fetchall()
         return [
@@ -137,18 +199,28 @@ class SealedBook:
         Raises
         ------
         Unsealed
-            When it was changed on its way; its keys stay for the true one.
+            When it was changed on its way; its keys stay for the true one, but for
+            :data:`MOST_TRIES` such.
         UnknownKeys
-            When its keys are not here.
+            When its keys are not here, not marked for it, or were tried too often.
         KeysRefused
             When this store's keys are for nobody.
         """
-        with self.store.transaction() as db:
-            if db.execute("SELECT 1 FROM opened WHERE id = ?", (text.identifier,)).fetchone():
-                return False
-            keys = self.store.take_named(db, text.key_ids, f"sealed {text.identifier}")
-            payload = unseal(text.header(), text.cipher, text.tag, [key.key for key in keys])
-            db.execute("INSERT INTO opened (id, payload) VALUES (?, ?)", (text.identifier, payload))
+        try:
+            with self.store.transaction() as db:
+                known = "SELECT 1 FROM opened WHERE id = ?"
+                if db.execute(known, (text.identifier,)).fetchone():
+                    return False
+                keys = self.store.marked(db, SEALED, text.identifier, text.key_ids, MOST_TRIES)
+                payload = unseal(text.header(), text.cipher, text.tag, [key.key for key in keys])
+                self.store.bury(db, text.key_ids, f"{SEALED} {text.identifier}")
+                db.execute(
+                    "INSERT INTO opened (id, payload) VALUES (?, ?)", (text.identifier, payload)
+                )
+        except Unsealed as error:
+            if self.store.tried(text.key_ids) == MOST_TRIES:
+                raise Unsealed(f"{error}, {MOST_TRIES} times: its keys are given up") from None
+            raise
         return True
 
     def opened(self) -> list[tuple[str, bytes]]:

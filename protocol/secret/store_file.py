@@ -5,7 +5,7 @@ import sqlite3
 import threading
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 from zlib import crc32
@@ -14,7 +14,7 @@ from protocol.files import make_folder, open_private
 from protocol.secret.anchor import Anchor
 from protocol.secret.records import Side, StoreError
 
-STORE_VERSION: Final = 2
+STORE_VERSION: Final = 3
 
 UNREADABLE: Final = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises: what SQLite says of it may quote bytes that are no text."""
@@ -32,17 +32,19 @@ CREATE TABLE IF NOT EXISTS block (
 CREATE TABLE IF NOT EXISTS key (
     place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
     row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB, check_ INTEGER,
-    t_ns INTEGER, who TEXT);
+    t_ns INTEGER, who TEXT, use TEXT, there TEXT, tries INTEGER NOT NULL DEFAULT 0);
+CREATE INDEX IF NOT EXISTS key_use ON key (use);
+CREATE TABLE IF NOT EXISTS asked (
+    use TEXT PRIMARY KEY, what TEXT NOT NULL, names TEXT NOT NULL, refused TEXT);
 CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
 CREATE INDEX IF NOT EXISTS key_block ON key (block);
 CREATE TABLE IF NOT EXISTS pad (
-    place INTEGER PRIMARY KEY, side TEXT NOT NULL, origin TEXT NOT NULL, state TEXT NOT NULL,
-    used_for TEXT, body BLOB, check_ INTEGER, UNIQUE (side, origin));
-CREATE INDEX IF NOT EXISTS pad_use ON pad (used_for, side);
-CREATE INDEX IF NOT EXISTS pad_origin ON pad (origin);
+    place INTEGER PRIMARY KEY, origin TEXT UNIQUE NOT NULL, kind TEXT NOT NULL, state TEXT NOT NULL,
+    session TEXT, body BLOB, check_ INTEGER);
+CREATE INDEX IF NOT EXISTS pad_session ON pad (session);
 CREATE TABLE IF NOT EXISTS sealed (
     number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, digest BLOB NOT NULL, state TEXT NOT NULL,
-    payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT);
+    payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT, use TEXT);
 CREATE TABLE IF NOT EXISTS opened (
     number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL);
 """
@@ -123,13 +125,58 @@ class StoreFile:
                     self.set_note(name, value)
                 elif found != value:
                     raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
-        for (name,) in db.execute("SELECT name FROM meta").fetchall():
-            self.note(name)
-        if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-            raise sqlite3.DatabaseError(" ".join(wrong.split()))
+        self._look_through()
         if self._anchor is not None:
             with self.transaction():  # nobody else is between the two
                 self._anchor.compare(self._given())
+
+    def _look_through(self) -> None:
+        """See that the notes are as they were written, and the file's pages in order."""
+        for (name,) in self._db.execute("SELECT name FROM meta").fetchall():
+            self.note(name)
+        if (wrong := self._db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
+
+    @classmethod
+    def copy_of(cls, path: Path, side: Side) -> Self:
+        """A copy in memory of the store at ``path``, for whoever only looks at it.
+
+        Nothing in its folder is written, also where a key server has it open; but a transaction
+        that a death cut short is taken back first, as by everyone who opens it.
+
+        Raises
+        ------
+        StoreError
+            As for a store that is opened.
+        """
+        if not path.is_file():
+            raise StoreError(f"{path}: no key store is there: no key was ever made here")
+        store = cls(None, side)
+        store.path = path
+        try:
+            try:
+                store._fill_from(path)
+            except sqlite3.OperationalError:
+                cls(path, side).close()
+                store._fill_from(path)
+            store._look_through()
+            for name, value in (("version", str(STORE_VERSION)), ("side", side)):
+                if (found := store.note(name)) != value:
+                    raise StoreError(f"{path}: {name}: got {found!r}, expected {value!r}")
+            Anchor(path).look(store._given())
+        except UNREADABLE as error:
+            store.close()
+            raise StoreError(f"{path}: not a key store: {error}") from None
+        except StoreError:
+            store.close()
+            raise
+        return store
+
+    def _fill_from(self, path: Path) -> None:
+        uri = f"{path.absolute().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as db:
+            db.execute("SELECT COUNT(*) FROM meta").fetchone()
+            db.backup(self._db)
 
     def _given(self) -> int:
         return int(self.note("given") or 0)

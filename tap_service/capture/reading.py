@@ -61,11 +61,14 @@ class CaptureReader:
     parts_missing: int = 0
     skipped: int = 0
     ended: bool = False
+    lives: int = 0
+    """Recordings begun so far: where a tap was started again there are more than one."""
     header: dict[str, Any] = field(init=False)
     _number: int = field(init=False, default=0)
     _part: LineReader = field(init=False)
     _lines: deque[bytes] = field(init=False, default_factory=deque)
     _headed: bool | None = field(init=False, default=None)  # None: its first line was not read yet
+    _went_on: bool = field(init=False, default=False)  # as the last part's end mark says
     _given: int = field(init=False, default=0)
     _given_bytes: int = field(init=False, default=0)
 
@@ -152,6 +155,8 @@ class CaptureReader:
         return True
 
     def _enter(self, part: Path) -> None:
+        self.lives += not self._went_on
+        self._went_on = False
         self._number, self._part, self._headed = number_of(part), LineReader(part), None
 
     def _sort(self, lines: list[bytes]) -> None:
@@ -174,6 +179,7 @@ class CaptureReader:
                 self.garbage += 1
             elif value is not None and value["event"] == END:
                 self.ended = value.get("last") is True
+                self._went_on = not self.ended
             elif value is not None:
                 message = FIELD_TYPES[value["topic"]].model_validate_json(to_json(value["message"]))
                 return value["t_ns"], message

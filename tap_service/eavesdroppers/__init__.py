@@ -24,9 +24,11 @@ __all__ = [
 LADDER: Final[dict[str, str]] = {
     "set-membership": "tap_service.eavesdroppers.set_membership:SetMembership",
     "nearest-centre": "tap_service.eavesdroppers.nearest_centre:NearestCentre",
+    "fitted-box": "tap_service.eavesdroppers.fitted_box:FittedBox",
     "list-decoder": "tap_service.eavesdroppers.list_decoder:ListDecoder",
     "learning": "tap_service.eavesdroppers.learning:Learning",
     "smoother": "tap_service.eavesdroppers.smoother:Smoother",
+    "text": "tap_service.eavesdroppers.text:Text",
     "oracle": "tap_service.eavesdroppers.oracle:Oracle",
     "key-solver": "tap_service.eavesdroppers.key_solver:KeySolver",
 }
@@ -40,7 +42,7 @@ ORACLE: Final = "oracle"
 DEFAULT: Final = ("set-membership", "nearest-centre", "list-decoder")
 """Without a choice: the strongest on a clear view, and the two it is compared with."""
 
-DEFAULT_UNCLEAR: Final = ("set-membership", "nearest-centre", "list-decoder", "smoother")
+DEFAULT_UNCLEAR: Final = ("set-membership", "nearest-centre", "list-decoder", "text")
 """The same where the tap hears badly."""
 
 

@@ -96,11 +96,15 @@ class KeysHeld(BaseModel):
     bits : int
         Bits of their rows that she can compute, by rank.
     copies, missed : int
-        Copies 0 that were sent, as far as she can tell, and those that she missed.
+        Copies 0 that were sent while she was there, as far as she can tell, and those of them that
+        she missed.
     at_most : float
-        Upper bound of her miss rate (Clopper-Pearson, level 1e-6).
+        Upper bound of her miss rate in that ``direction`` which speaks against the claim most; it
+        holds at all looks together (level 1e-6).
     refuted, bursts : bool
-        Whether that is below the claim; whether her misses come in bursts.
+        Whether that is below the claim; whether her misses come in bursts, in either direction.
+    absent : int
+        Copies 0 that were sent while she was not there.
     newest : tuple of HeldBlock
         The last blocks.
     sealed : tuple of ReadText
@@ -117,6 +121,8 @@ class KeysHeld(BaseModel):
     at_most: float
     refuted: bool
     bursts: bool
+    direction: str = ""
+    absent: int = 0
     newest: tuple[HeldBlock, ...] = ()
     sealed: tuple[ReadText, ...] = ()
 
@@ -144,6 +150,9 @@ class Belief:
         :data:`KEPT_SYMBOLS`.
     A, B : tuple of tuple of float
         The model she uses; empty when she has none.
+    bits_left : float, optional
+        Entropy of the message given all that she heard, in bits, where she computes it. It stands
+        in place of what her guesses are measured to leave, on every screen.
     keys : KeysHeld, optional
         What she holds of the keys, where she attacks them.
     """
@@ -157,6 +166,7 @@ class Belief:
     symbols: tuple[tuple[int, int], ...] = ()
     A: Matrix = ()
     B: Matrix = ()
+    bits_left: float | None = None
     keys: KeysHeld | None = None
 
 
@@ -167,7 +177,9 @@ class Eavesdropper(ABC):
     microseconds: she then works from the capture in a process of her own, on a bounded share of
     a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
     f_c nor D_e, unless the model she is told is wrong on purpose. One with ``hears_messages`` is
-    handed every message besides, right before the transitions that it settles.
+    handed every message besides, right before the transitions that it settles. One with
+    ``guesses = False`` goes for something else than the loop's own symbols: what she answers for a
+    transition is no guess, and she is not scored by it.
 
     Attributes
     ----------
@@ -189,6 +201,7 @@ class Eavesdropper(ABC):
     heavy: ClassVar[bool] = False
     told_model: ClassVar[bool] = True
     hears_messages: ClassVar[bool] = False
+    guesses: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge

@@ -16,7 +16,6 @@ import numpy as np
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.secret.blocks import schedule_of
-from protocol.secret.bound import clopper_pearson
 from protocol.secret.extractor import WORDS, extract, words
 from protocol.secret.galois import Words
 from protocol.secret.keeper import PUBLIC_TAG_BYTES
@@ -35,7 +34,7 @@ from tap_service.eavesdroppers.base import (
     even,
 )
 from tap_service.inference.key_solver import Held, bits_held, held, within
-from tap_service.inference.miss_rate import Misses
+from tap_service.inference.miss_rate import Audit, worst
 
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps for sealed messages, and blocks that she tells of."""
@@ -46,6 +45,8 @@ SHOWN: Final = PUBLIC_TAG_BYTES // 2
 """Words of row 0 that a public tag shows."""
 
 UNKNOWN: Final = "·"
+
+BOTH: Final = ("measurements", "offers")
 
 
 @dataclass(slots=True)
@@ -95,6 +96,7 @@ class KeySolver(Eavesdropper):
 
     name: ClassVar[str] = "key-solver"
     hears_messages: ClassVar[bool] = True
+    guesses: ClassVar[bool] = False
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
@@ -106,8 +108,8 @@ class KeySolver(Eavesdropper):
         self._schedule = schedule
         self._claim = schedule.assumption
         self._even = even(self.size)
-        clopper_pearson(1, 2, 0.5)  # it loads a library: now, and not while messages wait
-        self._misses = Misses()
+        directions = self._claim.directions
+        self._misses = Audit(self._claim.eps_E, BOTH if directions == "both" else (directions,))
         self._steps: dict[str, dict[int, _Step]] = {}
         self._tags: dict[tuple[str, int], _Tags] = {}
         self._sealed: dict[str, Sealed] = {}
@@ -183,9 +185,9 @@ class KeySolver(Eavesdropper):
     def _count(self, step: _Step, *, measurement_only: bool = False) -> None:
         """Note which copies 0 of a step she missed; a step without a transition had no offer."""
         if self._claim.counting(2):
-            self._misses.add(missed=step.measurement is None)
+            self._misses.add("measurements", missed=step.measurement is None)
         if self._claim.counting(1) and not measurement_only:
-            self._misses.add(missed=step.offer is None)
+            self._misses.add("offers", missed=step.offer is None)
 
     def _append(self, session: str, step: _Step) -> None:
         counts = self._claim.counting((not step.offer_taken) + 2 * (not step.measurement_taken))
@@ -224,7 +226,8 @@ class KeySolver(Eavesdropper):
 
     def belief(self) -> Belief:
         """What she holds of the keys, and what she reads of sealed messages."""
-        rate = self._misses.judge(self._claim.eps_E)
+        rates = self._misses.judge()
+        direction, rate = worst(rates)
         for name, message in self._sealed.items():
             news, text = self._texts.get(name, (-1, None))
             if text is None or (news != self._news and text.known_bits < text.bits):
@@ -235,11 +238,13 @@ class KeySolver(Eavesdropper):
                 blocks=self._blocks,
                 broken=self._broken,
                 bits=self._bits,
-                copies=rate.copies,
-                missed=rate.missed,
+                copies=sum(one.copies for one in rates.values()),
+                missed=sum(one.missed for one in rates.values()),
+                absent=sum(one.absent for one in rates.values()),
                 at_most=rate.high,
+                direction=direction,
                 refuted=rate.refuted,
-                bursts=rate.bursts,
+                bursts=any(one.bursts for one in rates.values()),
                 newest=tuple(self._told),
                 sealed=read,
             ),

@@ -1,6 +1,7 @@
 """`oracle`: knows what the defender knows, and so must always succeed on a lossless tap.
 
-She is the measurement's own control: D_c = D_e / alpha gives her the very test that both ends make.
+She is the measurement's own control: D_c = D_e / alpha, or D_c itself where D_e
+has a shape of its own, gives her the very test that both ends make.
 A scheme that she fails against is a broken measurement.
 """
 
@@ -26,8 +27,11 @@ class Oracle(Following):
         assert knowledge.disturbance_H is not None
         assert knowledge.disturbance_h is not None
         h = tuple(b / knowledge.alpha for b in knowledge.disturbance_h)
-        gauge = Gauge.from_rows(knowledge.disturbance_H, h)
-        self._rule = AgreementRule(self.model.A, self.model.B, gauge, knowledge.alpha)
+        gauge, reach = Gauge.from_rows(knowledge.disturbance_H, h), None
+        if knowledge.defender_H is not None and knowledge.defender_h is not None:
+            reach = gauge  # D_e has a shape of its own
+            gauge = Gauge.from_rows(knowledge.defender_H, knowledge.defender_h)
+        self._rule = AgreementRule(self.model.A, self.model.B, gauge, knowledge.alpha, reach)
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector

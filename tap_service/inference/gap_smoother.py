@@ -95,10 +95,15 @@ class GapSmoother:
         H / h of D_e: the gauge of v is the largest entry of ``shape @ v``.
     noise : float
         Standard deviation of what she reads.
+    samples : int
+        Trajectories drawn for a stretch with something missed.
     """
 
-    def __init__(self, A: Array, B: Array, shape: Array, noise: float) -> None:
+    def __init__(
+        self, A: Array, B: Array, shape: Array, noise: float, samples: int = SAMPLES
+    ) -> None:
         self._A, self._B, self._shape, self._noise = A, B, shape, noise
+        self._samples = samples
         self._n = len(A)
         self._unit = float(np.abs(shape).max())
         self._rng = np.random.default_rng(0)
@@ -179,7 +184,7 @@ class GapSmoother:
         weights = np.exp([f.weight for f in forms])
         parts = []
         for form, count in zip(
-            forms, self._rng.multinomial(SAMPLES, weights / weights.sum()), strict=True
+            forms, self._rng.multinomial(self._samples, weights / weights.sum()), strict=True
         ):
             if not count:
                 continue
@@ -234,7 +239,7 @@ class GapSmoother:
             grown.sort(key=lambda p: -p.weight)
             paths = grown[:PATHS]
         weights = np.exp([p.weight - paths[0].weight for p in paths])
-        counts = self._rng.multinomial(4 * SAMPLES, weights / weights.sum())
+        counts = self._rng.multinomial(4 * self._samples, weights / weights.sum())
         parts = [
             self._trajectories(path, int(count), first, last)
             for path, count in zip(paths, counts, strict=True)
@@ -244,7 +249,7 @@ class GapSmoother:
         inside = (gauges.min(axis=2) <= self.support).all(axis=1)
         if inside.sum() >= 4:
             gauges = gauges[inside]
-        gauges = self._rng.permutation(gauges)[:SAMPLES]
+        gauges = self._rng.permutation(gauges)[: self._samples]
         return [InferredStep(t, gauges[:, i]) for i, t in enumerate(transitions)]
 
     def _grow(

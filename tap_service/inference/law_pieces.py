@@ -101,6 +101,11 @@ class LawPieces:
     ----------
     x : array, shape (N, n)
     u : array, shape (N, M, m)
+
+    Attributes
+    ----------
+    pieces : list of array, shapes (P, n + 1)
+        Of each input: slope and offset of each piece.
     """
 
     def __init__(self, x: Array, u: Array) -> None:
@@ -108,11 +113,11 @@ class LawPieces:
         self._shape = u.shape[1:]
         flat = u.reshape(len(u), -1)
         self._scale = np.maximum(x.std(axis=0), TINY)
-        self._pieces: list[Array] = []
+        self.pieces: list[Array] = []
         labels = []
         for values in flat.T:
             pieces, label = self._find(values, EXACT * max(float(values.std()), TINY))
-            self._pieces.append(pieces)
+            self.pieces.append(pieces)
             labels.append(label)
         self._labels = np.stack(labels, axis=1)
         self._combinations = Counter(tuple(row) for row in self._labels.tolist())
@@ -156,8 +161,8 @@ class LawPieces:
         out = []
         for combination in self._combinations:
             known = [(q, p) for q, p in enumerate(combination) if p != UNKNOWN]
-            C = np.array([self._pieces[q][p][:n] for q, p in known]).reshape(-1, n)
-            y = np.array([u[q] - self._pieces[q][p][n] for q, p in known])
+            C = np.array([self.pieces[q][p][:n] for q, p in known]).reshape(-1, n)
+            y = np.array([u[q] - self.pieces[q][p][n] for q, p in known])
             R = READING_NOISE**2 * np.eye(len(known))
             out.append(Reading(C, y, R, combination))
         return out
@@ -180,7 +185,7 @@ class LawPieces:
         for combination, times in self._around(x).items():
             if UNKNOWN in combination:
                 continue
-            rows = np.array([self._pieces[q][p] for q, p in enumerate(combination)])
+            rows = np.array([self.pieces[q][p] for q, p in enumerate(combination)])
             G, g = rows[:, :n].reshape(size, m, n), rows[:, n].reshape(size, m)
             out.append(Form(float(np.log(times / CLOSE)), G, g, np.zeros((size * m, size * m))))
         return out

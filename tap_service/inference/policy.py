@@ -142,7 +142,7 @@ def terminal_facets(A: Array, B: Array, K: Array, H: Array, h: Array) -> tuple[F
     of D = { d : H d <= h } under the powers of A + B K.
     """
     closed = A + B @ K
-    V = _corners(H, h)
+    V = corners_of(H, h)
     if len(V) < 3:
         return ()
     powers = [np.eye(2)]
@@ -172,7 +172,7 @@ def terminal_facets(A: Array, B: Array, K: Array, H: Array, h: Array) -> tuple[F
     return tuple(out)
 
 
-def _corners(H: Array, h: Array) -> Array:
+def corners_of(H: Array, h: Array) -> Array:
     """Corners of a planar polytope, from every pair of its rows."""
     out = []
     for i in range(len(H)):

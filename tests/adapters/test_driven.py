@@ -5,6 +5,8 @@ import os
 import random
 import subprocess
 import sys
+import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +16,31 @@ from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
+from plant_service import from_journal
 from plant_service.adapters import Operated, PlantError
+from plant_service.adapters.registry import open_plant
 from plant_service.driven import DrivenEndpoint, DrivenPlant
 from plant_service.from_journal import plant_endpoint
 from plant_service.punctuality import Punctuality, ReachWatch
+from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import Verdict
 from protocol.link.endpoint import Actions, Append, Keep
-from protocol.link.events import Interrupted, Missed
+from protocol.link.events import Applied, Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.messages import ControllerHello, Measurement, Offer
+from protocol.runtime.bus import TransportError
 from protocol.runtime.errors import UsageError
+from protocol.runtime.journal import PlantJournal
+from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.memory_journal import MemoryPlantJournal
+from protocol.runtime.pace import Pace
+from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
 from tests.adapters.plants import Device, PythonLine
 from tests.support.safety import violations
+from tests.support.twin_journals import TwinPlantJournal
 from wyner.api import load, vary
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
@@ -73,9 +84,17 @@ def law() -> CandidateLaw:
 class Bench:
     """A plant's endpoint with a device, driven by hand."""
 
-    def __init__(self, device: Any, journal: MemoryPlantJournal | None = None, **link: Any) -> None:
+    def __init__(
+        self,
+        device: Any,
+        journal: MemoryPlantJournal | None = None,
+        *,
+        met: bool = True,
+        **link: Any,
+    ) -> None:
         self.device = device
         self.journal = journal or MemoryPlantJournal()
+        self.names = 0
         scenario = line(**link)
         self.news = PlantTelemetry(scenario, "realtime", seeded=True)
         self.endpoint = plant_endpoint(
@@ -83,7 +102,7 @@ class Bench:
             self.journal,
             SeededSymbols(1, COIN),
             Stream(1, 0, width=0),
-            lambda: "1" * 16,
+            self.name,
             0.0,
             Pacing(1.0, scenario.link.repeats_per_period, 0.0),
             news=self.news,
@@ -92,25 +111,37 @@ class Bench:
         self.events: list[Any] = []
         self.published: list[Any] = []
         self.do(self.endpoint.start(0.0))
-        hello = ControllerHello(
-            instance="2" * 16,
-            life=1,
-            fingerprint=scenario.fingerprint(),
-            verdict="greeting",
-        )
-        self.do(self.endpoint.receive(ControllerHello, hello.wire(), 0.0))
-        answer = hello.model_copy(
-            update={
-                "verdict": "accepted",
-                "session": self.record.session,
-                "answers": self.endpoint.plant.receiver.instance,
-            }
-        )
-        self.do(self.endpoint.receive(ControllerHello, answer.wire(), 0.0))
+        if met:
+            self.greet(0.0)
+            self.accept(0.0)
 
     @property
     def record(self) -> Any:
         return self.endpoint.plant.receiver.record
+
+    def name(self) -> str:
+        self.names += 1
+        return f"{self.names:016x}"
+
+    def greet(self, now: float) -> None:
+        self.hear(now, verdict="greeting")
+
+    def accept(self, now: float) -> None:
+        self.answer(now, "accepted")
+
+    def refuse(self, now: float) -> None:
+        """The controller does not know the session: it is over."""
+        self.answer(now, "unknown-session")
+
+    def answer(self, now: float, verdict: str) -> None:
+        receiver = self.endpoint.plant.receiver
+        session = receiver.record.session
+        self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
+
+    def hear(self, now: float, **said: Any) -> None:
+        fingerprint = self.endpoint.plant.receiver.rules.fingerprint
+        hello = ControllerHello(instance="2" * 16, life=1, fingerprint=fingerprint, **said)
+        self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Actions:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
@@ -315,6 +346,68 @@ def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
     assert "1 under way when the plant's process died" in check.stdout
 
 
+# --- what ends in between -------------------------------------------------------------------------
+
+
+def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None:
+    bench = Bench(Device())
+    bench.do(bench.offer(0.2))
+    bench.do(bench.endpoint.wake(1.0))
+    old = bench.record.session
+    bench.do(bench.offer(1.2))
+    in_force = bench.device.u / 2
+    bench.refuse(1.5)
+    assert (bench.record.session, bench.record.transitions) != (old, 1)
+    bench.published.clear()
+    bench.device.calls.clear()
+    bench.do(bench.endpoint.wake(1.9))
+    assert bench.published == []  # the plant still acts: there is no state to report
+    bench.do(bench.endpoint.wake(2.0))
+    assert bench.device.calls == ["sample", "write"]
+    (event,) = [e for e in bench.events if isinstance(e, Interrupted)]
+    assert (event.session, event.k, event.u) == (bench.record.session, 1, (in_force,))
+    assert event.u == event.candidates[event.coin]
+    assert event.x_next == bench.record.x
+    record = bench.record
+    assert (record.k, record.transitions, record.applied_k, record.missed) == (2, 0, -1, 1)
+    assert record.u == event.u
+    counted = [e.transition for e in bench.events if isinstance(e, Applied)]
+    assert [(t.session, t.j) for t in counted] == [(old, 0)]
+    bench.accept(2.1)
+    bench.do(bench.offer(2.2))
+    bench.do(bench.endpoint.wake(3.0))
+    counted = [e.transition for e in bench.events if isinstance(e, Applied)]
+    assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session, 0)]
+
+
+@pytest.mark.parametrize("fallback", ["hold", "zero"])
+@pytest.mark.parametrize("ends", [False, True], ids=["greeted", "ended"])
+def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
+    ends: bool, fallback: str
+) -> None:
+    """What is saved while a device acts names the step: after a death its input is not made up."""
+    bench = Bench(Device(), TwinPlantJournal(), fallback=fallback)
+    bench.do(bench.offer(0.2))
+    chosen = bench.journal.begun()
+    assert chosen is not None
+    if ends:
+        bench.refuse(0.5)
+    else:
+        bench.greet(0.5)
+    assert bench.journal.begun() == chosen
+    session = bench.record.session
+    back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
+    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
+    assert (event.session, event.coin) == (session, chosen.coin)
+    assert event.u == chosen.offer.candidates[chosen.coin] != (0.0,)
+    assert (back.record.transitions, back.record.missed) == (0, 1)
+    assert back.journal.begun() is None
+    # whether the input was applied is not known: the plant is told what the step to come is given
+    assert back.device.calls[:2] == ["start", "apply"]
+    assert back.record.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
+    bench.journal.close()
+
+
 # --- failures -------------------------------------------------------------------------------------
 
 
@@ -349,6 +442,37 @@ def test_the_watchdog_bites_once_and_for_good() -> None:
         bench.endpoint.plant.miss()
 
 
+@pytest.mark.parametrize("begun", [False, True], ids=["read", "begun"])
+def test_the_watchdog_watches_a_plant_that_was_started_again_from_the_first_second(
+    begun: bool,
+) -> None:
+    """Its controller is gone: nobody but the watchdog sees that it holds its input."""
+    first = Bench(Device(), watchdog_s=2.5)
+    first.do(first.offer(0.2))
+    if not begun:
+        first.do(first.endpoint.wake(1.0))
+    device = Device()
+    back = Bench(device, first.journal, met=False, watchdog_s=2.5)
+    assert back.endpoint.wake_at() <= 2.5
+    for now in (1.0, 2.0):
+        back.do(back.endpoint.wake(now))
+    with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
+        back.endpoint.wake(2.51)
+    assert device.calls[-1] == "safe"
+
+
+def test_a_plant_that_has_never_moved_has_time_to_meet_its_controller() -> None:
+    bench = Bench(Device(), met=False, watchdog_s=2.5)
+    bench.do(bench.endpoint.wake(9.9))
+    with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 10 s"):
+        bench.endpoint.wake(10.1)
+    met = Bench(Device(), watchdog_s=2.5)  # and its controller offers nothing
+    for now in (1.0, 2.0, 3.0):
+        met.do(met.endpoint.wake(now))
+    with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
+        met.endpoint.wake(3.51)
+
+
 def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:
     bench = Bench(Device())
     bench.do(bench.offer(0.2))
@@ -377,13 +501,6 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
 
 @pytest.mark.slow
 def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
-    import threading
-
-    from plant_service.service import PlantConfig, PlantService
-    from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-    from protocol.runtime.pace import Pace
-    from protocol.runtime.run_folder import PLANT_SAFE
-
     scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
@@ -396,6 +513,72 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
     with pytest.raises(UsageError, match=r"safe state: .*belt is torn .*--clear-safe"):
         PlantService(config, *buses, threading.Event())
+
+
+def device_service(
+    device: Any, run_dir: Path, monkeypatch: pytest.MonkeyPatch, stopping: threading.Event
+) -> PlantService:
+    """The service of a plant that is a device in this process."""
+    opened = partial(open_plant, own=device)
+    monkeypatch.setattr(from_journal, "open_plant", lambda scenario, *_: opened(scenario))
+    config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
+    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    return PlantService(config, *buses, stopping)
+
+
+def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Stuck(Device):
+        def close(self) -> None:
+            super().close()
+            raise OSError("the port is gone")
+
+    device = Stuck()
+    service = device_service(device, tmp_path, monkeypatch, threading.Event())
+    service.endpoint._moved = True
+    device.reading = lambda y: (float("nan"), 0.0)
+    with pytest.raises(PlantError, match="expected finite numbers"):
+        service.run()
+    assert device.calls[-2:] == ["safe", "close"]
+    assert "expected finite numbers" in (tmp_path / PLANT_SAFE).read_text()
+    assert "plant: close: OSError: the port is gone" in caplog.text
+    # and what was open is closed: its journal can be opened again
+    PlantJournal(tmp_path / PLANT_JOURNAL, line().fingerprint()).close()
+
+
+@pytest.mark.parametrize("where", ["trace", "bus"])
+def test_a_service_that_cannot_start_leaves_its_device_safe(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Device()
+    if where == "trace":
+        (tmp_path / PLANT_TRACE).mkdir(parents=True)
+    else:
+
+        def fails(*_: object, **__: object) -> None:
+            raise TransportError("no bus")
+
+        monkeypatch.setattr(MemoryBus, "publisher", fails)
+    with pytest.raises((OSError, TransportError)):
+        device_service(device, tmp_path, monkeypatch, threading.Event())
+    assert device.calls == ["start", "safe", "close"]
+
+
+def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_self: object) -> None:
+        raise TransportError("the channel is gone")
+
+    device, stopping = Device(), threading.Event()
+    service = device_service(device, tmp_path, monkeypatch, stopping)
+    for channel in service._host._channels.values():
+        monkeypatch.setattr(type(channel), "close", fails)
+    stopping.set()
+    with pytest.raises(TransportError, match="the channel is gone"):
+        service.run()
+    assert device.calls[-2:] == ["safe", "close"]
 
 
 # --- punctuality and doubt ------------------------------------------------------------------------
@@ -455,8 +638,6 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
 
 
 def test_operated_devices_are_told_from_simulations() -> None:
-    from plant_service.adapters.registry import open_plant
-
     device: Operated = open_plant(line(), own=Device())
     assert device.device
     assert not open_plant(line(), own=PythonLine()).device

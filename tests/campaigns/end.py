@@ -16,7 +16,7 @@ from protocol.link import perform as shell
 from protocol.link.endpoint import Actions, Keep, Notice, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
-from protocol.link.perform import Killed, Mortal
+from protocol.link.perform import CrashPoint, Killed, Mortal
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -25,6 +25,7 @@ from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.tasks import Task
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
+from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.line_ends import LinePlant, line_controller, line_plant
 
 Side = Literal["plant", "controller"]
@@ -91,12 +92,17 @@ class End:
     timed : bool
         A deadline each step, so that steps are missed; else lock-step.
     stores : Stores
+    acts : bool
+        The plant is a device: its step is begun, and read when it ends.
     """
 
     stores: Stores
 
-    def __init__(self, side: Side, rules: Rules, *, timed: bool, stores: Stores) -> None:
+    def __init__(
+        self, side: Side, rules: Rules, *, timed: bool, stores: Stores, acts: bool = False
+    ) -> None:
         self.side: Side = side
+        self.device = LineDevice() if acts and side == "plant" else None
         self.rules = rules
         self.timed = timed
         self.stores = stores
@@ -114,11 +120,21 @@ class End:
         else:
             self.journal = MemoryPlantJournal()
         self.endpoint: ControllerEndpoint | PlantEndpoint
-        self._line: LinePlant | None = None
-        self._ports = Mortal(self)
+        self._line: LinePlant | ActingLine | None = None
+        self.mortal()
         self._begin_event()
         self._start()
         self._set_clock()
+
+    def mortal(self) -> None:
+        """It dies within what is asked of its ports, and of its device."""
+        self._ports = Mortal(self)
+        if self.device is not None:
+            self.device.passes = self._acts
+
+    def _acts(self, point: CrashPoint) -> None:
+        self._ports.passes(point)
+        self.things += 1
 
     def _begin_event(self) -> None:
         self.out: list[Outgoing] = []
@@ -135,23 +151,23 @@ class End:
         self.tasks.clear()
         self._drawn = (-1, 0)
         self._line = None
+        self._starting = True
         instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
         if isinstance(self.journal, MemoryControllerJournal):
             self.endpoint = line_controller(
                 self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3
             )
         else:
-            self.endpoint, self._line = line_plant(
-                self.rules,
-                self.journal,
-                self.new_session,
-                instance,
-                self.now,
-                STEP_S if self.timed else None,
-                self.nonce,
-                REPEATS,
-            )
+            step_s = STEP_S if self.timed else None
+            common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
+            if self.device is None:
+                self.endpoint, self._line = line_plant(self.rules, self.journal, *common)
+            else:
+                self.endpoint, self._line = acting_plant(
+                    self.rules, self.journal, self.device, *common
+                )
         self._perform(self.endpoint.start(self.now))
+        self._starting = False
 
     def _perform(self, actions: Actions) -> None:
         shell.perform(actions, self.endpoint, self._ports)
@@ -247,6 +263,8 @@ class End:
     def trace(self, event: Event) -> None:
         """Note what it has counted; a transition is counted in one version only, and in order."""
         self.things += 1
+        if self.device is not None:
+            self.device.look(event, alive=not self._starting)
         if isinstance(event, FrameRefused):
             raise Broken("a frame was refused")
         if isinstance(event, BlockJudged):
@@ -332,6 +350,8 @@ class End:
         else:
             if doing.what == "forgets":
                 self.journal.forget()
+                if self.device is not None:
+                    self.device.u = None  # what it was told is known to nobody any more
                 self.view = self.view._replace(forgot=True)
             self._start()
 

@@ -51,10 +51,19 @@ class Ends:
     stores : Stores
     messages : dict of Outgoing to int
         The numbers of messages, shared by both ends.
+    acts : bool
+        The plant is a device.
     """
 
     def __init__(
-        self, side: Side, rules: Rules, *, timed: bool, stores: Stores, messages: "Messages"
+        self,
+        side: Side,
+        rules: Rules,
+        *,
+        timed: bool,
+        stores: Stores,
+        messages: "Messages",
+        acts: bool = False,
     ) -> None:
         self.side: Side = side
         self.views: list[View] = []
@@ -69,7 +78,7 @@ class Ends:
         self._made: dict[tuple[int, Doing], tuple[Outcome, int]] = {}
         self._hears: dict[tuple[int, int], tuple[Outcome, ...]] = {}
         self._alone: dict[int, tuple[Outcome, ...]] = {}
-        end = End(side, rules, timed=timed, stores=stores)
+        end = End(side, rules, timed=timed, stores=stores, acts=acts)
         self.first = self._number(end)
         self.greeting = tuple([messages.number(message) for message in end.out])
 

@@ -43,7 +43,7 @@ def look(pid: int, run_dir: Path, begun_s: float) -> dict[str, Any] | None:
         return None
     if len(memory) < 3 or status["k"] < 1:
         return None
-    fewest = min((one.left for counts in pads for one in counts.values()), default=0)
+    fewest = min((one.left for one in pads if one is not None), default=0)
     return {"s": time.monotonic() - begun_s, "k": status["k"], "pads": fewest, "mib": memory}
 
 

@@ -146,6 +146,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--scheme", choices=SCHEMES, required=True)
     parser.add_argument("--faults", type=int, default=2, help="deaths, lost journals, freezes")
     parser.add_argument("--lockstep", action="store_true", help="steps have no deadline")
+    parser.add_argument("--acts", action="store_true", help="the plant is a device")
     parser.add_argument("--no-keys", action="store_true", help="no key blocks are made")
     parser.add_argument("--remembered", type=int, default=2, help="messages on their way")
     parser.add_argument("--from-hello", action="store_true", help="begin before both ends met")
@@ -155,6 +156,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=Path("campaign-exhaustive.json"))
     args = parser.parse_args(argv)
     name = f"{args.scheme}, {'lock-step' if args.lockstep else 'with a deadline'}, "
+    name += "a device, " if args.acts else ""
     name += f"keys {'off' if args.no_keys else 'on'}, {args.faults} faults"
     name += ", from the first hello" if args.from_hello else ""
     name += f", {args.remembered} remembered" if args.remembered != 2 else ""
@@ -171,6 +173,7 @@ def main(argv: list[str] | None = None) -> int:
             timed=not args.lockstep,
             keys=not args.no_keys,
             remembered=args.remembered,
+            acts=args.acts,
         )
         starts = slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
         found = Exploration(space, args.faults, starts)

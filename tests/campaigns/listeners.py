@@ -6,6 +6,8 @@ from typing import Protocol
 from protocol.link.sealing import OpeningEnd, SealingEnd
 from protocol.messages import (
     ControllerStatus,
+    KeyAnswer,
+    KeyRequest,
     Measurement,
     Message,
     Offer,
@@ -173,7 +175,10 @@ class Watcher:
 class Sealing:
     """Both ends of sealed messages, beside their stores."""
 
-    kinds: tuple[type[Message], ...] = (SealCommand, SealedReceipt, Sealed)
+    kinds: tuple[type[Message], ...] = (
+        *(SealCommand, SealedReceipt, Sealed),
+        *(KeyRequest, KeyAnswer),
+    )
 
     def __init__(self, folder: Path) -> None:
         self._stores = [
@@ -187,11 +192,13 @@ class Sealing:
     def hear(self, kind: type[Message], payload: bytes) -> None:
         """By whoever hears that kind."""
         self._now += 0.01
-        end = self._opening if kind is Sealed else self._sealing
-        for notice in end.receive(kind, payload, self._now).notices:
-            assert notice.subject, f"logged without a limit: {notice.text}"
-        if end.wake_at() <= self._now:
-            end.wake(self._now)
+        for end in (self._opening, self._sealing):
+            if kind not in end.hears:
+                continue
+            for notice in end.receive(kind, payload, self._now).notices:
+                assert notice.subject, f"logged without a limit: {notice.text}"
+            if end.wake_at() <= self._now:
+                end.wake(self._now)
 
     def goes_on(self) -> None:
         """It has raised nothing."""
@@ -219,6 +226,8 @@ def listener(name: str, folder: Path, field: list[bytes]) -> tuple[Listener, lis
         heard = [
             SealCommand(id="a", payload=b"x" * 9).wire(),
             SealedReceipt(id="a").wire(),
+            KeyRequest(side="plant", use="served a", what="keys", names=("a",)).wire(),
+            KeyAnswer(side="controller", use="sealed a b", what="keys", refused=()).wire(),
             Sealed(id="a", key_ids=("0" * 32,), cipher=b"x" * 9, tag="0" * 32).wire(),
         ]
         return Sealing(folder), heard

@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Any, Final
 
 from plant_service.endpoint import PlantEndpoint
-from protocol.link.perform import Mortal
 from protocol.link.session import Rules
 from protocol.messages import Message
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -14,11 +13,12 @@ from protocol.secret.blocks import Schedule
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.campaigns.stores import Stores
+from tests.support.acting_line import ActingLine, LineDevice
 from tests.support.line_ends import LinePlant
 
 PASSING: Final = frozenset(
     (
-        *("stores", "journal", "_ports", "_line"),  # shared, kept apart, or a second name
+        *("stores", "journal", "device", "_ports", "_line"),  # shared, kept apart, or a second name
         *(
             "out",
             "news",
@@ -47,6 +47,8 @@ class _Packer(pickle.Pickler):
         kind = type(obj)
         if kind is End:
             return _part, ("End",)
+        if kind is LineDevice:
+            return _part, ("device",)
         if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
             return _part, ("journal",)
         if kind is Rules:
@@ -75,11 +77,18 @@ def _message(kind: type[Message], wire: bytes) -> Message:
     return kind.model_validate_json(wire)
 
 
+def _acted(device: LineDevice | None) -> dict[str, Any] | None:
+    """What a device is, but for who looks after deaths; nothing where there is none."""
+    if device is None:
+        return None
+    return {name: value for name, value in vars(device).items() if name != "passes"}
+
+
 def pack(end: End) -> bytes:
     """The end as bytes."""
     own = {name: value for name, value in vars(end).items() if name not in PASSING}
     file = io.BytesIO()
-    for part in (vars(end.journal), own):
+    for part in (vars(end.journal), _acted(end.device), own):
         _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
     return file.getvalue()
 
@@ -87,16 +96,20 @@ def pack(end: End) -> bytes:
 def unpack(packed: bytes, stores: Stores) -> End:
     """An end as it was packed."""
     file = io.BytesIO(packed)
-    journal, end = pickle.load(file), End.__new__(End)
+    journal, acted, end = pickle.load(file), pickle.load(file), End.__new__(End)
+    end.device = None
+    if acted is not None:
+        end.device = LineDevice()
+        vars(end.device).update(acted)
     _whole.clear()
     end.journal = MemoryPlantJournal() if "_chunks" in journal else MemoryControllerJournal()
     vars(end.journal).update(journal)
-    _whole.update(End=end, journal=end.journal)
+    _whole.update(End=end, journal=end.journal, device=end.device)
     vars(end).update(pickle.load(file))
     end.stores = stores
-    end._ports = Mortal(end)
+    end.mortal()
     end._line = None
     if isinstance(end.endpoint, PlantEndpoint):
-        assert isinstance(end.endpoint.plant, LinePlant)
+        assert isinstance(end.endpoint.plant, LinePlant | ActingLine)
         end._line = end.endpoint.plant
     return end

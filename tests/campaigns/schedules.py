@@ -1,8 +1,9 @@
 """Seeded schedules of the whole link: ``python -m tests.campaigns.schedules --count 1000000``.
 
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals; one in eight
-makes keys too. Both endpoints, their journals and the shell are those of the services. Goes on
-where it stopped.
+makes keys too, and in half of them the plant acts: a device with a deadline, or a simulation in
+lock-step that nobody can put back. Both endpoints, their journals and the shell are those of the
+services. Goes on where it stopped.
 """
 
 import argparse
@@ -11,17 +12,23 @@ import json
 import random
 import sys
 import time
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from controller_service.laws.base import CandidateLaw
+from plant_service.adapters.base import PlantAdapter, Sample, Stepped
+from plant_service.endpoint import PlantEndpoint
+from protocol.agreement import predict
 from protocol.files import write_atomically
-from protocol.messages import Measurement, Message, Offer
-from protocol.scenario import Scenario
+from protocol.link.events import Applied, Event, Interrupted, Missed
+from protocol.link.perform import CrashPoint
+from protocol.messages import ControllerHello, Measurement, Message, Offer
+from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.keys import Keys
 from protocol.secret.store import KeyStore
+from protocol.vectors import Vector
 from tests.support.copies import Copies
 from tests.support.safety import violations
 from tests.support.small_run import law_of
@@ -34,15 +41,96 @@ PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
 """Steps of a schedule; an eighth of them have the last two."""
 
+MISLED: Final = 0.03
+"""Probability, for each offer to a plant that acts, that its session ends about then."""
+
 SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 """Blocks of 2, 4, 8 ... transitions, so that some are confirmed within a schedule."""
 
 
 @cache
-def loop(*, keyed: bool) -> tuple[Scenario, CandidateLaw]:
-    """The paper's loop, with keys or without."""
+def loop(*, keyed: bool, acts: bool) -> tuple[Scenario, CandidateLaw]:
+    """The paper's loop, with keys or without; as matrices, or as a plant that acts."""
     scenario, law = law_of("sustained")
+    if acts:
+        tables = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+        tables["defender"] |= {"A": scenario.A, "B": scenario.B}
+        tables["plant"] = {
+            "kind": "python",
+            "object": "tests.campaigns.schedules:Acting",
+            "period_s": scenario.plant.period_s,
+            "disturbance": {"enters": "none"},
+        }
+        scenario = parse_scenario(tables, "acting")
     return (scenario.model_copy(update={"keys": SMALL_BLOCKS}) if keyed else scenario), law
+
+
+class Acting:
+    """The paper's plant as a device: it stands where it stands, whoever connects to it.
+
+    Attributes
+    ----------
+    u, x : tuple of float
+        The input of the step that was read last, None before the first; and where it led.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self._A, self._B = scenario.A, scenario.B
+        self._draw = random.Random(seed)
+        self._next: Vector | None = None
+        self._t_ns = 1
+        self.u: Vector | None = None
+        self.x: Vector = (4.0, -2.0)
+        self.passes: Callable[[CrashPoint], None]
+
+    def start(self, seed: int | None) -> Sample:
+        """Connect: a step has gone by; what it was told before is known to nobody."""
+        self._go(self._next or (0.0,))
+        self._next = self.u = None
+        return self._sample()
+
+    def apply(self, u: Vector) -> None:
+        """Take an input."""
+        self.passes("acting")
+        self._next = u
+
+    def sample(self) -> Sample:
+        """A step is over."""
+        self.passes("acting")
+        self.u = self._next
+        self._go(self._next or (0.0,))
+        return self._sample()
+
+    def _go(self, u: Vector) -> None:
+        moved = predict(self._A, self._B, self.x, u)
+        self.x = tuple([v + self._draw.uniform(-0.1, 0.1) for v in moved])
+
+    def _sample(self) -> Sample:
+        self._t_ns += 1
+        return Sample(self.x, self._t_ns)
+
+    def safe(self) -> None:
+        """Nothing here fails."""
+        raise AssertionError("it was sent to its safe state")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class ActingStepped:
+    """The same as one that is stepped: a simulation without a state that could be set."""
+
+    def __init__(self, device: Acting) -> None:
+        self._device = device
+
+    def reset(self, seed: int | None) -> Vector:
+        """It goes on from where it stands."""
+        return self._device.start(seed).y
+
+    def step(self, u: Vector, period_s: float) -> Vector:
+        """One step."""
+        self._device.apply(u)
+        return self._device.sample().y
 
 
 def faults_of(seed: int) -> tuple[Faults, float | None, int, bool]:
@@ -61,40 +149,116 @@ def faults_of(seed: int) -> tuple[Faults, float | None, int, bool]:
 
 
 class Watched(Simulation):
-    """A simulation whose copies are looked at as they leave."""
+    """A simulation whose copies are looked at as they leave, and its device as it is told of."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, device: Acting | None = None, **kwargs: Any) -> None:
         self._copies = Copies()
+        self._device = device
+        self.cut = 0
+        """Steps that a session's end cut short."""
         super().__init__(*args, **kwargs)
+
+    def _new_plant(self, lives: int) -> PlantEndpoint:
+        if self._device is not None:
+            self._device.passes = self._ends["plant"].ports.passes
+        return super()._new_plant(lives)
 
     def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
         """Look at a message of the loop, and send it."""
-        if kind in (Measurement, Offer):
+        if kind in (Measurement, Offer) and self._scenario.keys is not None:
             self._copies.left(kind.model_validate_json(payload))
         super().send(to, kind, payload)
+        if kind is Offer and self._device is not None and self._chance(MISLED):
+            self._at(self._random.random() * 0.2, self._end_the_session)
+
+    def _end_the_session(self) -> None:
+        """The controller was misled, or holds other keys: it does not know the session any more."""
+        end = self._ends["plant"]
+        if end.endpoint is None or self._plant.plant.receiver.controller is None:
+            return
+        receiver = self._plant.plant.receiver
+        word = ControllerHello(
+            instance=receiver.controller or "",
+            life=receiver.record.life,
+            fingerprint=receiver.rules.fingerprint,
+            verdict="unknown-session",
+            session=receiver.record.session,
+            answers=receiver.instance,
+        )
+        self.history.amnesias += 1
+        self._deliver("plant", ControllerHello, word.wire())
+
+    def traced(self, event: Event) -> None:
+        """A step of a device counts in the session in force, with what the device had."""
+        super().traced(event)
+        device = self._device
+        if device is None or not isinstance(event, Applied | Missed | Interrupted):
+            return
+        t = event.transition if isinstance(event, Applied) else event
+        assert t.session == self._plant.plant.receiver.record.session, "counted in another session"
+        if device.u is None:  # of a life before, or before an input was known
+            return
+        assert t.x_next == device.x, "a step led elsewhere than its trace says"
+        assert event.u == device.u, "a step had another input than its trace says"
+        self.cut += isinstance(event, Interrupted)
 
 
-def broken(seed: int) -> tuple[int, list[str]]:
-    """Keys that both ends have confirmed under the schedule of a seed, and what did not hold."""
+class Outcome(NamedTuple):
+    """What came of a schedule.
+
+    ``keys`` that both ends have confirmed, steps that a session's end ``cut`` short, and what was
+    ``wrong``.
+    """
+
+    keys: int = 0
+    cut: int = 0
+    wrong: tuple[str, ...] = ()
+
+
+def acts(seed: int) -> bool:
+    """Whether the plant of a seed acts: half of them, with keys and without."""
+    return seed // 8 % 2 == 1
+
+
+def outcome_of(seed: int) -> Outcome:
+    """What comes of the schedule of a seed."""
     faults, step_s, steps, keyed = faults_of(seed)
-    scenario, law = loop(keyed=keyed)
-    make = Watched if keyed else Simulation
+    scenario, law = loop(keyed=keyed, acts=acts(seed))
+    device = Acting(scenario, seed) if acts(seed) else None
+    own: Callable[[], Stepped | PlantAdapter] | None = None
+    if device is not None:
+        placed = device if step_s is not None else ActingStepped(device)
+        own = partial(_placed, placed)
     try:
-        link = make(
-            scenario, law, seed=seed, payloads=PAYLOADS, faults=faults, step_s=step_s, run=seed
+        link = Watched(
+            scenario,
+            law,
+            seed=seed,
+            payloads=PAYLOADS,
+            faults=faults,
+            step_s=step_s,
+            run=seed,
+            device=device,
+            own=own,
         )
         history = link.run(steps=steps, seconds=20.0)
     except AssertionError as error:
-        return 0, [f"{type(error).__name__}: {error}"]
+        return Outcome(wrong=(f"{type(error).__name__}: {error}",))
     lines = list(violations(history, PAYLOADS))
     if link.k < steps and not lines:
         lines.append(f"{link.k} of {steps} steps although all has been well for 12 s")
     if not keyed:
-        return 0, lines
+        return Outcome(0, link.cut, tuple(lines))
     mine, theirs = (link.stores[side] for side in ("controller", "plant"))
     lines += differing(mine, theirs)
     shared = {name for name, state in theirs.ids() if state == "confirmed"}
-    return sum(name in shared for name, state in mine.ids() if state == "confirmed"), lines
+    keys = sum(name in shared for name, state in mine.ids() if state == "confirmed")
+    return Outcome(keys, link.cut, tuple(lines))
+
+
+def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
+    """The same plant in each life of its process."""
+    return plant
 
 
 def differing(mine: KeyStore, theirs: KeyStore) -> Iterator[str]:
@@ -118,19 +282,22 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=Path("campaign-schedules.json"))
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
-    done = {"schedules": 0, "keys": 0, "broken": [], "versions": {}, **done}
+    done = {"schedules": 0, "acting": 0, "cut": 0, "keys": 0, "broken": [], "versions": {}, **done}
     version = code_version()
     done["versions"].setdefault(version, [done["schedules"], 0])
     began, until = time.monotonic(), time.monotonic() + args.seconds
     first = done["schedules"]
-    loop(keyed=True)
+    for made in (False, True):
+        loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
     for seed in range(first, args.count):
-        keys, lines = broken(seed)
-        done["keys"] += keys
-        if lines:
-            done["broken"].append([seed, *lines])
-            print(f"seed {seed}: {lines}")
+        outcome = outcome_of(seed)
+        done["keys"] += outcome.keys
+        done["cut"] += outcome.cut
+        done["acting"] += acts(seed)
+        if outcome.wrong:
+            done["broken"].append([seed, *outcome.wrong])
+            print(f"seed {seed}: {outcome.wrong}")
         done["schedules"] = done["versions"][version][1] = seed + 1
         over = time.monotonic() > until or seed + 1 == args.count
         if over or seed % EACH == 0:

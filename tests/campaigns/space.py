@@ -63,16 +63,27 @@ class Space:
         Keys are made.
     remembered : int
         Last messages of each direction that the network may still deliver.
+    acts : bool
+        The plant is a device.
     """
 
-    def __init__(self, scheme: str, *, timed: bool, keys: bool, remembered: int = 2) -> None:
+    def __init__(
+        self, scheme: str, *, timed: bool, keys: bool, remembered: int = 2, acts: bool = False
+    ) -> None:
         self.remembered = remembered
         self.stores, self.messages = Stores(), Messages()
         rules = rules_of(scheme, keys=keys)
         self.keys = keys
         self.ends = tuple(
             [
-                Ends(side, rules, timed=timed, stores=self.stores, messages=self.messages)
+                Ends(
+                    side,
+                    rules,
+                    timed=timed,
+                    stores=self.stores,
+                    messages=self.messages,
+                    acts=acts,
+                )
                 for side in SIDES
             ]
         )

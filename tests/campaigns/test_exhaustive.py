@@ -24,9 +24,10 @@ Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("acts", [False, True], ids=["computed", "acts"])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_nothing_breaks_within_a_few_events(scheme: str) -> None:
-    found = shortest(Space(scheme, timed=True, keys=True), 2, 2, slice(-6, -1))
+def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
+    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 2, 2, slice(-6, -1))
     assert not found.why, (found.why, found.path)
     assert len(found.seen) > 500
 

@@ -298,6 +298,51 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
     assert (done.returncode, done.stderr) == (130, b"")
 
 
+@pytest.mark.parametrize("program", ["wyner", "plant_service", "controller_service", "tap_service"])
+def test_ctrl_c_while_a_program_is_loaded_ends_it_without_a_word(
+    program: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, signal, sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'protocol.runtime.command': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", program],
+        capture_output=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
+
+
+def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:
+    code = "import signal, wyner; assert signal.getsignal(2) is signal.default_int_handler"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize("when", ["begins", "ends"])
+def test_a_signal_while_signals_are_taken_over_or_given_back_is_quiet(when: str) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from protocol.runtime import command\n"
+        "real, set_so_far = signal.signal, []\n"
+        "def told(number, handler):\n"
+        "    before = real(number, handler)\n"
+        "    set_so_far.append(number)\n"
+        f"    if len(set_so_far) == {2 if when == 'begins' else 4}:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    return before\n"
+        "signal.signal = told\n"
+        "sys.exit(command.entered(lambda: 7))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
+    assert (done.returncode, done.stderr) == (130 if when == "begins" else 7, b"")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "up"),

@@ -57,7 +57,7 @@ alpha = 4.0
 def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache of the test's own, and a short simulation."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(command, "RUNS", 4)
+    monkeypatch.setattr(command, "RUNS", 6)
     monkeypatch.setattr(command, "STEPS", 60)
 
 
@@ -86,7 +86,7 @@ def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:
     areas = [float(row.split()[2]) for row in table[:6]]
     assert areas == sorted(areas)
     assert "initial state [1.0, -0.5]: index" in out
-    assert "4 runs of 60 steps, seed 1, 95 % interval over runs" in out
+    assert "6 runs of 60 steps, seed 1, 95 % interval over runs" in out
     assert "ceiling 5 bit/s" in out
 
 

@@ -195,6 +195,8 @@ def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
         "gain",
         "together",
         "certain",
+        "regulator",
+        "spacing",
     }  # no set of the design
     D_c, D_e = sustained.defender.disturbance.half_widths, written["disturbance_h"]
     assert D_c is not None
@@ -209,3 +211,40 @@ def test_knowledge_that_cannot_be_written_is_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert "cannot be written" in line
     assert main(["knowledge", "nowhere.toml"]) == 2
+
+
+@pytest.mark.parametrize(("grows", "code"), [(True, 0), (False, 1)])
+def test_for_machines_it_is_one_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], grows: bool, code: int
+) -> None:
+    write_status(tmp_path, "plant", 10)
+    later = threading.Timer(0.2, write_status, (tmp_path, "plant", 10 + grows))
+    later.start()
+    command = ["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "0.6"]
+    assert main([*command, "--json"]) == code
+    later.join()
+    told = json.loads(capsys.readouterr().out)
+    detail = told.pop("detail")
+    assert detail == "plant advances: running, 11 transitions" or not grows
+    assert told == {
+        "healthy": grows,
+        "service": "plant",
+        "endpoint": None,
+        "loops": 0,
+        "unwell": {},
+    }
+
+
+def test_of_a_fleet_it_names_the_loops_that_are_not_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b"):
+        write_status(tmp_path / name, "plant", 10)
+        (tmp_path / name / "scenario.toml").write_text("")
+    later = threading.Timer(0.2, write_status, (tmp_path / "a", "plant", 11))
+    later.start()
+    command = ["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "0.6"]
+    assert main([*command, "--json"]) == 1
+    later.join()
+    told = json.loads(capsys.readouterr().out)
+    assert (told["healthy"], told["loops"], list(told["unwell"])) == (False, 2, ["b"])

@@ -1,6 +1,7 @@
 """``wyner send``: what it says on the bus while it waits."""
 
 import argparse
+import json
 import threading
 import time
 from collections.abc import Callable
@@ -10,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from protocol.messages import SealCommand, SealReply
+from protocol.messages import SealCommand, SealReply, SendReply
 from protocol.runtime.errors import Failure, UsageError
 from wyner.cli import options
 from wyner.cli.main import main
 from wyner.cli.options import joined
-from wyner.cli.send import REPEAT_S, _answers
+from wyner.cli.send import REPEAT_S, _answers, _print
 from wyner.deployment.running import RunningLoop, announced
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
@@ -102,3 +103,29 @@ def test_a_run_that_does_not_answer_yet_is_named(capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().err
     assert "mine: the run /runs/a/run did not answer within 0.2 s" in said
     assert "(--timeout)" in said
+
+
+@pytest.mark.parametrize(
+    ("reply", "size", "expected"),
+    [
+        (
+            SendReply(id="m", accepted=True, queued=2, detail=""),
+            22,
+            {"sealed": False, "delivered": False, "queued": 2, "keys": None},
+        ),
+        (
+            SealReply(id="m", accepted=True, delivered=True, detail=""),
+            22,
+            {"sealed": True, "delivered": True, "queued": None, "keys": 2},
+        ),
+    ],
+)
+def test_for_machines_it_is_one_object(
+    capsys: pytest.CaptureFixture[str],
+    reply: SendReply | SealReply,
+    size: int,
+    expected: dict[str, Any],
+) -> None:
+    _print(reply, size, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"id": "m", "bytes": size, **expected}

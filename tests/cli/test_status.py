@@ -15,9 +15,10 @@ from protocol.runtime.run_folder import (
     SCENARIO,
 )
 from protocol.secret.authentication import make_secret
-from protocol.secret.ledger import take_secret
+from protocol.secret.ledger import Authentication, take_secret
 from protocol.secret.store import KeyStore
 from protocol.shipped import SCENARIOS
+from tests.support.giving import consent
 from wyner.cli.main import main
 
 pytestmark = pytest.mark.slow
@@ -94,7 +95,7 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
         ({"bits": 512}, "the tap holds 512 bits of keys"),
         (
             {"refuted": True},
-            "the tap misses 0.12 of the copies at most: the operator's claim is refuted",
+            "the tap misses 0.12 of the offers at most: the operator's claim is refuted",
         ),
         ({"bursts": True}, "the tap's misses come in bursts"),
     ],
@@ -107,7 +108,8 @@ def test_what_the_tap_found_against_the_claim_is_a_warning(
     warning: str,
 ) -> None:
     folder = changed(run_dir, tmp_path, PLANT_STATUS)
-    keys = {"bits": 0, "at_most": 0.123, "refuted": False, "bursts": False} | found
+    keys = {"bits": 0, "at_most": 0.123, "refuted": False, "bursts": False, "direction": "offers"}
+    keys |= found
     (folder / BELIEFS).parent.mkdir()
     (folder / BELIEFS).write_text(json.dumps({"a": {"keys": None}, "key-solver": {"keys": keys}}))
     assert main(["status", str(folder)]) == 1
@@ -137,7 +139,9 @@ def test_the_ledger_of_each_end_is_shown_and_left_as_it_was(
     make_secret(tmp_path / "first")
     shutil.copy(tmp_path / "first", tmp_path / "second")
     with KeyStore(folder / PLANT_KEYS, "plant", create=True) as keys:
-        take_secret(keys, tmp_path / "first").tag("a block", b"its content")
+        take_secret(keys, tmp_path / "first")
+        authentication = Authentication(keys, look=lambda: consent(keys))
+        assert authentication.tags("a", 0, b"its content", [bytes(32)]) is not None
     with KeyStore(folder / CONTROLLER_KEYS, "controller", create=True) as keys:
         take_secret(keys, tmp_path / "second")
         keys.drop("no", 1)
@@ -145,22 +149,19 @@ def test_the_ledger_of_each_end_is_shown_and_left_as_it_was(
         with keys.transaction():  # someone is at it
             assert main(["status", str(folder)]) == 0
     assert (folder / CONTROLLER_KEYS).read_bytes() == before
-    whole, one_spent = "16 made, 0 spent, 16 left", "16 made, 1 spent, 15 left"
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if line.startswith("pads")] == [
-        f"pads        at the controller, for the controller's tags: {whole}; "
-        f"for the plant's tags: {whole}",
-        f"pads        at the plant, for the controller's tags: {whole}; "
-        f"for the plant's tags: {one_spent}",
+        "pads        at the controller: 16 sets made, 0 spent, 16 left",
+        "pads        at the plant: 16 sets made, 1 spent, 15 left",
     ]
     assert main(["status", str(folder), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["pads"]
-    assert told["plant"]["plant"] == {"made": 16, "spent": 1, "left": 15}
+    assert told["plant"] == {"made": 16, "spent": 1, "left": 15}
     (folder / PLANT_KEYS).write_bytes(b"no store" * 300)
     assert main(["status", str(folder)]) == 1
     out = capsys.readouterr().out  # all else is told as well
     assert out.count("warning: ") == out.count("not a database") == 1
-    assert "at the controller, for the controller's tags" in out
+    assert "at the controller: 16 sets" in out
 
 
 def test_what_cannot_be_read_is_one_line(

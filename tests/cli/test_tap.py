@@ -7,6 +7,7 @@ import itertools
 import json
 import logging
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -136,14 +137,62 @@ def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_p
     args = ("--eavesdropper", "set-membership,list-decoder", "--figure", figure)
     code, out, _ = call(capsys, "secrecy", run_dir, *args)
     assert code == 0
-    assert "PAPER'S CLAIM EXCEEDS TRUE" in out
+    assert "PAPER'S RULE EXCEEDS TRUE" in out
     assert "H(model | transcript)" in out
     assert figure.read_bytes().startswith(b"<?xml")
-    code, out, _ = call(capsys, "secrecy", run_dir, run_dir, *args[:2], "--json")
+    code, out, _ = call(capsys, "secrecy", run_dir, *args[:2], "--json")
     report = json.loads(out)
     assert report["strongest"] == "list-decoder"
     assert report["claimed_exceeds_true"] is True
-    assert report["taps"]["list-decoder"]["exact_message_rate"]["of"] == 2
+    assert report["taps"]["list-decoder"]["exact_message_rate"]["value"] == 1.0
+
+
+def test_secrecy_takes_a_folder_of_runs_and_counts_each_once(
+    run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """``check`` takes the folder of a demo, and so does this."""
+    for name in ("one", "two"):
+        shutil.copytree(run_dir, tmp_path / name)
+        (tmp_path / name / "scenario.toml").touch()
+    args = ("--eavesdropper", "set-membership", "--json")
+    code, out, _ = call(capsys, "secrecy", tmp_path, *args)
+    assert code == 0
+    report = json.loads(out)
+    assert report["runs"] == ["one", "two"]
+    hers = report["taps"]["set-membership"]
+    assert hers["symbol_error_rate"]["value"] == pytest.approx(0.5, abs=0.1)
+    assert hers["symbol_error_rate"]["low"] is None  # two runs have no interval
+    assert hers["left_bits"]["high"] == report["claimed_bits"]  # a blind one leaves all
+    code, _, err = call(capsys, "secrecy", tmp_path, tmp_path / "one", *args)
+    assert code == 2
+    assert err.endswith("one: given 2 times, expected each run once\n")
+
+
+FAILS = """
+from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
+class Mine(Eavesdropper):
+    name = "mine"
+    def observe(self, transition):
+        if transition.k == 21:
+            raise ValueError("no idea")
+        return Guess(transition.k, (1.0, 0.0), 1.0)
+    def belief(self):
+        return Belief()
+"""
+
+
+def test_an_eavesdropper_who_fails_ends_with_1_and_is_not_scored(
+    run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.py").write_text(FAILS)
+    name = f"{tmp_path}/mine.py:Mine"
+    code, out, _ = call(capsys, "secrecy", run_dir, "--eavesdropper", name)
+    assert code == 1
+    assert "mine: not scored: she failed: step 21: ValueError: no idea" in out
+    assert "mine: she failed: step 21: ValueError: no idea, so they stand untested" in out
+    code, out, _ = call(capsys, "replay", run_dir, "--eavesdropper", name)
+    assert code == 1
+    assert "mine: she failed: step 21: ValueError: no idea" in out
 
 
 def test_export_to_csv(run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,10 +1,14 @@
-"""``wyner up``: when a run is over."""
+"""``wyner up``: who listens, and when a run is over."""
 
+from argparse import Namespace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from protocol.runtime.errors import UsageError
+from protocol.runtime.scenario_file import scenario_of
 from wyner.cli import up
 
 
@@ -42,3 +46,26 @@ def test_a_run_goes_on_until_its_errand_is_done(monkeypatch: pytest.MonkeyPatch)
     assert not watching.over()
     watching.errand = lambda: True
     assert watching.over()
+
+
+def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path) -> None:
+    """They replaced the shipped ones, and what the weakest left was called true."""
+    (tmp_path / "mine.py").write_text(
+        "from tap_service.eavesdroppers.nearest_centre import NearestCentre\n"
+        "class Mine(NearestCentre):\n    name = 'mine'\n"
+        "class Shadow(NearestCentre):\n    pass\n"
+    )
+    scenario = scenario_of("sustained")
+    mine = f"{tmp_path}/mine.py:Mine"
+
+    def listening(asked: str | None) -> tuple[str, ...]:
+        return up._eavesdroppers(Namespace(eavesdropper=asked, scenario="sustained"), scenario)
+
+    usual = listening(None)
+    assert "list-decoder" in usual
+    assert listening(mine) == (*usual, mine)
+    assert listening("nearest-centre,oracle") == (*usual, "oracle")
+    with pytest.raises(UsageError, match="are both named 'nearest-centre'"):
+        listening(f"{tmp_path}/mine.py:Shadow")
+    with pytest.raises(UsageError, match="expected at least one name"):
+        listening(",")

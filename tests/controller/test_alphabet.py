@@ -78,7 +78,7 @@ def test_largest_progression_is_the_largest_set(sigma: int, omega: int, length: 
     points, at = 1, sigma * 1000 + 1
     while at <= span * 1000:
         points, at = points + 1, at + sigma * 1000 + 1
-    sep = Separation(np.array([[1 / sigma]]), np.array([[7 / omega]]))
+    sep = Separation(np.array([[1 / sigma]]), np.array([[7 / omega]]), np.ones(1))
     assert line_size(sep, 8.0, float(length)) == points == math.ceil(Fraction(span, sigma))
 
 

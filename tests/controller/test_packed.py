@@ -25,6 +25,7 @@ from protocol.convex import corners
 from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.support.apart import distances
+from wyner.cli.new import sampled
 
 SHIPPED = (
     "packed",
@@ -32,6 +33,14 @@ SHIPPED = (
     "packed-quadruple-tank",
     "packed-batch-reactor",
 )
+
+
+TWO_MASSES: list[list[float]] = [
+    [0, 0, 1, 0],
+    [0, 0, 0, 1],
+    [-2, 1, -0.02, 0.01],
+    [1, -2, 0.01, -0.02],
+]
 
 
 def shipped(name: str, *, candidates: int | None = None, alpha: float | None = None) -> Scenario:
@@ -126,6 +135,23 @@ def test_terminal_sets_by_regulator_scan_and_invariance() -> None:
     assert made["packed-double-integrator"].method == "invariant"
     assert made["packed-quadruple-tank"].method == "modal"
     assert made["packed-quadruple-tank"].weight == pytest.approx(10 ** (-3 / 5))
+
+
+def test_a_slow_oscillation_is_held_by_a_regulator_that_decays() -> None:
+    """Two masses between springs: no weights' regulator keeps a set, and the file states none."""
+    A = sampled(TWO_MASSES, [[0.0], [0.0], [1.0], [0.0]], 0.05)
+    base = shipped("packed").model_dump(exclude_none=True)
+    half_widths = [0.01 * abs(row[0]) for row in A[1]]
+    base["plant"].update(A=A[0], B=A[1], period_s=0.05, initial_state=[0.0] * 4)
+    base["plant"]["disturbance"] = {"half_widths": half_widths}
+    base["defender"] = {"disturbance": {"half_widths": half_widths}}
+    base["control"].update(horizon=2, inputs={"half_widths": [1.0]})
+    base["control"]["regulator"] = {"next_state": [1.0] * 4, "input": [1.0]}
+    scenario = parse_scenario(base, "masses")
+    design = cached_design(scenario)
+    assert design.terminal.method == "modal"
+    assert design.terminal.decay < 1
+    adversary(scenario, 20_000)
 
 
 def test_one_candidate_is_the_design_without_an_alphabet() -> None:

@@ -83,6 +83,16 @@ def test_in_a_pipe_a_line_comes_every_ten_seconds(capsys: pytest.CaptureFixture[
     assert all(" left" in line for line in lines)
 
 
+def test_sets_that_are_all_made_are_not_refused() -> None:
+    """The last one once was: "8 are made", and the advice was a horizon of 8."""
+    now = 0.0
+    with shown_progress(60.0, lambda: now) as advance:
+        for i in range(8):
+            advance(i, 8, polytope(4, 2))
+        now = 76.0
+        advance(8, 8, polytope(4, 2))
+
+
 def test_a_quick_design_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     now = 0.0
     with shown_progress(60.0, lambda: now) as advance:

@@ -87,7 +87,7 @@ def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
     path = ROOT / "examples" / "alpha.toml"
     assert main(["sweep", str(path), "--output", str(tmp_path / "alpha.csv")]) == 0
     rates = (tmp_path / "alpha-rates.csv").read_text(encoding="utf-8")
-    assert "SpeedWatcher keys right" in rates
+    assert "speed-watcher keys right" in rates
     assert len(rates.splitlines()) == 4
 
 

@@ -10,16 +10,19 @@ import textwrap
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
 from protocol.registry import load_file
 from protocol.runtime.endpoints import free_endpoints
 from protocol.runtime.zenoh_bus import ZenohBus
-from protocol.scenario import load_scenario
+from protocol.scenario import ScenarioError, load_scenario
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
+from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import named
@@ -59,6 +62,95 @@ def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path:
     run.until_received(1)
     run.close()
     assert main(["check", str(tmp_path / "run")]) == 0
+
+
+def law_scenario(folder: Path, law: str) -> Path:
+    """The shipped scenario under the page's law."""
+    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text.replace("horizon = 250", "horizon = 60")
+    text = text.replace("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]")
+    stated = (folder / "law.toml").read_text().removeprefix("[control]\n")
+    text = text.replace('law = "sustained"\n', stated.replace("nearer.py:Nearer", law))
+    path = folder / "own.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path: Path) -> None:
+    program("law.md", tmp_path, "nearer.py")
+    program("law.md", tmp_path, "law.toml", "toml")
+    law_scenario(tmp_path, "nearer.py:Nearer")
+
+    def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "wyner.cli.main", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(PAGES.parents[1])},
+        )
+
+    designed = wyner("design", "own.toml", "--json")
+    assert designed.returncode == 0, designed.stderr
+    assert json.loads(designed.stdout)["law"] == "nearer.py:Nearer"
+    up = wyner(
+        *("up", "--scenario", "own.toml", "--pace", "fast", "--headless", "--run-dir", "run"),
+        *("--message", "Hi", "--until-delivered"),
+    )
+    assert up.returncode == 0, up.stdout + up.stderr
+    check = wyner("check", "run")
+    assert check.returncode == 0, check.stdout
+    assert "PASS  admissible" in check.stdout
+
+
+def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
+    tmp_path: Path,
+) -> None:
+    program("law.md", tmp_path, "law.toml", "toml")
+    file = program("law.md", tmp_path, "nearer.py")
+    scenario = load_scenario(law_scenario(tmp_path, f"{file}:Nearer"))
+    law = make_law(scenario, synthesise(scenario))
+    X = np.random.default_rng(1).uniform(-0.3, 0.3, (40, 2))
+    many = law.candidates_many(X)
+    assert [law.candidates(x.tolist()) for x in X] == [
+        tuple(tuple(u) for u in rows) for rows in many.tolist()
+    ]
+    usual = scenario.model_copy(
+        update={"control": scenario.control.model_copy(update={"law": "sustained"})}
+    )
+    wide = make_law(usual, synthesise(usual)).candidates_many(X)
+    assert np.allclose(np.ptp(many, axis=1), 0.9 * np.ptp(wide, axis=1))
+    (tmp_path / "changed").mkdir()
+    changed = tmp_path / "changed" / "nearer.py"
+    changed.write_text(file.read_text() + "\n# another synthesis\n")
+    other = load_scenario(law_scenario(tmp_path, f"{changed}:Nearer"))
+    assert other.design_fingerprint() != scenario.design_fingerprint()
+    assert other.law_fingerprint() != scenario.law_fingerprint()
+    assert other.fingerprint() == scenario.fingerprint()  # the plant applies what it is offered
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "expected a class Nearer that extends controller_service.laws.base.ProgramLaw"),
+        ("1 / 0", "cannot be loaded: ZeroDivisionError: division by zero"),
+        ("class Nearer:\n  synthesise = print\n  table = 3", "expected its table to be a class"),
+    ],
+)
+def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
+    tmp_path: Path, text: str, expected: str
+) -> None:
+    program("law.md", tmp_path, "law.toml", "toml")
+    (tmp_path / "bad.py").write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(law_scenario(tmp_path, f"{tmp_path}/bad.py:Nearer"))
+    (line,) = error.value.problems
+    assert "own.toml: control.law: " in line
+    assert expected in line
 
 
 def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_a_run(installed: Installed) -> None:
     out = installed.run(
         *("up", "--scenario", "sustained", "--pace", "fast", "--until-delivered", "--headless")
     )
-    assert "Secret     the paper claims" in out
+    assert "bits by the paper's rule. True: at most" in out
     (run,) = (installed.folder / "runs").iterdir()
     out = installed.run("check", str(run))
     assert " 0 FAIL" in out

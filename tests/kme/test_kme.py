@@ -11,13 +11,14 @@ import ssl
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from protocol.secret.store import KeyStore
+from tests.support.giving import agree
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main
 from wyner.kme.entity import KeyManagementEntity, Names
@@ -328,6 +329,29 @@ def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) ->
 
 
 @pytest.mark.slow
+def test_without_the_services_no_key_is_given_and_none_is_lost(tmp_path: Path) -> None:
+    one = Sites(tmp_path, keys=8)
+    one.end_services()
+    try:
+        one.start("controller")
+        for _ in range(2):
+            code, told = one.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")
+            assert (code, told["message"]) == (
+                503,
+                "no key: the other end has not agreed yet: keys are given while both ends' "
+                "services run",
+            )
+        with ExitStack() as opened:
+            stores = [opened.enter_context(closing(one.store(side))) for side in SIDES]
+            ((first, *_),) = [stores[0].ids()]
+            agree(*stores)
+        code, told = one.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")
+        assert (code, [key["key_ID"] for key in told["keys"]]) == (200, [first[0]])
+    finally:
+        one.stop()
+
+
+@pytest.mark.slow
 def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
     tmp_path: Path,
 ) -> None:
@@ -337,6 +361,7 @@ def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
         one.start("controller")
         time.sleep(1.2)  # until it tells of itself again
         assert one.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")[0] == 200
+        one.end_services()
         with closing(one.store("controller")) as store:
             store._db.execute("DROP TABLE key")
         for path in ("status", "enc_keys"):

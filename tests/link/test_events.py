@@ -93,7 +93,10 @@ CENTRES = ((3.0,), (5.0,))
         (Delivered(0, "m1", b"a"), {"event": "delivered", "id": "m1", "payload": "YQ=="}),
         (Recovered(b"a"), {"event": "recovered", "payload": "YQ=="}),
         (FrameRefused(S, 7), {"event": "refused", "session": S, "p": 7}),
-        (BlockStored(S, 1, 5), {"event": "block", "session": S, "number": 1, "keys": 5}),
+        (
+            BlockStored(S, 1, 5),
+            {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
+        ),
         (
             BlockJudged(S, 1, "confirmed"),
             {"event": "judged", "session": S, "number": 1, "what": "confirmed"},

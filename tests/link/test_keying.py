@@ -47,7 +47,7 @@ def stored(keying: Keying, number: int = 0) -> Stored:
     (closed,) = keying.tasks()
     assert isinstance(closed, Closed)
     assert (closed.session, closed.number) == (S, number)
-    done = Stored(S, number, TAG, {THEIRS: 4}, keys=5)
+    done = Stored(S, number, TAG, THEIRS, keys=5)
     keying.done(done)
     return done
 
@@ -75,6 +75,8 @@ def test_without_keys_everything_is_constant() -> None:
         "keys_refused": "",
         "keys_stopped": "",
         "key_blocks_lost": 0,
+        "key_blocks_waiting": 0,
+        "appearances": 1,
     }
 
 
@@ -121,7 +123,7 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
 
 
 def test_a_block_is_announced_once_it_is_stored() -> None:
-    keying = counting(3)
+    keying = counting(4)
     assert keying.no_tag == NO_TAG
     assert keying.word() == (-1, NO_TAG)
     stored(keying)
@@ -188,11 +190,13 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
         "keys_refused": "why",
         "keys_stopped": "block 0 differs from the partner's",
         "key_blocks_lost": 1,
+        "key_blocks_waiting": 0,
+        "appearances": 1,
     }
 
 
 def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
-    keying = counting(3)
+    keying = counting(4)
     stored(keying)
     assert keying.settled() == ()
     keying.heard(said(0, THEIRS))
@@ -208,9 +212,9 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
     first, second = keying.tasks()
     assert isinstance(first, Closed)
     assert isinstance(second, Closed)
-    keying.done(Stored(S, 1, TAG, {THEIRS: 4}, keys=5))
+    keying.done(Stored(S, 1, TAG, THEIRS, keys=5))
     keying.heard(said(1, THEIRS))
-    late = Stored(S, 0, TAG, {THEIRS: 4}, keys=5)
+    late = Stored(S, 0, TAG, THEIRS, keys=5)
     assert keying.done(late) == (BlockVerdict(S, Judgement(0, "confirmed")),)
 
 

@@ -64,6 +64,9 @@ class Script:
     def kept(self, done: Done, now: float) -> Actions:
         raise NotImplementedError
 
+    def appear(self, count: int) -> Actions:
+        raise NotImplementedError
+
     def stop(self, now: float) -> Actions:
         raise NotImplementedError
 

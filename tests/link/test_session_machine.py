@@ -7,6 +7,8 @@ back with or without its journal. A second controller, with a journal of its own
 same loop. The property of the protocol is checked after every rule.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import ClassVar
 
 import pytest
@@ -15,14 +17,16 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from controller_service.endpoint import ControllerEndpoint
+from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Keep, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.session import CountedTransition
-from protocol.messages import Offer, PlantHello
+from protocol.messages import ControllerHello, Offer, PlantHello
 from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.schemes.pipelined import Pipelined
-from tests.support.line_ends import ToldPorts, line_controller, line_plant
+from tests.support.acting_line import ActingLine, LineDevice, acting_plant
+from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
@@ -31,7 +35,7 @@ PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
 PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
 SHIFTS = (1.5, 1.25)
 """What each controller sends, and how far its candidates are from the middle."""
-DEATHS: list[CrashPoint | None] = [*[None] * 5, "writing", "publishing", "tracing"]
+DEATHS: list[CrashPoint | None] = [*[None] * 5, "writing", "publishing", "tracing", "acting"]
 """Before what of an event a process dies, if it does."""
 MEMORY = 12
 """Messages that the network keeps: its memory is long, but not endless."""
@@ -52,7 +56,7 @@ class PlantPorts(ToldPorts):
     """The plant's; what it ever received is known to the test, whatever its journal forgets."""
 
     def __init__(self, link: "Link") -> None:
-        super().__init__(link.plant_journal, link.to_controller.append, link.counted)
+        super().__init__(link.plant_journal, link.to_controller.append, link.plant_counted)
         self.ever = link.ever
 
     def write(self, write: Write) -> None:
@@ -88,6 +92,9 @@ class Link(RuleBasedStateMachine):
     step_s: ClassVar[float | None] = None
     controller_journal = MemoryControllerJournal
     plants_journal = MemoryPlantJournal
+    acts = False
+    plant: PlantEndpoint
+    line: LinePlant | ActingLine
 
     def __init__(self) -> None:
         super().__init__()
@@ -106,6 +113,9 @@ class Link(RuleBasedStateMachine):
         self.ever: list[bytes] = []
         self.plant_journal = self.plants_journal()
         self.plant_ports = Mortal(PlantPorts(self))
+        self.device = LineDevice()
+        self.device.passes = self.plant_ports.passes
+        self.started = True  # the plant's process counts what the one before it left
         self.each = [Controller(number, self) for number in range(self.controllers)]
         for controller in self.each:
             self.start_controller(controller)
@@ -115,10 +125,19 @@ class Link(RuleBasedStateMachine):
         self.names += 1
         return f"{self.names:016x}"
 
+    def plant_counted(self, event: Event) -> None:
+        if self.acts:
+            self.device.look(event, alive=not self.started)
+        if isinstance(event, Applied):
+            session = self.plant.plant.receiver.record.session
+            assert event.transition.session == session, "a step counts in another session"
+        self.counted(event)
+
     def counted(self, event: Event) -> None:
         assert not isinstance(event, FrameRefused)
         if isinstance(event, Applied):
-            self.got[event.transition.session, event.transition.j] = event.transition
+            t = event.transition
+            assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
         elif isinstance(event, SessionBegan) and event.session is not None:
             grown = any(session != event.session for session, _ in self.got)
             excused = self.forgot or self.late_hello
@@ -135,10 +154,17 @@ class Link(RuleBasedStateMachine):
         self.controller_does(one, one.endpoint.start(self.now))
 
     def start_plant(self) -> None:
-        self.plant, self.line = line_plant(
-            self.shared, self.plant_journal, self.name, self.name(), self.now, self.step_s
-        )
-        self.plant_does(self.plant.start(self.now))
+        self.plant_ports.doom()
+        common = self.name, self.name(), self.now, self.step_s
+        if self.acts:
+            self.plant, self.line = acting_plant(
+                self.shared, self.plant_journal, self.device, *common
+            )
+        else:
+            self.plant, self.line = line_plant(self.shared, self.plant_journal, *common)
+        self.started = True
+        self.plant_does(self.plant.start)
+        self.started = False
 
     def controller_does(
         self, one: Controller, actions: Actions, dies: CrashPoint | None = None
@@ -159,10 +185,10 @@ class Link(RuleBasedStateMachine):
         if dies is not None:
             self.start_controller(one)
 
-    def plant_does(self, actions: Actions, dies: CrashPoint | None = None) -> None:
+    def plant_does(self, act: Callable[[float], Actions], dies: CrashPoint | None = None) -> None:
         self.plant_ports.doom(before=dies)
         try:
-            perform(actions, self.plant, self.plant_ports)
+            perform(act(self.now), self.plant, self.plant_ports)
         except Killed:
             self.start_plant()
             return
@@ -181,7 +207,7 @@ class Link(RuleBasedStateMachine):
         self.now += seconds
         self.line.d = d
         if self.plant.wake_at() <= self.now:
-            self.plant_does(self.plant.wake(self.now), dies)
+            self.plant_does(self.plant.wake, dies)
 
     # --- the network ---------------------------------------------------------------------------
 
@@ -218,7 +244,7 @@ class Link(RuleBasedStateMachine):
         self, message: Outgoing, coin: int, d: float, dies: CrashPoint | None = None
     ) -> None:
         self.line.coin, self.line.d = coin, d
-        self.plant_does(self.plant.receive(*message, self.now), dies)
+        self.plant_does(partial(self.plant.receive, *message), dies)
         assert not self.plant.plant.receiver.refused
 
     @rule(first=st.integers(0, 1))
@@ -240,7 +266,7 @@ class Link(RuleBasedStateMachine):
                     self.tell_controller(one, before[0][-1])
             else:
                 self.now = max(self.now, self.plant.wake_at())
-                self.plant_does(self.plant.wake(self.now))
+                self.plant_does(self.plant.wake)
         self.to_controller[:0] = before[0]
         self.to_plant[:0] = before[1]
 
@@ -263,7 +289,24 @@ class Link(RuleBasedStateMachine):
             self.start_controller(one)
         else:
             self.plant_journal.forget()
+            self.device.u = None  # what it was told is known to nobody any more
             self.start_plant()
+
+    @precondition(lambda self: self.plant.plant.receiver.controller is not None)
+    @rule(dies=st.sampled_from(DEATHS))
+    def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
+        """As one does that was misled: whatever the plant is doing, its session is over."""
+        self.forgot = True
+        receiver = self.plant.plant.receiver
+        word = ControllerHello(
+            instance=receiver.controller or "",
+            life=receiver.record.life,
+            fingerprint=self.shared.fingerprint,
+            verdict="unknown-session",
+            session=receiver.record.session,
+            answers=receiver.instance,
+        )
+        self.plant_does(partial(self.plant.receive, ControllerHello, word.wire()), dies)
 
     # --- the property --------------------------------------------------------------------------
 
@@ -290,7 +333,37 @@ class Link(RuleBasedStateMachine):
 class Deadlines(Link):
     """Each step takes its time, and a step without an offer is missed."""
 
-    step_s = 0.1
+    step_s: ClassVar[float | None] = 0.1
+
+
+class Acting(Deadlines):
+    """A device: a step is begun and read at its end, and its session may end in between."""
+
+    acts = True
+    controllers = 2
+
+
+class ActingOnDisk(Acting):
+    """The same with the services' journals."""
+
+    controller_journal = TwinControllerJournal
+    plants_journal = TwinPlantJournal
+
+    def teardown(self) -> None:
+        closed(self)
+
+
+class ActingAtOnce(Acting):
+    """The same in lock-step: read as soon as it was actuated."""
+
+    step_s = None
+
+
+def closed(link: Link) -> None:
+    """Remove a machine's journals on disk."""
+    for journal in (link.plant_journal, *(one.journal for one in link.each)):
+        assert isinstance(journal, TwinControllerJournal | TwinPlantJournal)
+        journal.close()
 
 
 class TwoControllers(Deadlines):
@@ -306,9 +379,7 @@ class OnDisk(TwoControllers):
     plants_journal = TwinPlantJournal
 
     def teardown(self) -> None:
-        for journal in (self.plant_journal, *(one.journal for one in self.each)):
-            assert isinstance(journal, TwinControllerJournal | TwinPlantJournal)
-            journal.close()
+        closed(self)
 
 
 class PipelinedLink(Deadlines):
@@ -341,3 +412,8 @@ TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = setti
 TestPipelinedLink.settings = TestLink.settings
 TestOnDisk = pytest.mark.slow(OnDisk.TestCase)
 TestOnDisk.settings = settings(TestLink.settings, max_examples=20)
+TestActing = Acting.TestCase
+TestActingAtOnce = pytest.mark.slow(ActingAtOnce.TestCase)
+TestActing.settings = TestActingAtOnce.settings = TestLink.settings
+TestActingOnDisk = pytest.mark.slow(ActingOnDisk.TestCase)
+TestActingOnDisk.settings = TestOnDisk.settings

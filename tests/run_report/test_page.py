@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,7 +13,18 @@ import pytest
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 from wyner.run_report import write_report
-from wyner.run_report.chart import MOST_POINTS, Curve, chart, thinned, ticks
+from wyner.run_report.chart import (
+    COLUMNS,
+    DENSE,
+    MOST_POINTS,
+    Curve,
+    Series,
+    band,
+    chart,
+    ticks,
+)
+from wyner.run_report.windows import MOST, STEPS, Windows
+from wyner.verify.records import MissedLine
 
 SECRET = b"Hi"
 HOSTILE = "<script>alert(1)</script>"
@@ -71,6 +83,75 @@ def test_what_was_sent_is_shown_and_cannot_act(text: str) -> None:
     assert "<pre>Hi</pre>" in text
     assert HOSTILE not in text
     assert "&lt;script&gt;" in text
+
+
+def test_the_verdict_comes_first(text: str) -> None:
+    headings = re.findall(r"<h2>(.*?)</h2>", text)
+    assert "claim" in headings[0] or "secret" in headings[0]
+    assert "PASS" in text.partition("<h2>")[0]
+
+
+def test_any_step_is_shown_by_its_number(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = [json.loads(x) for x in (run_dir / "plant/trace.jsonl").read_text().splitlines()]
+    steps = {e["k"]: e for e in events if e["event"] in ("transition", "missed")}
+    agreed = next(k for k, e in steps.items() if e.get("symbol", -1) >= 0)
+    silent = next(k for k, e in steps.items() if e["event"] == "transition" and e["symbol"] < 0)
+    missed = next(k for k, e in steps.items() if e["event"] == "missed")
+    for k, told in (
+        (agreed, f"Step {agreed}: the gauge of candidate {steps[agreed]['symbol']} is "),
+        (silent, f"Step {silent}: no key symbol. The candidates' gauges are "),
+        (missed, f"Step {missed}: no offer came in time"),
+    ):
+        page = tmp_path / f"{k}.html"
+        assert main(["report", str(run_dir), "--step", str(k), "--output", str(page)]) == 0
+        assert told in unescape(page.read_text())
+        assert page.read_text().count("<details open>") == 1
+    capsys.readouterr()
+    assert main(["report", str(run_dir), "--step", str(len(steps))]) == 2
+    told = f"--step: got {len(steps)}, expected one of the run's: 0 to {len(steps) - 1}"
+    assert told in capsys.readouterr().err
+
+
+def walk(windows: Windows, count: int) -> Windows:
+    for k in range(count):
+        windows.add(MissedLine("missed", "a" * 16, k, (float(k), 0.0), (0.0,), (0.0, 0.0)))
+    return windows
+
+
+@pytest.mark.parametrize("count", [1, STEPS, STEPS + 1, MOST * STEPS])
+def test_of_a_run_that_is_not_long_every_step_is_seen(count: int) -> None:
+    seen = [s.k for steps in walk(Windows(), count).stretches() for s in steps]
+    assert seen == list(range(count))
+    assert "".join(walk(Windows(), min(count, 2)).drawn(2, 1)).count("<details>") == 1
+
+
+def test_of_a_long_run_stretches_are_seen_whole_the_last_and_the_one_asked_for() -> None:
+    count, chosen = 3 * MOST * STEPS + 77, 3 * STEPS + 5
+    windows = walk(Windows(chosen), count)
+    stretches = windows.stretches()
+    assert MOST // 2 <= len(stretches) <= MOST + 3
+    for steps in stretches:
+        ks = [s.k for s in steps]
+        assert ks == list(range(ks[0], ks[-1] + 1))
+    assert any(steps[0].k <= chosen <= steps[-1].k for steps in stretches)
+    assert stretches[-1][-1].k == count - 1
+    step = windows.step()
+    assert step is not None
+    assert step.k == chosen
+    assert "".join(windows.drawn(2, 1)).count("<details open>") == 1
+
+
+def test_a_long_line_is_drawn_as_its_range() -> None:
+    points = [(float(i), float((-1) ** i * (i % 97))) for i in range(20000)]
+    outline = band(points)
+    assert len(outline) == 2 * COLUMNS
+    assert max(y for _, y in outline) == 96.0
+    assert min(y for _, y in outline) == -96.0
+    picture = chart("t", [Curve("a", points, banded=True)], "x", "y")
+    assert picture.count('class="band"') == 1
+    assert 'class="band"' not in chart("t", [Curve("a", points[:DENSE], banded=True)], "x", "y")
 
 
 def test_it_says_what_the_check_says(
@@ -139,10 +220,15 @@ def test_ticks_are_round_and_inside() -> None:
 def test_a_long_line_keeps_its_peaks() -> None:
     points = [(float(i), 0.0) for i in range(20000)]
     points[777] = (777.0, 5.0)
-    short = thinned(points)
-    assert len(short) <= MOST_POINTS
+    short = Series(points).points()
+    assert len(short) <= 2 * MOST_POINTS
     assert (777.0, 5.0) in short
     assert [p[0] for p in short] == sorted(p[0] for p in short)
+    for count in (0, 1, MOST_POINTS, MOST_POINTS + 1, 2 * MOST_POINTS + 3):
+        kept = Series((float(i), float(-i)) for i in range(count)).points()
+        assert kept[:1] == [(0.0, -0.0)][:count]
+        assert kept[-1:] == [(count - 1.0, 1.0 - count)][:count]
+        assert len(kept) == count or count > MOST_POINTS
 
 
 def test_labels_are_escaped_and_empty_charts_are_drawn() -> None:

@@ -8,15 +8,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn, cast
+from typing import Any, NoReturn, cast
 
 import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
+from plant_service import service
 from plant_service.service import run_plants
 from protocol.files import StatusFile
-from protocol.messages import LATENCY_BOUNDS_S, PlantStatus
+from protocol.messages import LATENCY_BOUNDS_S, Offer, PlantStatus
 from protocol.runtime import fleet_host, host
 from protocol.runtime.bus_options import fleet_of
 from protocol.runtime.errors import DONE, UsageError
@@ -27,7 +28,7 @@ from protocol.runtime.pace import Pace
 from protocol.runtime.parts import Bounds
 from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from protocol.runtime.trace import read_trace
-from protocol.topics import DEFAULT_LOOP
+from protocol.topics import DEFAULT_LOOP, key_of
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'
@@ -209,6 +210,41 @@ def test_loops_come_and_go_while_the_hosts_run(sustained_law: CandidateLaw, tmp_
 
 
 @pytest.mark.slow
+def test_a_loop_that_takes_long_to_open_holds_up_no_other(
+    sustained_law: CandidateLaw, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new design takes up to a minute: ticks, hellos and statuses of the others go on."""
+    right, opening, go_on = service.open_plant, threading.Event(), threading.Event()
+
+    def slow(config: service.PlantConfig, *args: Any, **more: Any) -> Any:
+        if config.loop == "two":
+            opening.set()
+            assert go_on.wait(30)
+        return right(config, *args, **more)
+
+    monkeypatch.setattr(service, "open_plant", slow)
+    path = tmp_path / "fleet.toml"
+    path.write_text(ONE)
+    hosts = Hosts(lambda: Fleet.of_file(path), sustained_law, tmp_path / "run")
+    with hosts.running("x20"):
+        try:
+            hosts.wait(lambda: hosts.delivered("one"))
+            path.write_text(ONE + TWO)
+            assert opening.wait(10)
+            before = hosts.status("one")
+            assert before is not None
+            # two statuses in the file are a second apart, and come from the timers
+            hosts.wait(lambda: hosts.status("one").k > before.k + 100)  # type: ignore[union-attr]
+            assert hosts.status("two") is None
+            path.write_text(ONE)  # it leaves before it has joined
+            time.sleep(1.5)
+            path.write_text(ONE + TWO)
+        finally:
+            go_on.set()
+        hosts.wait(lambda: hosts.status("two") is not None)
+
+
+@pytest.mark.slow
 def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_path: Path) -> None:
     path = tmp_path / "fleet.toml"
     path.write_text(TWO + ONE + '[[loop]]\nid = "bad"\nscenario = "nowhere"\n')
@@ -346,3 +382,18 @@ def test_twice_too_much_is_missed_evenly_and_nothing_is_missed_afterwards(
             if [missed for _, missed in counts()] == calm:
                 break
             assert time.monotonic() < until, "the load is gone, and steps are missed still"
+
+
+def test_an_interrupt_while_its_threads_are_started_stays_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A thread that was not started cannot be joined; that must not be what a program ends with."""
+
+    def interrupted(_self: threading.Thread) -> None:
+        raise KeyboardInterrupt
+
+    running = host.Host(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()), threading.Event())
+    running._subscribe(Offer, key_of(Offer, "loop"))
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        running.run()

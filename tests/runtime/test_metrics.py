@@ -1,5 +1,7 @@
 """Metrics: what Prometheus is told is what the newest statuses say."""
 
+import logging
+import threading
 import urllib.request
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
 from protocol.runtime.errors import UsageError
+from protocol.runtime.host import Host
 from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.metrics import Board, NotedBus, served
 from protocol.runtime.pace import Pace
@@ -95,3 +98,20 @@ def test_an_address_in_use_is_told() -> None:
         served(f"127.0.0.1:{port}", {}),
     ):
         pass
+
+
+def test_nothing_is_told_of_a_loop_that_has_left(
+    sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path
+) -> None:
+    """Its last figures stood there for ever, as if it were still running."""
+    board: Board = {}
+    ops = NotedBus(MemoryBus(MemoryHub()), board)
+    host = Host(MemoryBus(MemoryHub()), ops, threading.Event(), fleet=True)
+    for loop in ("a", "b"):
+        config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
+        host.add(loop, *open_plant(config, 0.0), logging.getLogger("metrics"))
+    host.remove("a")
+    host._loops["b"].ports.publish(PlantStatus, host._loops["b"].endpoint.status(0.0).wire())  # type: ignore[attr-defined]
+    assert {loop for _, loop, _ in board} == {"b"}
+    host.close()
+    assert board == {}

@@ -87,3 +87,30 @@ def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
         threading.Timer(0.01, stopping.set).start()
         assert stopping.wait()
         assert stopping.wait(0.0)
+
+
+LOST = """
+import sys, time
+from protocol.runtime.command import entered
+
+class Finalised:
+    def __del__(self):
+        raise KeyboardInterrupt
+
+def command():
+    thing = Finalised()
+    del thing
+    for _ in range(500):
+        time.sleep(0.02)
+    return 0
+
+sys.exit(entered(command))
+"""
+
+
+def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
+    """Ctrl-C in a demo's first second was once swallowed, and the demo ran on to its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOST], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "")

@@ -149,6 +149,23 @@ def test_a_scenario_names_it_and_its_version_is_in_the_fingerprint(
     assert isinstance(make_scheme(f"{__file__}:Hoarding", 2), Scheme)
 
 
+def test_two_ends_whose_files_differ_do_not_share_a_fingerprint(
+    sustained: Scenario, tmp_path: Path
+) -> None:
+    """The same name and version, and another arrow: verdicts would differ unseen."""
+    prints = {}
+    for end, role in (("mine", "agreed"), ("theirs", "agreed"), ("changed", "refused")):
+        (tmp_path / end).mkdir()
+        file = tmp_path / end / "own.py"
+        text = "from protocol.schemes.switched import Switched\n"
+        file.write_text(f"{text}class Own(Switched):\n    name = 'own'  # {role}\n")
+        own = under(sustained, f"{file}:Own")
+        prints[end] = own.fingerprint()
+        file.write_text("")  # what was loaded is what counts
+        assert own.fingerprint() == prints[end]
+    assert prints["mine"] == prints["theirs"] != prints["changed"]
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

@@ -3,19 +3,18 @@
 import base64
 import json
 import math
+import random
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from protocol.runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from protocol.runtime.trace import TraceWriter
 from tap_service.eavesdroppers.base import Belief
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.scoring import report as reporting
-from wyner.scoring.report import Portion, report
+from wyner.scoring.report import over_runs, percent, report
 from wyner.scoring.score import (
     Proportion,
     RunScore,
@@ -51,26 +50,10 @@ def believing(one: Said, symbols: dict[int, int]) -> Said:
     return replace(one, belief=replace(one.belief, symbols=tuple(symbols.items())))
 
 
-def test_wilson_against_published_values() -> None:
-    # Newcombe 1998, table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29
-    for right, of, low, high in ((81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605)):
-        assert Proportion(right, of).interval == pytest.approx((low, high), abs=5e-5)
-    assert Proportion(0, 20).interval == pytest.approx((0.0, 0.1611), abs=5e-5)
-    assert Proportion(1, 29).interval == pytest.approx((0.0061, 0.1718), abs=5e-5)
-
-
-@given(st.integers(0, 50), st.integers(1, 50))
-def test_an_interval_holds_its_share_and_stays_in_range(right: int, of: int) -> None:
-    p = Proportion(min(right, of), of)
-    low, high = p.interval
-    assert p.share is not None
-    assert 0 <= low <= p.share <= high <= 1
-
-
 def test_of_no_trials_nothing_is_said() -> None:
     assert Proportion(0, 0).share is None
-    assert Proportion(0, 0).interval == (0.0, 1.0)
-    assert Portion.over([]).text() == "-"
+    assert not Proportion(0, 0).every
+    assert percent(over_runs([])) == "-"
 
 
 def test_a_score_counts_keys_bits_and_messages() -> None:
@@ -78,7 +61,7 @@ def test_a_score_counts_keys_bits_and_messages() -> None:
     assert (s.keys.right, s.keys.of) == (7, 10)
     assert (s.bits.right, s.bits.of) == (7, 10)
     assert (s.messages.right, s.messages.of) == (1, 1)
-    assert s.guessing == 0.7
+    assert s.why_unscored == ""
 
 
 def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
@@ -86,15 +69,14 @@ def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
     s = score(truth(), replace(first, reviewed=truth().keys))
     assert s.keys.share == 0.5
     assert s.keys_reviewed.share == 1.0
-    assert s.guessing == 1.0
 
 
 def test_a_missed_bit_is_a_blind_guess() -> None:
-    silent = Said("tap", S, {}, {}, Belief())
-    s = score(truth(), silent)
+    t = truth()
+    ends = {at: t.keys[at] for at in ((S, 0), (S, 18))}  # she said something first and last
+    s = score(t, Said("tap", S, ends, {}, Belief()))
     assert s.bits == Proportion(5, 10)
-    assert s.keys == Proportion(5, 10)
-    assert s.guessing == 0.5
+    assert s.keys == Proportion(2 + 8 / 2, 10)
     once = believing(said(10), {19: truth().symbols[S, 19]})
     assert score(truth(), once).bits == Proportion(1 + 9 / 2, 10)
 
@@ -126,7 +108,8 @@ def test_steps_that_are_not_on_record_are_left_out_and_said() -> None:
     assert r.taps[0].not_on_record == 4
     assert reporting.as_json(r)["taps"]["tap"]["not_on_record"] == 4
     # the bits that she leaves are those of all the keys
-    assert r.taps[0].left_bits == pytest.approx(10 * -math.log2(5.5 / 6))
+    assert r.taps[0].left is not None
+    assert r.taps[0].left.value == pytest.approx(10 * -math.log2(5.5 / 6))
 
 
 def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
@@ -164,25 +147,90 @@ def test_the_report_pools_runs() -> None:
     assert r.claimed_bits == 20
     assert t.symbol_errors.value == pytest.approx(0.25)
     assert t.exact.value == 0.5
-    assert t.guessing == 0.75
-    assert t.left_bits == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
+    assert not t.exact.known  # two runs have no interval over runs, and say so
+    assert percent(t.exact) == "50.0 % (no interval)"
+    assert t.guessing.value == 0.75
+    assert t.left is not None
+    assert t.left.value == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
+    assert t.left.high == 10  # 15 of 20 may be chance, as often as one looks
     assert t.broken_k == (-1, 20)
     assert t.median_broken == 20
-    assert r.hidden_bits == pytest.approx(2 * math.log2(21))
+    assert r.hidden_bits == pytest.approx(math.log2(41))
 
 
-def test_claimed_above_true_is_said_in_words() -> None:
+def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> None:
     broken = report([run_score(10, whole=True)])
     assert broken.exceeds
     assert (
-        "PAPER'S CLAIM EXCEEDS TRUE: the paper claims 10 secret bits; tap leaves 0.0"
-        in broken.verdict()
+        "PAPER'S RULE EXCEEDS TRUE: by the paper's rule 10 bits count as secret; tap leaves at "
+        "most 0.0 of them" in broken.verdict()
     )
     blind = report([run_score(5)])
     assert not blind.exceeds
     assert "EXCEEDS" not in blind.verdict()
+    assert "tap leaves at most 10.0 of them, no better than chance" in blind.verdict()
     nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
     assert "No key was agreed" in report([nothing]).verdict()
+
+
+def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:
+    """A tap that raised at step 21 ended as "True: 77, measured"; one for keys left "3198.0"."""
+    t = truth()
+    failed = score(t, replace(said(10), failed="step 21: ValueError: no idea", heard_out=False))
+    keys = score(t, replace(said(0, name="key-solver"), live={}))
+    weak = score(t, said(5, name="weak"))
+    assert failed.keys.share is failed.bits.share is None
+    r = report([RunScore("r", t, (failed, keys))])
+    assert r.strongest is None
+    assert r.unscored == {
+        "tap": "she failed: step 21: ValueError: no idea",
+        "key-solver": "she guessed nothing",
+    }
+    assert "; tap: she failed: step 21: ValueError: no idea, so they" in r.verdict()
+    only_keys = report([RunScore("r", t, (keys,))])
+    assert "10 bits count as secret; nobody guessed, so they stand untested" in only_keys.verdict()
+    value = reporting.as_json(only_keys)["taps"]["key-solver"]
+    assert value["left_bits"] is None
+    assert value["symbol_error_rate"] == {"value": None, "low": None, "high": None}
+    assert reporting.rows(only_keys)[0][1:6] == ("-",) * 5
+    with_weak = report([RunScore("r", t, (failed, weak))])
+    assert with_weak.strongest is not None
+    assert with_weak.strongest.name == "weak"
+    # in one of two runs she failed: what she would have left of that one nobody knows
+    twice = report([RunScore("r", t, (failed,)), run_score(10)])
+    assert twice.strongest is None
+    assert twice.taps[0].why_unscored.endswith("(in 1 of 2 runs)")
+
+
+def test_what_she_had_before_she_failed_counts() -> None:
+    before = replace(said(10, whole=True), failed="step 25: ValueError: late", heard_out=False)
+    r = report([RunScore("r", truth(), (score(truth(), before),))])
+    assert r.exceeds
+    assert r.strongest is not None
+    assert r.strongest.left == (0.0, 0.0, 0.0)
+
+
+def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
+    one = said(5)
+    told = score(truth(), replace(one, belief=replace(one.belief, bits_left=3.25)))
+    r = report([RunScore("r", truth(), (told, score(truth(), said(5, name="weak"))))])
+    assert r.strongest is not None
+    assert (r.strongest.name, r.strongest.left) == ("tap", (3.25, 3.25, 3.25))
+    assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance
+
+
+@pytest.mark.parametrize("keys", [50, 230])
+def test_a_blind_tap_leaves_all(keys: int) -> None:
+    """The share that was right by chance took 3.6 % of 230 keys off, 7.5 % of 50."""
+    draw = random.Random(3)
+    t = truth(keys)
+    for _ in range(40):
+        live = {at: draw.randrange(2) for at in t.keys}
+        r = report([RunScore("r", t, (score(t, Said("blind", S, live, {}, Belief())),))])
+        assert r.strongest is not None
+        assert r.strongest.left is not None
+        assert r.strongest.left.high == keys
+        assert not r.exceeds
 
 
 def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
@@ -201,19 +249,12 @@ def test_the_strongest_is_the_one_who_leaves_least() -> None:
     assert r.strongest.name == "b"
 
 
-def test_intervals_over_runs_are_wider_than_over_steps_when_runs_differ() -> None:
-    parts = [Proportion(100, 100)] * 5 + [Proportion(50, 100)] * 5
-    share = Portion.over(parts)
-    low, high = Proportion(750, 1000).interval
-    assert share.high - share.low > 2 * (high - low)
-    assert share == Portion.over(parts)  # the same twice
-
-
 def test_json_and_rows_hold_every_figure() -> None:
     r = report([run_score(7), run_score(9, whole=True)])
     value = json.loads(json.dumps(reporting.as_json(r)))
     tap = value["taps"]["tap"]
-    assert tap["symbol_error_rate"]["of"] == 20
+    assert tap["agreed_steps"] == 20
+    assert tap["symbol_error_rate"] == {"value": pytest.approx(0.2), "low": None, "high": None}
     assert tap["list_size_log2"] == pytest.approx(math.log2(7))
     assert value["claimed_bits"] == 20
     assert "H(model | transcript)" in value["bound"]

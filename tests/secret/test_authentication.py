@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.secret.authentication import (
+    PADS_BYTES,
     PRIME,
     RESERVE,
     Secret,
@@ -54,7 +55,8 @@ def test_a_secret_serves_one_store_once(tmp_path: Path) -> None:
     secret = read_secret(path)
     assert isinstance(secret, Secret)
     assert secret.name == name
-    assert len({secret.point, *secret.pads[0], *secret.pads[1]}) == 1 + 2 * RESERVE
+    assert len(set(secret.sets)) == RESERVE
+    assert {len(one) for one in secret.sets} == {PADS_BYTES}
     spend_secret(path, name)
     assert read_secret(path) == name
     assert len(path.read_bytes()) < 60

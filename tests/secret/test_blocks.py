@@ -13,7 +13,6 @@ import pytest
 
 from protocol.secret.authentication import RESERVE, SecretError, make_secret
 from protocol.secret.blocks import (
-    NO_PAD,
     NO_TAG,
     Blocks,
     Closed,
@@ -25,9 +24,10 @@ from protocol.secret.blocks import (
 )
 from protocol.secret.bound import Assumption
 from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import pad_counts, take_secret
+from protocol.secret.ledger import Authentication, pad_counts, take_secret
 from protocol.secret.nonces import Raw, contribution, fresh_nonce
 from protocol.secret.store import KeyStore
+from tests.support.giving import agree, consent, deliver, deliver_named
 
 SESSION = "0123456789abcdef"
 SMALL = Schedule(Assumption(0.9, eps_sec=1e-2), first=3, largest=6)
@@ -91,21 +91,38 @@ def test_what_does_not_count_leaves_no_nonce() -> None:
     assert len(kept.measurement) == 32
 
 
-def test_a_later_block_that_holds_confirms_the_one_before() -> None:
+def counting(last: int) -> Blocks:
+    """A session's blocks once so many transitions have been counted."""
     blocks = Blocks(SMALL, SESSION)
+    for j in range(1, last + 1):
+        blocks.count(Raw(j, 1, None, None))
+    return blocks
+
+
+def test_a_block_is_announced_once_a_later_transition_was_counted() -> None:
+    """Until then the plant could be put back, and count its last transition otherwise."""
+    blocks = counting(3)
+    blocks.stored(Stored(SESSION, 0, "a", "x"))
     assert blocks.word() == (-1, NO_TAG)
-    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
-    blocks.stored(Stored(SESSION, 2, "c", {"z": 7}))  # block 1 made no key
+    blocks.count(Raw(4, 1, None, None))
+    assert blocks.word() == (0, "a")
+
+
+def test_a_later_block_that_holds_confirms_the_one_before() -> None:
+    blocks = counting(16)
+    assert blocks.word() == (-1, NO_TAG)
+    blocks.stored(Stored(SESSION, 0, "a", "x"))
+    blocks.stored(Stored(SESSION, 2, "c", "z"))  # block 1 made no key
     assert blocks.word() == (0, "a")
     assert blocks.word() == (0, "a")  # not before block 0 is confirmed
-    assert blocks.heard(2, "z") == (Judgement(0, "confirmed"), Judgement(2, "confirmed", 7))
+    assert blocks.heard(2, "z") == (Judgement(0, "confirmed"), Judgement(2, "confirmed"))
     assert blocks.heard(0, "never looked at") == ()
     assert blocks.word() == (2, "c")
 
 
 def test_a_tag_that_differs_is_told_once() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
+    blocks.stored(Stored(SESSION, 0, "a", "x"))
     assert blocks.heard(0, "y") == (Judgement(0, "unequal"),)
     assert blocks.heard(0, "y") == ()
     assert blocks.heard(0, "x") == ()
@@ -113,13 +130,13 @@ def test_a_tag_that_differs_is_told_once() -> None:
 
 def test_another_sessions_blocks_are_of_no_concern() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored("f" * 16, 0, "a", {"x": NO_PAD}))
+    blocks.stored(Stored("f" * 16, 0, "a", "x"))
     assert blocks.word() == (-1, NO_TAG)
 
 
 def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
-    blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored(SESSION, 0, "a", {"x": NO_PAD}))
+    blocks = counting(10)
+    blocks.stored(Stored(SESSION, 0, "a", "x"))
     blocks.heard(0, "x")
     blocks.judged(SESSION, 0)
     assert blocks.settled() == ()  # the partner has not been told
@@ -139,15 +156,23 @@ class End:
         self.word = (-1, NO_TAG)
         self.j = 0
         self.alarms = 0
+        self.partner: End | None = None
         self.start()
 
     def start(self) -> None:
         self.store = KeyStore(self.path, self.side, create=True)  # type: ignore[arg-type]
         self.store._db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
-        guard = take_secret(self.store, self.secret) if self.secret else None
+        guard = None
+        if self.secret is not None:
+            take_secret(self.store, self.secret)
+            guard = Authentication(self.store, look=self.look)
         self.keeper = Keeper(self.store, guard)
         self.verdicts: list[Judgement] = []
         self.blocks = Blocks(SMALL, SESSION, *self.word, raws=self.rows.values())
+
+    def look(self) -> None:
+        assert self.partner is not None
+        agree(self.store, self.partner.store)
 
     def die(self) -> None:
         self.store.close()
@@ -211,6 +236,8 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
         End(tmp_path, side, raws, secrets[side] if guarded else None)
         for side in ("controller", "plant")
     ]
+    for end, other in (ends, ends[::-1]):
+        end.partner = other
     words: list[tuple[End, tuple[int, str]]] = []
     deaths = 0
     for step in range(1500):
@@ -241,11 +268,10 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
     assert len(controller.ids()) > 80
     assert max(len(end.rows) for end in ends) <= SMALL.largest + 6
     for giver, taker in ((controller, plant), (plant, controller)):
-        given = giver.deliver(giver.available())
-        assert taker.deliver_named([key.key_id for key in given]) == given
-    if guarded:
-        for end in ends:
-            assert all(pads.left >= 1 for pads in pad_counts(end.path).values())
+        given = deliver(giver, giver.available(), partner=taker)
+        assert deliver_named(taker, [key.key_id for key in given], partner=giver) == given
+    for end in ends:
+        assert pad_counts(end.path) == ((RESERVE, 1, RESERVE - 1) if guarded else None)
     for store in (controller, plant):
         store.close()
 
@@ -269,7 +295,8 @@ def test_other_raw_nonces_are_an_alarm_and_no_key(tmp_path: Path) -> None:
 def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: Path) -> None:
     make_secret(tmp_path / "secret")
     with KeyStore(tmp_path / "keys", "plant", create=True) as store:
-        keeper = Keeper(store, take_secret(store, tmp_path / "secret"))
+        take_secret(store, tmp_path / "secret")
+        keeper = Keeper(store, Authentication(store, look=lambda: consent(store)))
         raws = rows_of(random.Random(2), 4)[1:]
         tags = []
         for number in range(
@@ -280,10 +307,7 @@ def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: 
             assert keeper.keep(block).tag == tags[-1]
         assert len(set(tags[:-1])) == RESERVE
         assert tags[-1] == ""
-        assert pad_counts(tmp_path / "keys") == {
-            "controller": (2 * RESERVE, 0, 2 * RESERVE),
-            "plant": (2 * RESERVE, RESERVE, RESERVE),  # left: of blocks that nobody has confirmed
-        }
+        assert pad_counts(tmp_path / "keys") == (RESERVE, RESERVE, 0)
         assert [block.state for block in store.blocks()] == ["stored"] * RESERVE + ["empty"]
 
 

@@ -15,7 +15,7 @@ from protocol.secret.anchor import Anchor
 from protocol.secret.authentication import make_secret
 from protocol.secret.blocks import Closed
 from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import pads_of, take_secret
+from protocol.secret.ledger import Authentication, take_secret
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -27,6 +27,7 @@ from protocol.secret.records import (
     key_id,
 )
 from protocol.secret.store import KeyStore
+from tests.support.giving import consent, deliver, deliver_named
 
 SESSION = "0123456789abcdef"
 
@@ -52,8 +53,9 @@ def test_both_ends_hold_the_same_keys_in_disjoint_halves(tmp_path: Path) -> None
         assert controller.ids() == plant.ids()
         assert (controller.available(), plant.available()) == (8, 7)
         for giver, taker in ((controller, plant), (plant, controller)):
-            given = giver.deliver(giver.available(), "one")
-            assert taker.deliver_named([key.key_id for key in reversed(given)]) == given[::-1]
+            given = deliver(giver, giver.available(), "one", partner=taker)
+            ids = [key.key_id for key in reversed(given)]
+            assert deliver_named(taker, ids, partner=giver) == given[::-1]
         assert controller.counts() == plant.counts() == (0, 0, 15, 0, 0)
 
 
@@ -61,7 +63,7 @@ def test_the_oldest_key_comes_first_and_ids_name_block_and_row(tmp_path: Path) -
     with store(tmp_path) as keys:
         keys.add(row(0, 3), bodies(0, 3))
         keys.confirm(SESSION, 0)
-        first, third = keys.deliver(2)
+        first, third = deliver(keys, 2)
         assert first == Key(key_id(SESSION, 0, 1), bodies(0, 3)[0])
         assert third.key_id == key_id(SESSION, 0, 3)
         assert bodies(0, 3)[0].hex() not in repr(first)
@@ -72,8 +74,8 @@ def test_an_unconfirmed_key_is_not_given_but_found_by_its_id(tmp_path: Path) -> 
         keys.add(row(0, 4), bodies(0, 4))
         assert keys.available() == 0
         with pytest.raises(TooFewKeys, match=r"^number: got 1, expected at most the 0 keys"):
-            keys.deliver()
-        (found,) = keys.deliver_named([key_id(SESSION, 0, 2)])
+            deliver(keys)
+        (found,) = deliver_named(keys, [key_id(SESSION, 0, 2)])
         assert found.key == bodies(0, 4)[1]
 
 
@@ -82,23 +84,23 @@ def test_all_or_none(tmp_path: Path) -> None:
         keys.add(row(0, 5), bodies(0, 5))
         keys.confirm(SESSION, 0)
         with pytest.raises(TooFewKeys) as few:
-            keys.deliver(4)
+            deliver(keys, 4)
         assert (few.value.asked, few.value.available) == (4, 3)
         wanted = [key_id(SESSION, 0, 2), key_id(SESSION, 0, 3), "nothing"]
         with pytest.raises(UnknownKeys) as unknown:
-            keys.deliver_named(wanted)
+            deliver_named(keys, wanted)
         assert unknown.value.ids == (key_id(SESSION, 0, 3), "nothing")  # 3 is of its own half
-        assert len(keys.deliver(3)) == 3
-        assert len(keys.deliver_named([key_id(SESSION, 0, 2)] * 2)) == 1
+        assert len(deliver(keys, 3)) == 3
+        assert len(deliver_named(keys, [key_id(SESSION, 0, 2)] * 2)) == 1
         with pytest.raises(UnknownKeys):
-            keys.deliver_named([key_id(SESSION, 0, 2)])
+            deliver_named(keys, [key_id(SESSION, 0, 2)])
 
 
 def test_a_block_is_added_once_whatever_became_of_it(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
         assert keys.add(row(0, 2), bodies(0, 2), tag="ab")
         keys.confirm(SESSION, 0)
-        keys.deliver(1)
+        deliver(keys, 1)
         before = keys.ids()
         assert not keys.add(row(0, 2), bodies(0, 2), tag="cd")
         assert keys.ids() == before
@@ -113,7 +115,7 @@ def test_a_block_that_differs_is_erased(tmp_path: Path) -> None:
         keys.confirm(SESSION, 0)
         assert keys.counts() == (0, 0, 0, 2, 0)
         with pytest.raises(UnknownKeys):
-            keys.deliver_named([key_id(SESSION, 0, 2)])
+            deliver_named(keys, [key_id(SESSION, 0, 2)])
 
 
 def test_no_byte_of_a_delivered_or_dropped_key_stays_in_the_file(tmp_path: Path) -> None:
@@ -121,7 +123,7 @@ def test_no_byte_of_a_delivered_or_dropped_key_stays_in_the_file(tmp_path: Path)
     for number in range(4):
         keys.add(row(number, 40), bodies(number, 40))
         (keys.drop if number == 3 else keys.confirm)(SESSION, number)
-    delivered = keys.deliver(30)
+    delivered = deliver(keys, 30)
     whole = b"".join(path.read_bytes() for path in tmp_path.iterdir())
     assert not any(key.key in whole for key in delivered)
     assert not any(body in whole for body in bodies(3, 40))
@@ -148,9 +150,9 @@ def test_a_refused_store_gives_nothing(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
         assert keys.available() == 0
         with pytest.raises(KeysRefused, match=r"^seed 7: its keys are predictable$"):
-            keys.deliver(1)
+            deliver(keys, 1)
         with pytest.raises(KeysRefused, match=r"^seed 7"):
-            keys.deliver_named([])
+            deliver_named(keys, [])
 
 
 def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
@@ -177,18 +179,17 @@ def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
     monkeypatch.setattr("protocol.secret.store.TOMBSTONES", 9000)
     make_secret(tmp_path / "secret")
     with store(tmp_path) as keys:
-        authentication = take_secret(keys, tmp_path / "secret")
+        take_secret(keys, tmp_path / "secret")
+        authentication = Authentication(keys, look=lambda: consent(keys))
         steps: list[int] = []
         for number in range(160):
-            at, pads = f"{SESSION}/{number}", pads_of(bytes(32))
             spent: list[int] = []
             keys._db.set_progress_handler(partial(spent.append, 0), 100)
-            assert authentication.tag(at, b"message") is not None
-            shown = authentication.accepted(at, b"message")
-            keys.add(row(number, 84), bodies(0, 84), pads=pads)
+            signed = authentication.tags(SESSION, number, b"message", [bytes(32)] * 87)
+            assert signed is not None
+            keys.add(row(number, 84), bodies(0, 84), pads=signed[3])
             keys.confirm(SESSION, number)
-            authentication.spend(at, min(shown.values()))
-            authentication.settle(at)
+            authentication.settle(SESSION, number)
             steps.append(len(spent))
         assert keys.counts().dropped == 3000
         assert len(keys.ids()) == 9000
@@ -212,10 +213,10 @@ def test_an_older_copy_gives_nothing_twice(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
         keys.add(row(0, 8), bodies(0, 8))
         keys.confirm(SESSION, 0)
-        keys.deliver(1)
+        deliver(keys, 1)
     older, count = path.read_bytes(), beside.read_bytes()
     with store(tmp_path) as keys:
-        keys.deliver(1)
+        deliver(keys, 1)
     newer = path.read_bytes()
     path.write_bytes(older)
     with pytest.raises(StoreError, match=r"^[^\n]*has given 1 times, [^\n]* counts 2: one of the"):
@@ -244,9 +245,9 @@ def test_a_process_that_dies_over_a_delivery_can_go_on(tmp_path: Path) -> None:
         Anchor(path).announce(1)  # and dies before the store has it
     with store(tmp_path) as keys, pytest.MonkeyPatch.context() as dying:
         dying.setattr(Anchor, "count", lambda _anchor, _given: None)
-        first = keys.deliver(1)  # and dies before it has said so
+        first = deliver(keys, 1)  # and dies before it has said so
     with store(tmp_path) as keys:
-        assert keys.deliver(1) != first
+        assert deliver(keys, 1) != first
         assert keys.available() == 2
 
 
@@ -258,7 +259,7 @@ def test_what_a_dead_process_gave_counts_from_the_next_opening_on(tmp_path: Path
     older = path.read_bytes()
     with store(tmp_path) as keys, pytest.MonkeyPatch.context() as dying:
         dying.setattr(Anchor, "count", lambda _anchor, _given: None)
-        keys.deliver(1)
+        deliver(keys, 1)
     store(tmp_path).close()
     path.write_bytes(older)
     with pytest.raises(StoreError, match=r"has given 0 times, and [^ ]* counts 1"):
@@ -271,36 +272,43 @@ def test_a_copy_that_is_put_back_under_an_open_store_gives_nothing(tmp_path: Pat
         keys.confirm(SESSION, 0)
         Anchor(tmp_path / "controller.sqlite3").count(7)
         with pytest.raises(StoreError, match="keys would be given twice"):
-            keys.deliver(1)
-        assert keys.available() == 4
+            deliver(keys, 1)
+        assert keys.available() == 3  # one was set aside
 
 
+@pytest.mark.parametrize("named", [False, True])
 @pytest.mark.parametrize("column", ["body", "row", "own", "id"])
-def test_a_key_that_is_not_as_it_was_written_is_not_given(tmp_path: Path, column: str) -> None:
+def test_a_key_that_is_not_as_it_was_written_is_not_given(
+    tmp_path: Path, column: str, named: bool
+) -> None:
     with store(tmp_path) as keys:
         keys.add(row(0, 8), bodies(0, 8))
         keys.confirm(SESSION, 0)
         other = {"body": bodies(1, 1)[0], "row": 3, "own": 1, "id": key_id(SESSION, 0, 9)}[column]
         place = 2 if column == "own" else 1
         keys._db.execute(f"UPDATE key SET {column} = ? WHERE place = ?", (other, place))
-        with pytest.raises(StoreError, match=rf"the key at place {place} is not as it was written"):
-            keys.deliver(2)
+        if not named:
+            wrong = rf"the key at place {place} is not as it was written"
+            with pytest.raises(StoreError, match=wrong):
+                deliver(keys, 2)
+            return
         keys._db.execute("UPDATE key SET own = 0 WHERE place = 1")
         name = other if column == "id" else key_id(SESSION, 0, 1)
         with pytest.raises(StoreError, match="is not as it was written"):
-            keys.deliver_named([str(name)])
+            deliver_named(keys, [str(name)])
 
 
 def test_notes_blocks_and_pads_are_seen_to_be_as_they_were_written(tmp_path: Path) -> None:
     make_secret(tmp_path / "secret")
     with store(tmp_path) as keys:
-        authentication = take_secret(keys, tmp_path / "secret")
+        take_secret(keys, tmp_path / "secret")
+        authentication = Authentication(keys, look=lambda: consent(keys))
+        assert authentication.tags("a", 0, b"", [bytes(32)]) is not None
         keys.add(row(0, 2), bodies(0, 2), tag="ab")
         for table, column in (("pad", "body"), ("block", "tag"), ("meta", "value")):
             keys._db.execute(f"UPDATE {table} SET {column} = 'x'")
         for ask in (
-            lambda: authentication.tag("a/1", b""),
-            lambda: authentication.accepted("a/1", b""),
+            lambda: authentication.tags("a", 0, b"", [bytes(32)]),
             lambda: keys.block_tag(SESSION, 0),
             lambda: keys.assumption or keys.note("side"),
         ):
@@ -345,10 +353,13 @@ def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path
 KILLED = """
 import os, sys
 from pathlib import Path
+from protocol.secret.giving import Giver
 from protocol.secret.store import KeyStore
+from tests.support.giving import consent
 keys = KeyStore(Path(sys.argv[1]), "controller")
+giver = Giver(keys, look=lambda: consent(keys))
 while True:
-    for key in keys.deliver(1, "one"):
+    for key in giver.deliver(1, "one"):
         os.write(1, (key.key_id + "\\n").encode())
 """
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
+from protocol.statistics import normal_mean, wilson
 from wyner.cli.main import main
-from wyner.scoring.statistics import normal_mean, wilson
 from wyner.shipped import DATA, FIGURES_FOLDER
 from wyner.simulate.engine import simulate_runs
 from wyner.studies.figures import FIGURES, FigureError, draw
@@ -41,10 +41,12 @@ PAGES = {
     "signalling-rates": SIGNALLING,
     "signalling-price": SIGNALLING,
     "two-step": SIGNALLING,
+    "block-codes": SIGNALLING,
+    "noise-bound": ROOT / "docs" / "secrecy.md",
     "key-controls": ROOT / "docs" / "keys.md",
 }
 """Where a figure stands that is in neither of the two other documents."""
-CERTAIN = ("idea", "two-step")
+CERTAIN = ("idea", "two-step", "block-codes")
 """Figures without an estimate: a single step, and a search."""
 DOCUMENT = ROOT / "docs" / "experiments.md"
 
@@ -146,7 +148,7 @@ def test_data_that_are_not_whole_are_told_in_a_line(
         (lambda data: data[:-4], "its last line is torn"),
         (
             lambda data: data[: data.rindex(b" ")] + b"\n",
-            "line 43: runs_by_symbols: expected 20 runs",
+            "line 43: runs_by_agreed: expected 20 runs",
         ),
         (lambda data: data[: data.rindex(b",")] + b"\n", "line 43: expected as many cells as"),
         (lambda data: data.replace(b",0.1,", b",one,"), "line 2: period_s: expected a number"),

@@ -1,5 +1,6 @@
 """A fit from readings alone: the model, the certificate, what the scheme makes of it."""
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -123,6 +124,10 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
     assert "of 20 fresh sessions did" in told.out
     assert f"wrote {out}" in told.out
     assert "identified A and B from 400 steps" in told.err
+    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), "--json", *plan]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert sorted(found) == ["calibration", "half_widths", "output", "seed"]
+    assert (found["output"], found["calibration"]["sessions"]) == (str(out), 20)
     assert main(["design", str(out)]) == 0
     assert (
         "D_c: a session of 30 steps leaves it with probability at most" in capsys.readouterr().out

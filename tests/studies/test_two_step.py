@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from wyner.studies.capacity.blocks import most_keys
+from wyner.studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
 from wyner.studies.grid import ROOT
-from wyner.studies.two_step import TwoStepCode, best_codes, single_step_keys
 
 
 def copies(code: TwoStepCode, shift: tuple[float, float], reach: int = 4) -> np.ndarray:
@@ -39,7 +40,7 @@ def check(code: TwoStepCode, alpha: float) -> None:
 
 @pytest.fixture(scope="module")
 def found() -> dict[float, TwoStepCode]:
-    alphas = [2.1, 2.375, 2.75]
+    alphas = [2.1, 7 / 3, 2.75]
     return dict(zip(alphas, best_codes(alphas), strict=True))
 
 
@@ -54,7 +55,18 @@ def test_five_keys_in_two_steps_beat_two_in_one(found: dict[float, TwoStepCode])
 def test_every_code_does_what_it_says(found: dict[float, TwoStepCode]) -> None:
     for alpha, code in found.items():
         check(code, alpha)
-        assert code.keys <= (1 + alpha) ** 2
+        assert code.keys <= most_keys(alpha, 2)
+
+
+@pytest.mark.slow
+def test_five_keys_stand_on_a_grid_of_thirds(found: dict[float, TwoStepCode]) -> None:
+    """Just above 7/3, which quarters miss."""
+    code = found[7 / 3]
+    (a, b), (c, d) = code.periods
+    assert sorted(abs(3 * v) for v in (a, b, c, d)) == pytest.approx([2, 2, 14, 14])
+    assert abs(a * d - b * c) == pytest.approx(200 / 9)
+    with pytest.raises(AssertionError):
+        check(code, 7 / 3 - 0.01)
 
 
 def test_no_code_has_more_keys_than_the_volume_allows() -> None:
@@ -64,10 +76,10 @@ def test_no_code_has_more_keys_than_the_volume_allows() -> None:
     assert len(rows) > 10
     for row in rows:
         alpha = float(row["alpha"])
-        assert int(row["two_step"]) <= (1 + alpha) ** 2
-        assert float(row["bits_per_step"]) <= float(row["volume_bound"]) == math.log2(1 + alpha)
+        assert int(row["two_step"]) <= most_keys(alpha, 2)
+        assert float(row["bits_per_step"]) <= float(row["volume_bound"]) == math.log2(alpha)
     for alpha in np.linspace(1.01, 200, 500):
-        assert single_step_keys(float(alpha)) <= 1 + alpha
+        assert single_step_keys(float(alpha)) <= most_keys(float(alpha), 1)
 
 
 @pytest.mark.slow

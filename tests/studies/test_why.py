@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario, load_scenario
 from protocol.shipped import scenario_file_of
+from wyner.cli.design import expected_rate
 from wyner.cli.main import main
 from wyner.studies.figures.design import draw_design
 from wyner.studies.why import APART, FULL, Why, packed, packs, why
@@ -155,3 +156,20 @@ def test_the_design_is_drawn(tmp_path: Path) -> None:
             assert main(["design", name, "--plot", str(path)]) == 0
             assert path.stat().st_size > 10_000
     assert main(["design", "sustained", "--plot", str(tmp_path / "a.txt")]) == 2
+
+
+def test_the_corners_of_the_test_set_are_inside_as_the_ends_have_it() -> None:
+    """The advice counts with the agreement's tolerance: half the corners round to above 1."""
+    data = shipped("packed").model_dump(mode="json", exclude_none=True)
+    data["plant"]["disturbance"] |= {
+        "kind": "corners",
+        "half_widths": data["defender"]["disturbance"]["half_widths"],
+    }
+    scenario = Scenario.model_validate(data)
+    law = make_law(scenario, cached_design(scenario))
+    rate = expected_rate(scenario, law)
+    assert rate is not None
+    found = why(scenario, law)
+    assert found.none == 0
+    assert found.agreed == pytest.approx(rate["agreement_probability"], abs=0.02)
+    assert found.remedies == ()

@@ -7,14 +7,16 @@ import socket
 import ssl
 import subprocess
 import sys
+import threading
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from protocol.secret.records import BlockRow
+from protocol.secret.records import BlockRow, StoreError
 from protocol.secret.store import KeyStore
+from tests.support.giving import agree
 from wyner.deployment.certificates import ensure_certificates
 
 KEYS = 60
@@ -42,8 +44,17 @@ class Sites:
         self.ports = {side: free_port() for side in SIDES}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.blocks = 0
+        self._over = threading.Event()
+        self._services = threading.Thread(target=self._agree, daemon=True)
         if keys:
             self.add_block(keys)
+            self._services.start()
+
+    def _agree(self) -> None:
+        """What the services of both ends do for their key servers."""
+        while not self._over.wait(0.02):
+            with suppress(StoreError), ExitStack() as opened:
+                agree(*(opened.enter_context(self.store(side)) for side in SIDES))
 
     def run_dir(self, side: str) -> Path:
         """The run whose keys an entity serves."""
@@ -89,7 +100,14 @@ class Sites:
                 assert time.monotonic() < until
                 time.sleep(0.02)
 
+    def end_services(self) -> None:
+        """The ends' services are gone: nobody asks the other end."""
+        self._over.set()
+        if self._services.is_alive():
+            self._services.join()
+
     def stop(self) -> None:
+        self.end_services()
         for process in self.processes.values():
             process.kill()
             process.wait()

@@ -22,6 +22,7 @@ from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
 from tests.support.copies import Copies
+from tests.support.giving import deliver, deliver_named
 from tests.support.line_ends import line_controller, line_plant
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
@@ -181,13 +182,15 @@ class World:
     def serve(self, side: Side) -> None:
         """A key server gives a key, and its partner finds the same one by its id."""
         try:
-            (key,) = self.stores[side].deliver(1, side)
+            (key,) = deliver(self.stores[side], 1, side, partner=self.stores[OTHER[side]])
         except TooFewKeys:
             return
         assert key not in self.given, "a key was given twice"
         self.given.append(key)
         try:
-            (same,) = self.stores[OTHER[side]].deliver_named([key.key_id])
+            (same,) = deliver_named(
+                self.stores[OTHER[side]], [key.key_id], partner=self.stores[side]
+            )
         except UnknownKeys:
             raise AssertionError("a key was given that the partner does not have") from None
         assert same == key, "the two ends gave different keys under one id"

@@ -51,8 +51,8 @@ class LinePlant:
     def safe(self, why: str) -> None:
         pass
 
-    def close(self) -> None:
-        pass
+    def close(self) -> str:
+        return ""
 
 
 class ToldPorts:

@@ -12,6 +12,8 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
     What the plant has recovered is a prefix of what was sent; both ends agree on every
     transition both have counted; no key symbol is used for two message symbols.
     """
+    for at in history.rewritten:
+        yield f"transition {at}: one side counted it in two versions"
     for at, mine in history.plant.items():
         theirs = history.controller.get(at)
         if theirs is not None and _counted(mine) != _counted(theirs):

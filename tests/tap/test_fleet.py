@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
+from tests.support.told import log_of
 
 
 def captured(folder: Path, loop: str) -> list[tuple[str, int]]:
@@ -123,3 +125,39 @@ def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(
     assert len(a) == 51, "where two have left there is more for each"
     for name in "ab":
         taps._close(name)
+
+
+def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
+    config_of: Callable[[FleetLoop], TapConfig],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One goes for keys where none are made, another raises: the third ends with its marks."""
+    path = tmp_path / "fleet.toml"
+    path.write_text("".join(f'[[loop]]\nid = "{name}"\n' for name in ("keyless", "raises", "good")))
+
+    def with_key_solver(loop: FleetLoop) -> TapConfig:
+        config = config_of(loop)
+        return replace(config, names=("key-solver",)) if loop.id == "keyless" else config
+
+    taps = TapFleet(Fleet.of_file(path), with_key_solver)
+    with log_of("tap") as told_of:
+        taps.attach(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()))
+
+        def breaks() -> None:
+            raise RuntimeError("on purpose")
+
+        monkeypatch.setattr(taps._taps["raises"], "publish", breaks)
+        stopping = threading.Event()
+        thread = threading.Thread(target=taps.run, args=(stopping,))
+        thread.start()
+        wait(lambda: "raises" not in taps._taps)
+        assert "good" in taps._taps
+        stopping.set()
+        thread.join(10)
+    assert not thread.is_alive()
+    assert any(x.startswith("loop keyless: not listened to: ") for x in told_of)
+    assert "loop raises: its tap failed: RuntimeError: on purpose" in told_of
+    for name in ("raises", "good"):
+        last = (tmp_path / name / CAPTURE).read_bytes().splitlines()[-1]
+        assert json.loads(last)["event"] == "end"

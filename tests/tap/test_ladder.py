@@ -13,6 +13,7 @@ from pydantic_core import from_json
 
 from protocol.knowledge import Knowledge
 from protocol.secret.bound import Assumption
+from protocol.statistics import confidence_sequence
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import (
@@ -27,7 +28,7 @@ from tap_service.eavesdroppers import (
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.scoring.replay import COUNTS
-from wyner.scoring.score import EavesdropperScore, Proportion, Said, score
+from wyner.scoring.score import EavesdropperScore, Said, score
 from wyner.studies.secrecy.runs import Run, simulate, text_of
 from wyner.studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 
@@ -58,9 +59,8 @@ def test_nearest_centre_on_other_systems(name: str) -> None:
 
 def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
     scores = [play(simulate(1000, seed), "set-membership")[1] for seed in range(4)]
-    keys = Proportion(sum(s.keys.right for s in scores), sum(s.keys.of for s in scores))
-    low, high = keys.interval
-    assert low < 0.5 < high
+    keys = confidence_sequence(sum(s.keys.right for s in scores), sum(s.keys.of for s in scores))
+    assert keys.low < 0.5 < keys.high
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -182,7 +182,7 @@ def test_alpha_one_agrees_no_key() -> None:
 
 def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
     _, scored = play(simulate(1000, 5), "oracle")
-    assert scored.guessing == 1.0
+    assert scored.keys_reviewed.every
 
 
 def knowing(run: Run, name: str) -> Knowledge:
@@ -204,14 +204,15 @@ def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LADDER)
-def test_who_was_there_and_heard_no_message_is_scored_as_a_blind_guess(name: str) -> None:
+def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
+    """A tap at the wrong address hears nothing, and that is no secrecy."""
     run = simulate(300, 6)
     heard = heard_by(run, View(loss=1.0))
     assert heard == []
     said = said_about(named(name)(knowing(run, name)), heard)
     scored = score(run.truth, said)
-    assert scored.keys.of == len(run.truth.keys)
-    assert scored.guessing == 0.5
+    assert scored.keys.of == scored.bits.of == 0
+    assert scored.why_unscored == "she guessed nothing"
 
 
 @pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])

@@ -98,7 +98,8 @@ def test_without_a_policy_or_a_model_there_is_no_law() -> None:
 def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
     k = scenario_at("sustained", 8.0).knowledge()
     assert k.policy is not None
-    assert set(k.policy.model_dump()) == {"law", "costs", "gain", "together", "certain"}
+    told = {"law", "costs", "gain", "together", "certain", "regulator", "spacing"}
+    assert set(k.policy.model_dump()) == told
     assert k.policy == scenario_at("sustained", 2.0).knowledge().policy
     assert Knowledge.model_validate_json(k.model_dump_json()) == k
     old = k.model_dump(mode="json", exclude={"policy"})

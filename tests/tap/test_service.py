@@ -29,12 +29,14 @@ from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
+from tap_service import heavy
 from tap_service import service as tap
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits
+from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
-from tap_service.eavesdroppers import KnowledgeError
+from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
 from tests.support.matched import matched
 from tests.support.told import log_of, told
@@ -271,6 +273,103 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     wire.finish()
     assert child.exitcode == 0
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+@pytest.mark.slow
+def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dead one has nothing new to say; what she said last must not look like what she says."""
+    monkeypatch.setattr(heavy, "REST_S", 0.3)
+    run = simulate(1000, 11)
+    half = len(run.messages) // 2
+    wire = Wire(config(run, tmp_path, names=("list-decoder",)))
+
+    def newest() -> TapStatus | None:
+        wire.service.work(0)
+        wire.service.publish()
+        return wire.statuses[-1] if wire.statuses else None
+
+    for message in run.messages[:half]:
+        wire.send(message)
+    wait_for(lambda: (its := newest()) is not None and its.steps > 400, "a first look")
+    said = wire.statuses[-1]
+    assert wire.service._heavy is not None
+    process = wire.service._heavy.process
+    assert process.pid is not None
+    with log_of("tap") as told_of:
+        os.kill(process.pid, signal.SIGKILL)
+        for message in run.messages[half:]:
+            wire.send(message)
+        wait_for(lambda: (its := newest()) is not None and its.failed != "", "a word of her death")
+        dead = wire.statuses[-1]
+        assert dead.failed == "her process died (signal 9)"
+        assert dead.steps == said.steps
+        assert dead.behind >= 490  # what was captured since: nobody has looked at it
+        wire.service.write_beliefs()
+        record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
+        assert record["failed"] == dead.failed
+        assert "her process died" in (tmp_path / "tap" / "health").read_text()
+        wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
+    assert any("started again" in line for line in told_of)
+    assert wire.service._heavy.process is not process
+    wire.finish()
+    record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
+    assert (record["failed"], record["behind"]) == ("", 0)
+    assert [base64.b64decode(w) for w in record["whole"]] == list(run.payloads)
+    assert wire.statuses[-1].steps == 1000
+
+
+@pytest.mark.slow
+def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heavy, "RESTARTS", 0)
+    wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
+    assert wire.service._heavy is not None
+    process = wire.service._heavy.process
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGKILL)  # before it has said a word
+    for message in run.messages:
+        wire.send(message)
+    with log_of("tap") as told_of:
+        wire.finish()
+    assert any("it died 1 times, and is not started again" in line for line in told_of)
+    records = json.loads((tmp_path / BELIEFS).read_bytes())
+    assert records["nearest-centre"]["failed"] == ""
+    assert records["list-decoder"]["failed"] == "her process died (signal 9)"
+    assert records["list-decoder"]["behind"] == 300
+    assert {s.name: s.failed for s in wire.statuses}["list-decoder"] != ""
+
+
+def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_records(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire = Wire(config(run, tmp_path))
+    nearest = wire.service._listeners.listeners[1].tap
+    observe = nearest.observe
+
+    def breaks(transition: Transition) -> Guess:
+        if transition.k == 21:
+            raise ValueError("no\nidea")
+        return observe(transition)
+
+    monkeypatch.setattr(nearest, "observe", breaks)
+    with log_of("tap") as told_of:
+        for message in run.messages:
+            wire.send(message)
+        wire.finish()
+    why = "step 21: ValueError: no idea"
+    assert f"eavesdropper nearest-centre failed at {why}" in told_of
+    last = {s.name: s for s in wire.statuses}
+    assert last["nearest-centre"].failed == why
+    assert why not in last["nearest-centre"].message
+    assert last["nearest-centre"].steps == 21
+    assert last["set-membership"].failed == ""
+    assert last["set-membership"].steps == 300
+    record = json.loads((tmp_path / BELIEFS).read_bytes())["nearest-centre"]
+    assert (record["failed"], record["symbols"]) == (why, None)
+    assert "nearest-centre failed" in (tmp_path / "tap" / "health").read_text()
 
 
 def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:

@@ -134,7 +134,7 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
 
 
 def stored(number: int, keys: int, session: str = A) -> Told:
-    return Told(BlockStoredLine("block", session, number, keys), b"")
+    return Told(BlockStoredLine("block", session, number, keys, ""), b"")
 
 
 def block_items(number: int, keys: int, counts: int = 3, session: str = A) -> list[Item]:

@@ -266,6 +266,8 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
     audit = audit_keys(copied, read_evidence(copied).scenario)
     assert audit is not None
     assert audit.held_bits >= 256 * 2  # all rows of each block, the public one included
-    assert audit.rate is not None
-    assert audit.rate.refuted
-    assert len(audit.warnings) == 2
+    assert {name: rate.refuted for name, rate in audit.rates.items()} == {
+        "measurements": True,
+        "offers": True,
+    }
+    assert len(audit.warnings) == 3

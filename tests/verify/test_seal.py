@@ -1,8 +1,10 @@
 """Nothing in a run's folder changes after the run without the check naming the file."""
 
+import contextlib
 import json
 import os
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pytest
 
 from benchmarks.check import make_run
 from protocol.files import write_atomically
+from protocol.runtime.jsonl import LineWriter
 from protocol.runtime.run_folder import (
     BELIEFS,
     CONTROLLER_JOURNAL,
@@ -22,13 +25,19 @@ from protocol.runtime.run_folder import (
     MESSAGE,
     PLANT_JOURNAL,
     PLANT_STATUS,
+    PLANT_TRACE,
     SCENARIO,
     SUMMARY,
     TAP_STATUS,
 )
 from protocol.scenario import load_scenario
+from protocol.secret.records import BlockRow
+from protocol.secret.store import KeyStore
+from tests.support.giving import deliver
 from tests.verify.mutants import ALTERATIONS
+from wyner.cli.main import main
 from wyner.verify import check
+from wyner.verify.covered import KINDS
 from wyner.verify.evidence import read_evidence
 from wyner.verify.seal import broken, seal
 
@@ -56,7 +65,9 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_atomically(run / name, text)
     identity = load_scenario(run / SCENARIO).identity()
     put(run, MANIFEST, {"wyner": "0", "seed": None, "command": ["up"], **identity})
-    write_atomically(run / CONTROLLER_KEYS, b"keys")
+    with KeyStore(run / CONTROLLER_KEYS, "controller", create=True) as store:
+        store.add(BlockRow("s", 0, 44, 44, 88, 4, 3, "stored", 1), [bytes(32)] * 3, tag="t")
+        store.confirm("s", 0)
     seal(run)
     return run
 
@@ -86,10 +97,108 @@ def fields(value: Any) -> Iterator[tuple[Any, Any]]:
 
 def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(run: Path) -> None:
     assert failed(run) == set()
-    (run / CONTROLLER_KEYS).write_bytes(b"fewer")
+    with KeyStore(run / CONTROLLER_KEYS, "controller") as store:
+        assert len(deliver(store, 1, "alice")) == 1
     (run / "plant" / "steps.csv").write_text("made later")
     assert wrong(run) == {}
     assert failed(run) == set()
+
+
+def test_what_goes_on_beside_a_run_that_is_over_is_none_of_it(run: Path) -> None:
+    """A key server writes its line there once a second, under a name that comes and goes."""
+    server = run / "kme-plant" / "health"
+    write_atomically(server, b"ok: 3 ready, 0 given")
+    (run / "plant" / "health").write_text("ok")
+    (run / "report.html").write_text("made meanwhile")
+    over, told = threading.Event(), 0
+
+    def serve() -> None:
+        nonlocal told
+        while not over.is_set():
+            write_atomically(server, f"ok: {told}".encode())
+            told += 1
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        for _ in range(40):
+            seal(run)
+    finally:
+        over.set()
+        thread.join()
+    write_atomically(server, b"stopped: 2 ready, 1 given")
+    (run / "plant" / "health").write_text("bad: no transition for 5 s")
+    (run / "report.html").write_text("made again")
+    assert told > 40
+    assert failed(run) == set()
+
+
+@pytest.mark.parametrize("name", [str(CONTROLLER_KEYS), str(PLANT_TRACE), "plant/log"])
+def test_looking_at_a_run_writes_nothing_in_its_folder(run: Path, name: str) -> None:
+    def listing() -> dict[str, tuple[int, bytes]]:
+        files = (path for path in run.rglob("*") if path.is_file())
+        return {str(p): (p.stat().st_mtime_ns, p.read_bytes()) for p in files}
+
+    before = listing()
+    check(read_evidence(run))
+    (run / name).unlink()
+    check(read_evidence(run))
+    kept = listing()
+    assert kept == {path: held for path, held in before.items() if path != str(run / name)}
+
+
+class Death(BaseException):
+    """The process is killed here."""
+
+
+@pytest.mark.parametrize("at", range(6))
+def test_a_run_that_is_killed_while_it_is_sealed_passes(
+    run: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    """Before or after any write or change of name: sealed, or as if killed altogether."""
+    (run / SUMMARY).unlink()
+    manifest = json.loads((run / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    put(run, MANIFEST, manifest)
+    calls = 0
+    replace = Path.replace
+
+    def mortal(path: Path, target: Path) -> Path:
+        nonlocal calls
+        if calls == at:
+            raise Death
+        replace(path, target)
+        calls += 2
+        if calls == at + 1:
+            raise Death
+        return target
+
+    monkeypatch.setattr(Path, "replace", mortal)
+    with contextlib.suppress(Death):
+        seal(run, b'{"delivered": true}')
+    monkeypatch.undo()
+    assert wrong(run) == {}
+    assert failed(run) == set()
+
+
+def test_a_summary_that_was_taken_away_is_missed(run: Path) -> None:
+    seal(run, b'{"delivered": true}')
+    (run / SUMMARY).unlink()
+    assert wrong(run) == {"summary.json": "it was there when the run was over"}
+
+
+def test_a_service_that_was_started_again_since_is_held_to_what_it_had_recorded(run: Path) -> None:
+    """Its journal and status are new; its recording still begins as it was sealed."""
+    lines = LineWriter(run / PLANT_TRACE, {})
+    lines.append(b'{"event":"session","session":null,"reason":"started"}')
+    lines.close()
+    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
+    assert wrong(run) == {}
+    put(run, CONTROLLER_STATUS, OTHERS[CONTROLLER_STATUS] | {"k": 61})
+    assert wrong(run) == {str(CONTROLLER_STATUS): "it is not as the run left it"}
+    raw = (run / PLANT_TRACE).read_bytes()
+    (run / PLANT_TRACE).write_bytes(raw.replace(b'"k":7,', b'"k":8,', 1))
+    assert str(PLANT_TRACE) in wrong(run)
 
 
 def test_a_run_that_went_on_can_be_sealed_again(run: Path) -> None:
@@ -161,3 +270,21 @@ def test_a_seal_that_is_gone_is_missed(run: Path) -> None:
     assert "whole" in failed(run)
     (run / SUMMARY).unlink()  # killed as a whole
     assert wrong(run) == {}
+
+
+def test_the_page_has_the_table_of_evidence() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "run-folder.md").read_text()
+    for kind in KINDS:
+        row = f"| `{kind.pattern}` | {'yes' if kind.evidence else 'no'} | {kind.held_by} |"
+        assert row in page
+    assert page.count(" | yes | ") + page.count(" | no | ") == len(KINDS)
+
+
+def test_check_says_which_files_are_evidence(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["sealed"]
+    assert [file["pattern"] for file in told["files"]] == [kind.pattern for kind in KINDS]
+    with pytest.raises(SystemExit):
+        main(["check", "--help"])
+    assert "controller/message           the seal" in capsys.readouterr().out

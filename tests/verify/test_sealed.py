@@ -10,6 +10,7 @@ from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.records import BlockRow
 from protocol.secret.sealed_book import SealedBook, SealedText
 from protocol.secret.store import KeyStore
+from tests.support.giving import sealed_by
 from tests.verify.judged import evidence, judge
 from wyner.verify.capture import Seen
 from wyner.verify.clause import Place, Tally
@@ -42,7 +43,7 @@ def run(tmp_path: Path) -> Run:
     texts = []
     for identifier in ("m", "n"):
         sealing.queue(identifier, TEXT)
-        text = sealing.next()
+        text = sealed_by(sealing, opening.store)
         assert text is not None
         assert opening.open(text)
         assert sealing.acknowledged(identifier)

@@ -17,6 +17,7 @@ from controller_service.sets.design import SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario, ScenarioError
+from protocol.statistics import Interval
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError
 from wyner.api.drawing import draw_agreement, draw_rate, draw_sets, draw_states
@@ -24,7 +25,6 @@ from wyner.api.eavesdropping import TapScore, eavesdrop
 from wyner.api.runs import check, report
 from wyner.api.simulation import Simulated, rate_against_alpha, run
 from wyner.api.systems import System, build, design, load, scenario_names, vary
-from wyner.scoring.statistics import Interval
 from wyner.simulate.engine import SimulationError
 
 __all__ = [

@@ -36,22 +36,32 @@ def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: 
     """
     from wyner.studies.figures.axes import draw_agreement as draw
 
-    agreed = np.flatnonzero(runs.key[run] != NO_SYMBOL)
+    agreed = np.flatnonzero(runs.key[_run(runs, run)] != NO_SYMBOL)
     k = step if step is not None else int(agreed[0]) if len(agreed) else 0
+    if not 0 <= k < runs.steps:
+        raise ValueError(f"step: got {k}, expected 0 to {runs.steps - 1}")
     scenario = runs.system.scenario
     x, offers = runs.x[run, k], runs.candidates[run, k]
     centres = x @ np.array(scenario.A).T + offers @ np.array(scenario.B).T
-    D_c = scenario.defender.disturbance
-    points = corners(*(np.array(a) for a in D_c.rows()))
-    draw(axes, centres, runs.x[run, k + 1], points, scenario.secrecy.alpha)
+    D_c, D_e = (
+        corners(*(np.array(a) for a in disturbance.rows()))
+        for disturbance in (scenario.defender.disturbance, scenario.eavesdropper_set)
+    )
+    draw(axes, centres, runs.x[run, k + 1], D_c, D_e)
 
 
 def draw_states(runs: Simulated, axes: "Axes", run: int = 0) -> None:
     """Draw the states of a run over time, with a mark on every step that agreed a key symbol."""
     from wyner.studies.figures.axes import draw_states as draw
 
-    agreed = np.flatnonzero(runs.key[run] != NO_SYMBOL)
+    agreed = np.flatnonzero(runs.key[_run(runs, run)] != NO_SYMBOL)
     draw(axes, runs.x[run], runs.system.scenario.plant.period_s, agreed)
+
+
+def _run(runs: Simulated, run: int) -> int:
+    if not 0 <= run < runs.count:
+        raise ValueError(f"run: got {run}, expected 0 to {runs.count - 1}")
+    return run
 
 
 def draw_rate(runs: Simulated, axes: "Axes", alphas: ArrayLike, label: str | None = None) -> None:

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from protocol.statistics import NOTHING, Interval, share_over_runs
 from tap_service.eavesdroppers import Eavesdropper
+from tap_service.guests import guarded
 from wyner.api.simulation import Simulated
-from wyner.scoring.statistics import Interval, wilson
 from wyner.simulate.engine.taps import Heard, listen
 
 
@@ -17,8 +18,9 @@ class TapScore:
     ----------
     name : str
     keys : Interval
-        Share of the agreed key symbols that she guessed right at once, with the 95 % Wilson
-        interval; a blind guess has 1/M. (0.5, 0, 1) where none was agreed and M = 2.
+        Share of the agreed key symbols that she guessed right at once, with its 95 % interval over
+        runs; a blind guess has 1/M. Fewer than five runs have no limits (NaN), and where none was
+        agreed, or where she does not guess, there is no share either.
     agreements, right : int
     delivered, read : int
         Whole messages that the plant recovered, and how many of them she had in the end.
@@ -50,15 +52,15 @@ def eavesdrop(
         When there is no such eavesdropper.
     """
     heard = [listen(runs.record, runs.link, eavesdroppers, r) for r in range(runs.count)]
-    size = runs.system.scenario.secrecy.candidates
-    return [
-        _score(e if isinstance(e, str) else e.name, [of_run[i] for of_run in heard], size)
-        for i, e in enumerate(eavesdroppers)
-    ]
+    kinds = [guarded(e) if isinstance(e, str) else e for e in eavesdroppers]
+    return [_score(kind, [of_run[i] for of_run in heard]) for i, kind in enumerate(kinds)]
 
 
-def _score(name: str, heard: Sequence[Heard], size: int) -> TapScore:
+def _score(kind: type[Eavesdropper], heard: Sequence[Heard]) -> TapScore:
+    name = kind.name
     agreements, right = sum(h.agreements for h in heard), sum(h.right for h in heard)
-    keys = wilson(right, agreements) if agreements else Interval(1.0 / size, 0.0, 1.0)
+    keys = NOTHING
+    if kind.guesses:
+        keys = share_over_runs([(h.right, h.agreements) for h in heard])
     delivered, read = sum(h.delivered for h in heard), sum(h.read for h in heard)
     return TapScore(name, keys, agreements, right, delivered, read)

@@ -13,9 +13,11 @@ from plant_service.adapters import PlantAdapter, Stepped
 from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
+from protocol.brief import Brief
+from protocol.runtime.errors import needs
 from protocol.scenario import Scenario
+from protocol.statistics import Interval, mean_over_runs
 from wyner.api.systems import System, design
-from wyner.scoring.statistics import Interval, bootstrap_mean
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages
 from wyner.simulate.single import simulate_plant
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, eq=False)
-class Simulated:
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulated(Brief):
     """Runs of a system. Arrays have the run first and the step second.
 
     Parameters
@@ -41,6 +43,17 @@ class Simulated:
     seed: int
     record: Runs
     link: Transfer
+
+    def brief(self) -> dict[str, object]:
+        """Of which system, how many, and what came of them."""
+        return {
+            "scenario": self.system.scenario.name,
+            "runs": self.count,
+            "steps": self.steps,
+            "seed": self.seed,
+            "agreements": int(self.agreements.sum()),
+            "messages": sum(map(len, self.messages)),
+        }
 
     @property
     def steps(self) -> int:
@@ -112,7 +125,8 @@ class Simulated:
     def rate(self) -> Interval:
         """Message bits a second of plant time, with the 95 % bootstrap interval over runs.
 
-        The paper's count: what was sent, not what stayed secret (docs/secrecy.md).
+        Fewer than five runs have no interval: its limits are NaN. A count of what was sent, as the
+        paper's rule counts it, and not of what stayed secret (docs/secrecy.md).
         """
         s = self.system.scenario
         carried = (self.message_symbol != NO_SYMBOL).sum(axis=1)
@@ -124,9 +138,20 @@ class Simulated:
 
         Columns: run, k, x_1.., u_1.., coin, gauge_0.., key, cipher, message_symbol; -1 stands for
         no symbol.
-        """
-        import pandas as pd
 
+        Raises
+        ------
+        ImportError
+            Where pandas is not there; the text says how to get it.
+        ValueError
+            When there is no such run.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise ImportError(needs("frame()", "pandas")) from None
+        if run is not None and not 0 <= run < self.count:
+            raise ValueError(f"run: got {run}, expected 0 to {self.count - 1}")
         rows = range(self.count) if run is None else range(run, run + 1)
         columns: dict[str, Any] = {
             "run": np.repeat(np.array(self.record.runs)[list(rows)], self.steps),
@@ -182,7 +207,16 @@ def run(
         When a state leaves every set or a plant fails; the message names run and step.
     PlantError
         When the plant cannot be opened.
+    ValueError
+        When a number is none that can be, or the message is text.
     """
+    given: object = message  # the annotation is not what a notebook passes
+    if not isinstance(given, bytes):
+        got = type(given).__name__
+        raise ValueError(f'message: got {got}, expected bytes: "text".encode() or b"text"')
+    for name, value, least in (("steps", steps, 1), ("runs", runs, 1), ("seed", seed, 0)):
+        if not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"{name}: got {value!r}, expected a whole number, {least} or more")
     s = system if isinstance(system, System) else design(system)
     linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
     if plant is None and linear:
@@ -215,4 +249,4 @@ def rate_against_alpha(runs: Simulated, alphas: ArrayLike) -> list[Interval]:
 
 def _mean(counts: NDArray[np.int64]) -> Interval:
     """Mean of a count over runs, shape (R,), with its interval."""
-    return bootstrap_mean(Counter(counts.tolist()))
+    return mean_over_runs(Counter(counts.tolist()))

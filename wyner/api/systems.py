@@ -12,6 +12,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import Design
 from protocol.arrays import Array
+from protocol.brief import Brief
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.scenario import Scenario, load_scenario, parse_scenario, set_field
 from protocol.shipped import SCENARIOS, scenario_file_of
@@ -64,8 +65,8 @@ def vary(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     return parse_scenario(data, scenario.name)
 
 
-@dataclass(frozen=True, eq=False)
-class System:
+@dataclass(frozen=True, eq=False, repr=False)
+class System(Brief):
     """A scenario with its sets and its law.
 
     Parameters
@@ -80,6 +81,18 @@ class System:
     design: Design
     law: CandidateLaw
 
+    def brief(self) -> dict[str, object]:
+        """Which system it is: sizes, law, sets."""
+        s = self.scenario
+        return {
+            "scenario": s.name,
+            "law": s.control.law,
+            "states": s.n,
+            "inputs": s.m,
+            "candidates": s.secrecy.candidates,
+            "horizon": self.horizon,
+        }
+
     @property
     def gain(self) -> Array:
         """K of u = K x, shape (m, n)."""
@@ -92,14 +105,21 @@ class System:
 
     def index(self, x: Sequence[float]) -> int:
         """i(k) = min { i : x in T_i }; raises :class:`OutsideError` where x is in none."""
-        return self.law.index(tuple(x))
+        return self.law.index(self._state(x))
 
     def candidates(self, x: Sequence[float]) -> Array:
         """The M candidate inputs at x, shape (M, m)."""
-        return np.array(self.law.candidates(tuple(x)))
+        return np.array(self.law.candidates(self._state(x)))
+
+    def _state(self, x: Sequence[float]) -> tuple[float, ...]:
+        if len(x) != self.scenario.n:
+            raise ValueError(f"x: got {len(x)} numbers, expected {self.scenario.n}")
+        return tuple(x)
 
     def corners(self, i: int) -> Array:
         """Corners of T_i, shape (corners, n); in the plane in order of angle."""
+        if not 0 <= i <= self.horizon:
+            raise ValueError(f"i: got {i}, expected 0 to {self.horizon}")
         p = Polytope(*self.design.set(i))
         return planar_vertices(p) if p.dimension == 2 else corners(p.H, p.h)
 

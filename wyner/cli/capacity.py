@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING, Any, Final
 from protocol.runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
-    from controller_service.sets.capacity import Capacity
     from protocol.scenario import Scenario
+    from wyner.studies.capacity.table import Capacity
 
 ALPHAS: Final = (1.5, 2.0, 2.5, 3.0, 3.01, 4.0, 5.0, 5.01, 6.0, 7.0, 7.01, 8.0, 9.01, 10.0)
 
 TRUE: Final = (
-    "claimed by the paper's rule; of all of it an eavesdropper who takes the nearest centre leaves "
+    "counted by the paper's rule; of all of it an eavesdropper who takes the nearest centre leaves "
     "0 bits, and she knows when: always"
+)
+
+VOID: Final = (
+    "for keys that are functions of the applied input: where a key may depend on x(k+1) too, the "
+    "rule allows any number at any alpha above 1, and true are 0 (docs/signalling.md)"
 )
 
 
@@ -38,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the table."""
-    from controller_service.sets.capacity import capacity
     from controller_service.sets.design import SynthesisError
     from protocol.runtime.scenario_file import scenario_of
+    from wyner.studies.capacity.table import capacity
 
     scenario = scenario_of(args.scenario)
     alphas = _alphas(args.alpha, scenario.secrecy.alpha)
@@ -77,6 +82,7 @@ def describe(scenario: "Scenario", table: "Capacity") -> dict[str, Any]:
         "inputs": scenario.m,
         "period_s": scenario.plant.period_s,
         "rule": TRUE,
+        "class": VOID,
         "spacing": table.sigma,
         "ceilings": [
             {"mode": c.magnitude, "room": c.room, "vector": list(c.vector)} for c in table.ceilings
@@ -92,6 +98,7 @@ def describe(scenario: "Scenario", table: "Capacity") -> dict[str, Any]:
                 "bound_candidates": row.bound,
                 "bet": None if row.bet is None else row.bet._asdict(),
                 "long_alphabets_bits": row.erasures,
+                "blocks_bits": row.chained,
                 "volume_bits": row.volume,
                 "added_state": row.state_price,
                 "added_input": row.input_price,
@@ -106,6 +113,7 @@ def render(r: dict[str, Any]) -> str:
     lines = [
         f"{r['scenario']}: {r['inputs']} input(s), a step every {r['period_s']:g} s",
         r["rule"],
+        r["class"],
     ]
     if r["spacing"] is not None and math.isfinite(r["spacing"]):
         lines.append(f"candidates {r['spacing']:.6g} apart are told apart with certainty")
@@ -135,7 +143,9 @@ def render(r: dict[str, Any]) -> str:
         "M: the most candidates of which every transition agrees, within U and control's ceiling",
         "bound M: no certain alphabet is larger; bet: the best for this plant's own disturbance, "
         "with its M and spacing",
-        "long: supremum of long alphabets, certain but at their ends; volume: of fixed offsets",
+        "long: supremum of long alphabets, certain but at their ends; volume: log2 of alpha an "
+        "input, the bound of all offsets fixed in advance, which codes over many steps reach from "
+        "alpha > 2 on (one input)",
     ]
     if any(row["certain_candidates"] > row["candidates"] for row in r["alphas"]):
         lines.append("at the largest alphas U or control's ceiling, not alpha, limits M")

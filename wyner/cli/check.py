@@ -21,10 +21,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
         "one does, 2 when there is no run."
     )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = _table()
     parser.add_argument(
         "run_dir", type=Path, metavar="RUN_DIR", help="the run's folder, or a fleet's"
     )
     parser.add_argument("--json", action="store_true", help="print one object for machines")
+
+
+def _table() -> str:
+    """Which files are evidence, for people."""
+    from wyner.verify.covered import KINDS
+
+    wide = max(len(kind.pattern) for kind in KINDS)
+    lines = ["evidence, and what holds it (the seal: that of a run that wyner up has ended):"]
+    lines += [f"  {kind.pattern:<{wide}}  {kind.held_by}" for kind in KINDS if kind.evidence]
+    lines.append("no evidence:")
+    lines += [f"  {kind.pattern:<{wide}}  {kind.held_by}" for kind in KINDS if not kind.evidence]
+    return "\n".join([*lines, "  and whatever else lies in the folder"])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -81,13 +95,19 @@ def findings_of(folder: Path) -> "list[Finding]":
 
 def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
     """The findings of a run, for machines."""
+    from wyner.verify.covered import KINDS
+    from wyner.verify.evidence import read_manifest
+    from wyner.verify.seal import is_sealed
+
     failed = sum(f.result == "FAIL" for f in findings)
     return {
         "run_dir": str(folder),
         "passed": not failed,
         "failed": failed,
         "skipped": sum(f.result == "SKIP" for f in findings),
+        "sealed": is_sealed(read_manifest(folder)),
         "clauses": [f.as_json() for f in findings],
+        "files": [kind._asdict() for kind in KINDS],
     }
 
 

@@ -7,12 +7,15 @@ keys beside a tap that misses three messages of ten; and the control, a tap that
 import argparse
 import json
 import queue
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.messages import SealCommand, SealReply
 from protocol.runtime.bus import Bus
@@ -25,6 +28,9 @@ from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of
 from wyner.cli import up
 from wyner.cli.up import Errand, Outcome, conduct
+
+if TYPE_CHECKING:
+    from wyner.dashboard.app import Stage
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 SEALED: Final = "The old mill, at nine."
@@ -57,25 +63,61 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Three runs, a line of verdict each; 0 if each came out as it must."""
+    from wyner.dashboard.app import has_screen, one_stage
+
+    if not args.headless and not args.json and has_screen():
+        with one_stage() as stage:
+            told = _acts(args, stage)
+    else:
+        told = _acts(args, None)
+    if told.interrupted:
+        return INTERRUPTED
+    if args.json:
+        whole = {"verdict": told.lines, "as_it_must": told.good, "runs": told.summaries}
+        print(json.dumps(whole))
+    else:
+        print("\n".join(row for line in told.lines for row in _rows(line)))
+    return DONE if told.good else FAILED
+
+
+@dataclass
+class _Told:
+    """What the acts came to, so far."""
+
+    lines: list[str] = field(default_factory=list)
+    summaries: dict[str, Any] = field(default_factory=dict)
+    good: bool = True
+    interrupted: bool = False
+
+
+def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Told:
+    """The three runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
-    lines: list[str] = []
+    told = _Told()
     acts = (("spoken", _spoken), ("sealed", _sealed), ("control", _control))
-    summaries: dict[str, Any] = {}
-    good = True
     for name, act in acts:
-        outcome, line, as_it_must = act(args, folder / name, lines)
-        lines.append(line)
-        summaries[name] = outcome.summary
-        good = good and as_it_must
+        if stage is not None:
+            stage.card(TITLES[name], ABOUT[name], "", "Controller, plant and tap start.")
+        outcome, line, as_it_must = act(args, folder / name, told.lines, stage)
+        if outcome.left:
+            line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
+        told.lines.append(line)
+        told.summaries[name] = outcome.summary
+        failed = bool(outcome.summary["failed"])
+        told.good = told.good and as_it_must and not outcome.left and not failed
         if outcome.failure is not None:
             raise outcome.failure
-        if outcome.interrupted:
-            return INTERRUPTED
-    if args.json:
-        print(json.dumps({"verdict": lines, "as_it_must": good, "runs": summaries}))
-    else:
-        print("\n".join(lines))
-    return DONE if good else FAILED
+        told.interrupted = outcome.interrupted
+        if outcome.left or outcome.interrupted:
+            break
+    return told
+
+
+def _rows(line: str) -> list[str]:
+    """A line of the verdict, broken between words where a terminal is narrower."""
+    if not sys.stdout.isatty():
+        return [line]
+    return wrap(line, max(40, shutil.get_terminal_size().columns - 1), subsequent_indent="   ")
 
 
 def _options(args: argparse.Namespace, scenario: str, folder: Path) -> argparse.Namespace:
@@ -93,16 +135,18 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path) -> argparse.
 Act = tuple[Outcome, str, bool]
 
 
-def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> Act:
+def _spoken(
+    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
+) -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder)
     options.secret = False
-    outcome = conduct(options, stays=False, title=TITLES["spoken"])
+    outcome = conduct(options, stays=False, title=TITLES["spoken"], stage=stage)
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
     line = (
-        f"1. Spoken:  the paper claims {summary['bits_per_second']:.1f} bit/s; the plant has it "
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule; the plant has it "
         f"at step {summary['delivered_k']}, the tap at {first}."
         if had
         else "1. Spoken:  the tap has not got the message, and should have."
@@ -110,7 +154,9 @@ def _spoken(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     return outcome, line, bool(summary["delivered"] and had)
 
 
-def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> Act:
+def _sealed(
+    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
+) -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
     errands: list[SealedMessage] = []
@@ -120,7 +166,7 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
         return errands[0]
 
     options = _options(args, "keys", folder)
-    outcome = conduct(options, begin, stays=False, title=TITLES["sealed"])
+    outcome = conduct(options, begin, stays=False, title=TITLES["sealed"], stage=stage)
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
     sent = bool(errands and errands[0].delivered)
@@ -134,7 +180,9 @@ def _sealed(args: argparse.Namespace, folder: Path, _before: Sequence[str]) -> A
     return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
 
 
-def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> Act:
+def _control(
+    args: argparse.Namespace, folder: Path, before: Sequence[str], stage: "Stage | None"
+) -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     text = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
     for piece in (DEAF, CLAIM):
@@ -157,6 +205,7 @@ def _control(args: argparse.Namespace, folder: Path, before: Sequence[str]) -> A
             options,
             closing=lambda summary: [*before, line_of(summary)],
             title=TITLES["control"],
+            stage=stage,
         )
     made = (outcome.summary["keys"] or {}).get("made", 0)
     return outcome, line_of(outcome.summary), made == 0

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
+    from protocol.statistics import Interval
     from wyner.studies.why import Why
 
 RUNS, STEPS, SEED = 40, 250, 1
@@ -158,7 +159,7 @@ def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] |
 
     from protocol.schemes.registry import make_scheme
     from protocol.schemes.table import advance_many
-    from wyner.scoring.statistics import bootstrap_mean
+    from protocol.statistics import mean_over_runs, share_over_runs
     from wyner.simulate.engine import SimulationError, follow, simulate_runs
 
     M, T = scenario.secrecy.candidates, scenario.plant.period_s
@@ -168,21 +169,20 @@ def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] |
         return None
     link = follow(runs, [scenario.secrecy.alpha])
     tested, agreed = link.tested[0], link.agreements[0]
-    p = float(agreed.sum() / tested.sum())
-    half = 1.96 * float(np.std(agreed / tested, ddof=1)) / RUNS**0.5
+    p = share_over_runs(zip(agreed.tolist(), tested.tolist(), strict=True)).as_json()
     bits = float(np.log2(M)) / (STEPS * T)
     carried = Counter(link.message_symbols[0].tolist())
-    rate = bootstrap_mean(carried).scaled(bits)
+    rate = mean_over_runs(carried).scaled(bits).as_json()
     scheme = make_scheme(scenario.secrecy.scheme, M)
     most = advance_many(scheme, np.zeros((STEPS, 1), dtype=np.int8)).pad >= 0
     return {
         "runs": RUNS,
         "steps": STEPS,
         "seed": SEED,
-        "agreement_probability": p,
-        "agreement_interval_95": [max(0.0, p - half), min(1.0, p + half)],
-        "bits_per_second": rate.value,
-        "bits_per_second_interval_95": [rate.low, rate.high],
+        "agreement_probability": p["value"],
+        "agreement_interval_95": [p["low"], p["high"]],
+        "bits_per_second": rate["value"],
+        "bits_per_second_interval_95": [rate["low"], rate["high"]],
         "ceiling_bits_per_second": float(most.sum()) * bits,
     }
 
@@ -235,16 +235,23 @@ def render(r: dict[str, Any]) -> str:
     elif rate is None:
         lines.append("expected rate: none, the loop cannot start or leaves the sets")
     else:
-        low, high = rate["agreement_interval_95"]
-        rlow, rhigh = rate["bits_per_second_interval_95"]
+        p = _interval(rate, "agreement_probability", "agreement_interval_95")
+        bits = _interval(rate, "bits_per_second", "bits_per_second_interval_95")
         lines += [
-            f"agreement p = {rate['agreement_probability']:.3f} [{low:.3f}, {high:.3f}] a tested "
-            f"step ({rate['runs']} runs of {rate['steps']} steps, seed {rate['seed']}, 95 % "
-            "interval over runs)",
-            f"expected rate {rate['bits_per_second']:.3g} [{rlow:.3g}, "
-            f"{rhigh:.3g}] bit/s, ceiling {rate['ceiling_bits_per_second']:.3g} bit/s",
+            f"agreement p = {p.text('.3f')} a tested step ({rate['runs']} runs of {rate['steps']} "
+            f"steps, seed {rate['seed']}, 95 % interval over runs)",
+            f"expected rate {bits.text('.3g')} bit/s, ceiling "
+            f"{rate['ceiling_bits_per_second']:.3g} bit/s",
         ]
     return "\n".join(lines)
+
+
+def _interval(rate: dict[str, Any], value: str, limits: str) -> "Interval":
+    """A figure of :func:`expected_rate` with its limits, where it has any."""
+    from protocol.statistics import Interval
+
+    found = (rate[value], *rate[limits])
+    return Interval(*(float("nan") if x is None else x for x in found))
 
 
 def safety_lines(r: dict[str, Any]) -> list[str]:
@@ -253,7 +260,8 @@ def safety_lines(r: dict[str, Any]) -> list[str]:
     lasts = (
         "no number of steps leads outside T_N"
         if steps is None
-        else f"every state of T_0 lasts {steps} steps, whatever d, before it may leave T_N"
+        else f"every state of T_0 lasts {steps} step{'' if steps == 1 else 's'}, whatever d, "
+        "before it may leave T_N"
     )
     lines = [f"dead link, fallback {r['fallback']}: {lasts}"]
     if r["control_set"] is not None:

@@ -21,6 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
     )
+    parser.add_argument(
+        "--leakage",
+        action="store_true",
+        help="of a run: one row an agreed step, the key symbol (secret) and x(k+1) less each "
+        "prediction (view), for estimators such as F-BLEAU",
+    )
     parser.add_argument("--output", metavar="FILE", help="default: capture.mcap or .parquet here")
 
 
@@ -34,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.reading import CaptureError, CaptureReader
 
-    if args.steps or args.truth:
+    if args.leakage and (args.steps or args.truth):
+        raise UsageError("--leakage: expected neither --steps nor --truth")
+    if args.steps or args.truth or args.leakage:
         return _steps(args)
     output = args.output or (None if args.to == "csv" else f"capture.{args.to}")
     try:
@@ -67,24 +75,31 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _steps(args: argparse.Namespace) -> int:
-    """One row a step, to a file or to standard output."""
+    """One row a step, or an agreed step, to a file or to standard output."""
     import sys
     from pathlib import Path
 
     from protocol.files import PUBLIC_FILE, replacing
     from protocol.runtime.errors import DONE, Failure, UsageError, needs
     from tap_service.capture.reading import CaptureError, CaptureReader
+    from wyner.scoring.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
     from wyner.scoring.score import ScoreError
     from wyner.scoring.step_table import step_rows, truth_by_step, write_csv, write_parquet
 
-    if not args.steps:
+    if args.truth and not args.steps:
         raise UsageError("--truth: expected together with --steps")
+    kind = "leakage" if args.leakage else "steps"
     if args.to == "mcap":
-        raise UsageError("--steps: expected --to csv or --to parquet")
-    output = args.output or (None if args.to == "csv" else "steps.parquet")
+        raise UsageError(f"--{kind}: expected --to csv or --to parquet")
+    output = args.output or (None if args.to == "csv" else f"{kind}.parquet")
     try:
         reader = CaptureReader(Path(args.capture))
-        rows = step_rows(reader, truth_by_step(Path(args.capture)) if args.truth else None)
+        views: list[LeakedKey] = []
+        if args.leakage:
+            views = leaked_keys(reader, truth_by_step(Path(args.capture)))
+            rows = leakage_rows(views)
+        else:
+            rows = step_rows(reader, truth_by_step(Path(args.capture)) if args.truth else None)
         if output is None:
             count = write_csv(rows, sys.stdout)
         else:
@@ -102,5 +117,7 @@ def _steps(args: argparse.Namespace) -> int:
         if isinstance(error, BrokenPipeError):
             raise
         raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
-    print(f"{count} steps", file=sys.stderr)
+    print(f"{count} {'agreed steps' if args.leakage else 'steps'}", file=sys.stderr)
+    if args.leakage:
+        print(leakage_line(views), file=sys.stderr)
     return DONE

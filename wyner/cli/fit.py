@@ -1,6 +1,7 @@
 """``wyner fit``: a model and a D_c, with a certificate, from a plant's own readings."""
 
 import argparse
+import json
 import sys
 import tomllib
 from pathlib import Path
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
     numbers: tuple[tuple[str, float, str], ...] = (
         ("--excite-sessions", 20, "sessions with random inputs"),
         ("--excite-steps", 100, "steps of each; few for an unstable plant without a stated gain"),
@@ -88,6 +90,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     widths = found.scenario.defender.disturbance.half_widths
     assert widths is not None
+    if args.json:
+        told = {"output": str(args.output), "seed": plan.seed, "half_widths": list(widths)}
+        print(json.dumps({**told, "calibration": c.model_dump()}))
+        return DONE
     print(f"D_c half-widths {' '.join(f'{w:.4g}' for w in widths)}")
     print(promise)
     print(f"wrote {args.output}")

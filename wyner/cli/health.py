@@ -5,13 +5,14 @@ service's own report must be fresh, and what it counts must grow between the two
 """
 
 import argparse
+import json
 import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, Failure, UsageError
+from protocol.runtime.errors import DONE, FAILED, Failure, UsageError
 from protocol.runtime.run_folder import HEALTH, loops_below
 from protocol.runtime.services import SERVICES, Look
 from protocol.text import printable
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"seconds in which the count must grow (default: {WITHIN_S:g})",
     )
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def advances(look: Callable[[], Look], within_s: float) -> Look:
@@ -92,48 +94,75 @@ def takes_connections(endpoint: str, within_s: float) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look, and print one line."""
+    """Look, and print one line, or one object."""
     if not 0 < args.within <= 60:
         raise UsageError(f"--within: got {args.within:g}, expected more than 0 and at most 60")
-    if args.endpoint is not None:
-        takes_connections(args.endpoint, args.within)
-        print(f"{args.endpoint} takes connections")
-        return DONE
-    if args.run_dir is None:
+    if args.service is not None and args.run_dir is None:
         raise UsageError("--service: expected --run-dir D as well")
-    look = SERVICES[args.service].health
-    assert look is not None
-    loops = loops_below(args.run_dir)
-    if loops:
-        return _fleet(args, look, loops)
+    loops = [] if args.endpoint is not None else loops_below(args.run_dir)
+    wrong: dict[str, str] = {}
+    try:
+        if loops:
+            detail, wrong = _fleet(args, loops)
+        else:
+            detail = _endpoint(args) if args.endpoint is not None else _service(args)
+    except Failure as error:
+        if not args.json:
+            raise
+        detail, wrong = str(error), {"": str(error)}
+    if args.json:
+        told = {"healthy": not wrong, "service": args.service, "endpoint": args.endpoint}
+        unwell = {name: why for name, why in wrong.items() if name}
+        loops_told = {"loops": len(loops), "unwell": unwell}
+        print(json.dumps({**told, "detail": detail, **loops_told}))
+        return FAILED if wrong else DONE
+    for name, why in wrong.items():
+        print(printable(f"{name}: {why}"))
+    if wrong:
+        raise Failure(detail)
+    print(printable(detail))
+    return DONE
+
+
+def _endpoint(args: argparse.Namespace) -> str:
+    takes_connections(args.endpoint, args.within)
+    return f"{args.endpoint} takes connections"
+
+
+def _service(args: argparse.Namespace) -> str:
+    look = _look_of(args.service)
     seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
     told = told_by(args.run_dir / args.service)
     if told.startswith("bad"):
         raise Failure(told.removeprefix("bad: "))
-    print(f"{args.service} advances: {seen.text}")
-    return DONE
+    return f"{args.service} advances: {seen.text}"
 
 
-def _fleet(args: argparse.Namespace, look: Callable[[Path, float], Look], loops: list[Path]) -> int:
-    """Look at every loop of a fleet, at all of them while one waits."""
+def _look_of(service: str) -> Callable[[Path, float], Look]:
+    look = SERVICES[service].health
+    assert look is not None
+    return look
+
+
+def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, str]]:
+    """Look at every loop of a fleet, at all of them while one waits; those that are not well."""
+    look = _look_of(args.service)
 
     def one(loop: Path) -> str:
         folder = loop / args.service
         try:
             advances(lambda: look(folder, time.time()), args.within)
         except Failure as error:
-            return f"{loop.name}: {error}"
+            return str(error)
         told = told_by(folder)
-        return f"{loop.name}: {told.removeprefix('bad: ')}" if told.startswith("bad") else ""
+        return told.removeprefix("bad: ") if told.startswith("bad") else ""
 
     with ThreadPoolExecutor(max_workers=32) as threads:
-        wrong = [text for text in threads.map(one, loops) if text]
-    for text in wrong:
-        print(printable(text))
+        texts = zip(loops, threads.map(one, loops), strict=True)
+        wrong = {loop.name: text for loop, text in texts if text}
     if wrong:
-        raise Failure(f"{len(wrong)} of {len(loops)} loops do not advance")
-    print(f"{args.service} advances on all {len(loops)} loops")
-    return DONE
+        return f"{len(wrong)} of {len(loops)} loops do not advance", wrong
+    return f"{args.service} advances on all {len(loops)} loops", {}
 
 
 def told_by(folder: Path) -> str:

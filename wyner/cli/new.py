@@ -1,20 +1,35 @@
 """``wyner new``: a scenario file of one's own, with comments."""
 
 import argparse
-import json
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from re import fullmatch
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.runtime.errors import DONE, Failure, UsageError
+
+if TYPE_CHECKING:
+    from protocol.scenario import Scenario
 
 EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 """A mass that is pushed: A, B and the period where none are given; continuous."""
 
-HORIZONS: Final = {1: 50, 2: 50, 3: 30}
-"""Sets that a design of so many states computes in seconds; more states get `HORIZON`."""
-HORIZON: Final = 8
+HORIZONS: Final = {
+    (1, 1): 50,
+    (1, 2): 50,
+    (2, 1): 50,
+    (2, 2): 50,
+    (3, 1): 30,
+    (3, 2): 10,
+    (4, 1): 8,
+    (4, 2): 4,
+}
+"""By states and inputs: sets that a design computes in seconds. No other size has a design."""
+
+NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+ROW: Final = rf"{NUMBER}(?:\s*,\s*{NUMBER}|\s+{NUMBER})*"
 
 SHARES: Final = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Half-width of D, as a share of what the largest inputs move each state by in a step: the first
@@ -31,12 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Write NAME.toml from a plant's matrices: discrete ones, or continuous ones "
-        "that are sampled here with a zero-order hold. Without matrices it is a mass that is "
-        "pushed, to be changed by hand."
+        "that are sampled here with a zero-order hold. 1 to 4 states and 1 or 2 inputs have a "
+        "design. Matrices are written as lists of rows or as MATLAB writes them. Without matrices "
+        "it is a mass that is pushed, to be changed by hand."
     )
     parser.add_argument("name", metavar="NAME", help="letters, digits, dots, dashes, underscores")
-    parser.add_argument("--A", metavar="ROWS", help='such as "[[1, 0.1], [0, 1]]"')
-    parser.add_argument("--B", metavar="ROWS", help='such as "[[0], [0.1]]"')
+    parser.add_argument(
+        "--A", metavar="ROWS", help='such as "[[1, 0.1], [0, 1]]" or "[1 0.1; 0 1]"'
+    )
+    parser.add_argument("--B", metavar="ROWS", help='such as "[[0], [0.1]]" or "[0; 0.1]"')
     parser.add_argument("--period", type=float, metavar="S", help="seconds to a step")
     parser.add_argument(
         "--continuous", action="store_true", help="A and B are of dx/dt = A x + B u"
@@ -57,14 +75,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
     from protocol.scenario import ScenarioError
+    from protocol.scenario.reading import LARGEST
 
     given = (args.A, args.B, args.period)
     if any(v is not None for v in given) and None in given:
         raise UsageError("expected --A, --B and --period together, or none of them")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", args.name):
+        raise UsageError(
+            f"NAME: got {args.name!r}, expected a letter or digit, and up to 63 letters, digits, "
+            "dots, dashes, underscores"
+        )
     for option in ("period", "input", "disturbance"):
         value = getattr(args, option)
-        if value is not None and not value > 0:
-            raise UsageError(f"--{option}: got {value:g}, expected more than 0")
+        if value is not None and not 0 < value <= LARGEST:
+            raise UsageError(
+                f"--{option}: got {value:g}, expected more than 0 and at most {LARGEST:g}"
+            )
     example = args.A is None
     A, B = _matrix("--A", args.A or EXAMPLE[0]), _matrix("--B", args.B or EXAMPLE[1])
     period = args.period or EXAMPLE[2]
@@ -73,29 +99,66 @@ def run(args: argparse.Namespace) -> int:
             f"--A, --B: got {len(A)} x {len(A[0])} and {len(B)} x {len(B[0])}, expected n x n and "
             "n x m"
         )
+    if (len(A), len(B[0])) not in HORIZONS:
+        raise UsageError(
+            f"--A, --B: got {_sizes(A, B)}, expected 1 to 4 states and 1 or 2 inputs: more have no "
+            "design"
+        )
     if args.continuous or example:
         A, B = sampled(A, B, period)
+        if not all(abs(v) <= LARGEST for row in (*A, *B) for v in row):
+            raise UsageError(
+                f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST:g}"
+            )
     path = Path(args.output or f"{args.name}.toml")
-    texts = [
-        scenario_text(args.name, A, B, period, args.input, widths, weight)
-        for widths in widths_of(B, args.input, args.disturbance)
-        for weight in WEIGHTS
-    ]
     try:
-        found = next((t for t in texts if _starts(t, path)), None)
+        text, starts = _first_that_starts(args, A, B, period, path)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(found or texts[0])
+            file.write(text)
     except FileExistsError:
         raise UsageError(f"{path}: is there already, expected a new file (--output)") from None
     except OSError as error:
         raise Failure(f"{path}: cannot be written: {error.strerror}") from None
-    says = "says what it gives" if found else "says why it has no terminal set yet"
-    sizes = f"{_counted(len(A), 'state')}, {_counted(len(B[0]), 'input')}"
-    print(f"{path}: {sizes}; `wyner design {path}` {says}")
+    says = "says what it gives" if starts else "says why it has no terminal set yet"
+    print(f"{path}: {_sizes(A, B)}; `wyner design {path}` {says}")
     return DONE
+
+
+def _first_that_starts(
+    args: argparse.Namespace,
+    A: list[list[float]],
+    B: list[list[float]],
+    period_s: float,
+    path: Path,
+) -> tuple[str, bool]:
+    """The file's text, and whether there is a terminal set for it.
+
+    First a regulator's weights are tried for each width of D; then, for the widest D that has one,
+    a gain.
+    """
+    from controller_service.sets.gains import find_gain
+
+    def written(widths: list[float], gain: str) -> str:
+        return scenario_text(args.name, A, B, period_s, args.input, widths, gain)
+
+    n, m = len(A), len(B[0])
+    all_widths = list(widths_of(B, args.input, args.disturbance))
+    first = written(all_widths[0], by_weights(n, m, WEIGHTS[0]))
+    for widths in all_widths:
+        for weight in WEIGHTS:
+            text = written(widths, by_weights(n, m, weight))
+            if _starts(text, path):
+                return text, True
+    for widths in all_widths:
+        found = find_gain(_parsed(written(widths, by_weights(n, m, 1.0)), path), shares=(1.0,))
+        if found is not None:
+            text = written(widths, BY_GAIN.format(gain=found.written(), decay=found.decay))
+            if _starts(text, path):
+                return text, True
+    return first, False
 
 
 def widths_of(
@@ -114,9 +177,8 @@ def _starts(text: str, path: Path) -> bool:
     """Whether the scenario has a terminal set, so that a design can begin."""
     from controller_service.sets.design import stated_start
     from controller_service.sets.terminal import SynthesisError
-    from protocol.scenario import parse_scenario
 
-    scenario = parse_scenario(tomllib.loads(text), str(path))
+    scenario = _parsed(text, path)
     try:
         stated_start(scenario)
     except (SynthesisError, NotImplementedError, ValueError):
@@ -124,16 +186,32 @@ def _starts(text: str, path: Path) -> bool:
     return True
 
 
+def _parsed(text: str, path: Path) -> "Scenario":
+    from protocol.scenario import parse_scenario
+
+    return parse_scenario(tomllib.loads(text), str(path))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _matrix(option: str, text: str) -> list[list[float]]:
-    try:
-        rows = json.loads(text)
-        matrix = [[float(v) for v in row] for row in rows]
-        if not matrix or not matrix[0] or len({len(row) for row in matrix}) != 1:
-            raise ValueError
-    except (TypeError, ValueError):
+    """A matrix as a list of rows, as MATLAB writes it, or as NumPy prints it."""
+    from protocol.scenario.reading import LARGEST
+
+    inner = re.sub(r"^\s*\[(.*)\]\s*$", r"\1", text, flags=re.DOTALL).strip()
+    if inner.startswith("["):
+        inner = re.sub(r"\]\s*,?\s*\[", ";", inner.removeprefix("[").removesuffix("]"))
+    rows = [row.strip() for row in re.split(r"[;\n]", inner.strip().removesuffix(";"))]
+    matrix = [[float(v) for v in re.split(r"[\s,]+", row)] for row in rows if fullmatch(ROW, row)]
+    whole = len(matrix) == len(rows) and text.count("[") == text.count("]")
+    small = all(abs(v) <= LARGEST for row in matrix for v in row)
+    if not (whole and small and len({len(row) for row in matrix}) == 1):
         raise UsageError(
-            f"{option}: got {text!r}, expected rows of one length, such as [[1, 0.1], [0, 1]]"
-        ) from None
+            f"{option}: got {_short(text)!r}, expected rows of one length, such as "
+            f"[[1, 0.1], [0, 1]] or [1 0.1; 0 1], of numbers up to {LARGEST:g}"
+        )
     return matrix
 
 
@@ -147,7 +225,8 @@ def sampled(
     n, m = len(A), len(B[0])
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
-    step = expm(block * period_s)
+    with np.errstate(all="ignore"):  # what is no number afterwards is refused
+        step = expm(block * period_s)
     return step[:n, :n].tolist(), step[:n, n:].tolist()
 
 
@@ -158,7 +237,7 @@ def scenario_text(
     period_s: float,
     bound: float,
     widths: list[float],
-    weight: float,
+    gain: str,
 ) -> str:
     """The file, each field with a line that says why."""
     n, m = len(A), len(B[0])
@@ -170,12 +249,20 @@ def scenario_text(
         "start": _list([0.0] * n),
         "D": _list(widths),
         "D_c": _list([WIDER * w for w in widths]),
-        "horizon": HORIZONS.get(n, HORIZON),
-        "next_state": _list([1.0] * n),
-        "input": _list([weight] * m),
+        "horizon": HORIZONS[n, m],
+        "gain": gain,
         "U": _list([bound] * m),
     }
     return TEMPLATE.format(**values)
+
+
+def by_weights(n: int, m: int, weight: float) -> str:
+    """The table of the regulator that gives K."""
+    return BY_WEIGHTS.format(next_state=_list([1.0] * n), input=_list([weight] * m))
+
+
+def _sizes(A: list[list[float]], B: list[list[float]]) -> str:
+    return f"{_counted(len(A), 'state')}, {_counted(len(B[0]), 'input')}"
 
 
 def _counted(number: int, what: str) -> str:
@@ -191,6 +278,18 @@ def _rows(matrix: list[list[float]]) -> str:
         "[" + ", ".join("[" + ", ".join(repr(float(v)) for v in row) + "]" for row in matrix) + "]"
     )
 
+
+BY_WEIGHTS: Final = """
+[control.regulator]              # weights of u = K x near the origin; a larger input weight makes
+next_state = {next_state}        # a softer K, a wider T_0, and more room between the candidates
+input = {input}
+"""
+
+BY_GAIN: Final = """\
+# u = K x near the origin. Plain weights gave no terminal set; this is a regulator's gain that was
+# made to decay by {decay:g} a step at least (docs/control.md).
+gain = {gain}
+"""
 
 TEMPLATE: Final = """\
 # {name}: a scenario of wyner. docs/scenario-reference.md has every field.
@@ -216,10 +315,7 @@ half_widths = {D_c}
 law = "sustained"                # or paper (quiet inside T_0), packed (predictions kept apart)
 horizon = {horizon}              # sets T_1 to T_N: more states to start from, more time to compute
 
-[control.regulator]              # weights of u = K x near the origin; a larger input weight makes
-next_state = {next_state}        # a softer K, a wider T_0, and more room between the candidates
-input = {input}
-
+{gain}
 [control.inputs]                 # U: no input leaves it
 half_widths = {U}
 

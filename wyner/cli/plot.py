@@ -2,6 +2,8 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,8 +14,27 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 
+FILE: Final = "file"
+"""The column of `wyner.studies.grid.FILE`, which takes long to load."""
+
 RATE: Final = "bits_per_second"
-SIZE: Final = (6.4, 4.2)
+LARGEST: Final = 40.0
+"""Inches of a figure's side."""
+
+AIR: Final = 0.06
+"""Share of the vertical axis beyond what is drawn, so that no curve lies on the frame."""
+
+WORDS: Final = {
+    RATE: "message rate (bit/s)",
+    "agreed": "agreements, share of tested steps",
+    "secrecy.alpha": "alpha, size of D_e in D_c",
+    "runs": "runs",
+    "steps": "steps",
+}
+"""Columns as an axis calls them."""
+
+UNITS: Final = {"s": "s", "hz": "Hz", "bits": "bit", "bytes": "bytes", "steps": "steps"}
+"""Units that a field's name ends in."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,6 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"default: {RATE}; or 'NAME keys right', 'NAME messages read' (repeatable)",
     )
     parser.add_argument("--log", action="store_true", help="a logarithmic x axis")
+    parser.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
+    parser.add_argument(
+        "--size", default="6.4x4.2", metavar="WxH", help="in inches (default: 6.4x4.2)"
+    )
     parser.add_argument("--output", metavar="F", help="F.png, F.pdf or F.svg (default: FILE.png)")
 
 
@@ -44,13 +69,39 @@ def run(args: argparse.Namespace) -> int:
         if name not in rows[0]:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
             raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
+    size = _size(args.size)
     output = args.output or str(path.with_suffix(".png"))
 
     def draw(figure: "Figure") -> str:
-        return draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
+        note = draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
+        figure.suptitle(args.title)
+        return note
 
-    print(drawn_to("--output", output, SIZE, draw))
+    print(drawn_to("--output", output, size, draw))
     return DONE
+
+
+def _size(text: str) -> tuple[float, float]:
+    try:
+        width, height = (float(part) for part in text.split("x"))
+    except ValueError:
+        width = height = 0.0
+    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
+        wanted = f"expected WxH in inches, each from 1 to {LARGEST:g}"
+        raise UsageError(f"--size: got {text!r}, {wanted}")
+    return width, height
+
+
+def in_words(column: str) -> str:
+    """A column as an axis calls it, with its unit: ``plant.period_s`` is "plant: period (s)"."""
+    if column in WORDS:
+        return WORDS[column]
+    if column.endswith((" keys right", " messages read")):
+        return f"{column}, share"
+    *path, name = column.split(".")
+    words, _, unit = name.rpartition("_")
+    told = f"{words} ({UNITS[unit]})" if words and unit in UNITS else name
+    return ": ".join([*path, told]).replace("_", " ")
 
 
 def ready(path: Path) -> tuple[list[Row], list[str]]:
@@ -105,24 +156,33 @@ def draw_rows(
 
     others = [name for name in ("scenario", "variant", *fields) if name != x]
     told = [name for name in others if len({row[name] for row in rows}) > 1]
+    if len({row["scenario"] for row in rows}) == len({row.get(FILE) for row in rows}):
+        told = [name for name in told if name != FILE]  # the scenario's name says it
     axes = figure.subplots()
     curves: dict[str, list[tuple[float, float, float, float]]] = {}
     for row in rows:
         at = _number(row[x])
         if at is None:
             raise UsageError(f"--x: {x}: got {row[x]!r}, expected numbers")
-        setting = ", ".join(f"{row[name]}" for name in told)
+        setting = ", ".join(str(row[name]).strip('"') for name in told)
         for y in ys:
             value = _number(row[y])
             if value is None:  # nothing was agreed or delivered there
                 continue
-            low = _number(row.get(f"{y}_low", row.get(f"{y} low", value)))
-            high = _number(row.get(f"{y}_high", row.get(f"{y} high", value)))
+            low = _number(row.get(f"{y}_low", row.get(f"{y} low", "")))
+            high = _number(row.get(f"{y}_high", row.get(f"{y} high", "")))
             label = " / ".join(part for part in (y if len(ys) > 1 else "", setting) if part)
-            ends = (value if low is None else low, value if high is None else high)
+            ends = (nan if low is None else low, nan if high is None else high)
             curves.setdefault(label, []).append((at, value, *ends))
     for place, (label, points) in enumerate(curves.items()):
         points.sort()
+        for one, other in pairwise(points):
+            if one[0] == other[0]:
+                which = f" of {label}" if label else ""
+                raise UsageError(
+                    f"--x: {x}: two points{which} at {one[0]:g}, and nothing in the rows tells "
+                    "them apart: sweep them again, or leave one out"
+                )
         columns = [list(column) for column in zip(*points, strict=True)]
         colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
         axes.fill_between(columns[0], columns[2], columns[3], color=colour, alpha=0.18, lw=0)
@@ -131,12 +191,18 @@ def draw_rows(
         axes.legend()
     if logarithmic:
         axes.set_xscale("log")
-    axes.set_xlabel(x)
-    axes.set_ylabel(ys[0].replace("bits_per_second", "bit/s") if len(ys) == 1 else "share")
-    axes.set_ylim(bottom=0)
+    axes.set_xlabel(in_words(x))
+    axes.set_ylabel(in_words(ys[0]) if len(ys) == 1 else "share")
+    drawn = [v for points in curves.values() for point in points for v in point[1:]]
+    top = 1.0 if all(y != RATE for y in ys) else max(drawn, default=0.0)
+    top = max([top, *drawn]) or 1.0
+    axes.set_ylim(-AIR * top, (1 + AIR) * top)
     runs = sorted({int(row["runs"]) for row in rows})
     shown = str(runs[0]) if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    return f"{shown} runs of {rows[0]['steps']} steps a point; bands: 95 % intervals"
+    return (
+        f"{shown} runs of {rows[0]['steps']} steps a point; bands: 95 % intervals, where there are "
+        "any"
+    )
 
 
 def drawn_to(

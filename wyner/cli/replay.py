@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.runtime.errors import DONE, UsageError
+    from protocol.runtime.errors import DONE, FAILED, UsageError
     from protocol.runtime.options import at_least
     from protocol.runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         _print(report)
     for line in ReplaySource(replay, 0).problems():
         print(line, file=sys.stderr)
-    return DONE
+    return FAILED if any(tap["failed"] for tap in report["taps"].values()) else DONE
 
 
 def _watch(replay: "Replay") -> None:
@@ -147,7 +147,7 @@ def _print(report: dict[str, object]) -> None:
     print(f"{report['transitions']} transitions, {report['holes']} with something missing")
     for name, tap in taps.items():
         if tap["failed"]:
-            print(f"{name}: stopped at {tap['failed']}")
+            print(printable(f"{name}: she failed: {tap['failed']}"))
             continue
         solved = (
             f"first whole message at k {tap['solved_k']}" if tap["solved_k"] >= 0 else "none whole"

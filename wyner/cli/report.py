@@ -1,6 +1,7 @@
 """``wyner report``: a run on one page of HTML."""
 
 import argparse
+import json
 from pathlib import Path
 
 from protocol.runtime.errors import DONE, UsageError, reading
@@ -9,28 +10,35 @@ from protocol.runtime.errors import DONE, UsageError, reading
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Write one self-contained HTML page of a run: what was sent and recovered, "
-        "states and inputs, one agreed step, keys against taps over time, the paper's claim "
-        "against the truth, and the clauses of the check. The page's path goes to standard output."
+        "Write one self-contained HTML page of a run: what counts as secret by the paper's rule "
+        "against the truth, what was sent and recovered, states and inputs, one step, keys against "
+        "taps over time, and the clauses of the check. The page's path goes to standard output."
     )
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
     parser.add_argument(
         "--output", "-o", type=Path, metavar="FILE", help="the page (default: RUN_DIR/report.html)"
     )
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
+    parser.add_argument("--step", type=int, metavar="K", help="draw this step, and those about it")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from protocol.runtime.trace import TraceError
     from protocol.scenario import ScenarioError
-    from wyner.run_report import write_report
+    from wyner.run_report import StepError, write_report
 
     try:
         with reading(str(args.run_dir)):
-            page = write_report(args.run_dir, args.output)
+            page = write_report(args.run_dir, args.output, args.step)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
-    except (TraceError, OSError) as error:
+    except FileNotFoundError as error:
         raise UsageError(str(error)) from None
-    print(page)
+    except OSError as error:
+        where = error.filename or args.run_dir
+        raise UsageError(f"{where}: {error.strerror or error}") from None
+    except (StepError, TraceError) as error:
+        raise UsageError(str(error)) from None
+    print(json.dumps({"run_dir": str(args.run_dir), "page": str(page)}) if args.json else page)
     return DONE

@@ -1,4 +1,4 @@
-"""``wyner secrecy``: report what each eavesdropper got, beside what the paper claims."""
+"""``wyner secrecy``: report what each eavesdropper got, beside what the paper's rule counts."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -12,8 +12,13 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.description = "Score the eavesdroppers of one or more runs against the plant's traces."
-    parser.add_argument("run_dirs", metavar="RUN_DIR", nargs="+", help="a run's directory")
+    parser.description = (
+        "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
+        "of them failed: nobody knows what she would have had."
+    )
+    parser.add_argument(
+        "run_dirs", metavar="RUN_DIR", nargs="+", help="a run's directory, or one of several runs"
+    )
     parser.add_argument(
         "--eavesdropper",
         action="append",
@@ -39,10 +44,11 @@ def run(args: argparse.Namespace) -> int:
 def _run(args: argparse.Namespace) -> int:
     import json
     import sys
+    from collections import Counter
     from pathlib import Path
 
-    from protocol.runtime.errors import DONE, Failure, UsageError, needs
-    from protocol.runtime.run_folder import PLANT_TRACE
+    from protocol.runtime.errors import DONE, FAILED, Failure, UsageError, needs
+    from protocol.runtime.run_folder import PLANT_TRACE, loops_below
     from protocol.runtime.trace import TraceReader
     from tap_service.command import names_of
     from wyner.scoring import report as reporting
@@ -54,8 +60,12 @@ def _run(args: argparse.Namespace) -> int:
             "--scenario: tells replayed eavesdroppers a model, expected --eavesdropper"
         )
     scores: list[RunScore] = []
-    for text in args.run_dirs:
-        run_dir = Path(text)
+    given = [Path(text) for text in args.run_dirs]
+    run_dirs = [one for folder in given for one in loops_below(folder) or [folder]]
+    for folder, times in Counter(path.resolve() for path in run_dirs).items():
+        if times > 1:
+            raise UsageError(f"RUN_DIR: {folder}: given {times} times, expected each run once")
+    for run_dir in run_dirs:
         try:
             if names:
                 scores.append(_replayed(run_dir, names, args.scenario))
@@ -78,15 +88,16 @@ def _run(args: argparse.Namespace) -> int:
             raise Failure(needs("--figure", "matplotlib")) from None
         except OSError as error:
             raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
-    audits = _audits([Path(text) for text in args.run_dirs])
+    audits = _audits(run_dirs)
+    ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
         print(json.dumps({**reporting.as_json(report), "keys": keys}))
-        return DONE
+        return ending
     _print(report, color=sys.stdout.isatty())
     for name, audit in audits.items():
         _print_keys(name, audit, color=sys.stdout.isatty())
-    return DONE
+    return ending
 
 
 def _audits(run_dirs: "list[Path]") -> "dict[str, KeyAudit]":
@@ -147,7 +158,7 @@ def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.scoring.report import BOUND, HEADINGS, Report, held_line, rows
+    from wyner.scoring.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
@@ -157,15 +168,18 @@ def _print(report: object, *, color: bool) -> None:
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
     for tap in report.taps:
+        if tap.why_unscored:
+            print(printable(f"{tap.name}: not scored: {tap.why_unscored}"))
         if tap.not_on_record:
             print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
         for held in tap.keys:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()
     print(
-        f"{len(report.runs)} runs, {report.transitions} transitions; the paper claims "
-        f"{report.claimed_bits:.0f} secret bits; rates with 95 % intervals"
+        f"{len(report.runs)} runs, {report.transitions} transitions; by the paper's rule "
+        f"{report.claimed_bits:.0f} bits count as secret"
     )
+    print(NOTE)
     red = color and report.exceeds and "NO_COLOR" not in environ
     verdict = report.verdict()
     print(f"\x1b[31m{verdict}\x1b[0m" if red else verdict)

@@ -1,6 +1,7 @@
 """``wyner send``: hand a running controller a message."""
 
 import argparse
+import json
 import math
 import queue
 import time
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds to wait for a run to be there, and then for its answer (default: 5)",
     )
+    parser.add_argument("--json", action="store_true", help="one object on standard output")
     add_run_argument(parser)
     add_endpoint_arguments(parser, "operator")
 
@@ -83,13 +85,8 @@ def run(args: argparse.Namespace) -> int:
             for reply in _answers(ops, loop, command, until):
                 if not reply.accepted:
                     raise Failure(reply.detail)
-                if isinstance(reply, SendReply):
-                    told = f"{len(payload)} bytes, {reply.queued} not delivered yet"
-                    print(f"queued as {reply.id}: {told}")
-                    return DONE
-                if reply.delivered:
-                    told = f"{len(payload)} bytes under {keys_needed(len(payload))} keys"
-                    print(f"delivered as {reply.id}: {told}")
+                if isinstance(reply, SendReply) or reply.delivered:
+                    _print(reply, len(payload), as_json=args.json)
                     return DONE
                 said = reply.detail
     except TransportError as error:
@@ -108,6 +105,20 @@ def run(args: argparse.Namespace) -> int:
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
         f"start one ({start}), or say where it is (--connect ops=tcp/HOST:PORT, --loop ID)"
     )
+
+
+def _print(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
+    """Tell what became of a message that was taken in."""
+    sealed = isinstance(reply, SealReply)
+    queued = None if isinstance(reply, SealReply) else reply.queued
+    keys = keys_needed(size) if sealed else None
+    if as_json:
+        told = {"id": reply.id, "bytes": size, "sealed": sealed, "delivered": sealed}
+        print(json.dumps({**told, "queued": queued, "keys": keys}))
+    elif sealed:
+        print(f"delivered as {reply.id}: {size} bytes under {keys} keys")
+    else:
+        print(f"queued as {reply.id}: {size} bytes, {queued} not delivered yet")
 
 
 def _answers(

@@ -4,7 +4,7 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocol.runtime.errors import DONE, FAILED, Failure, UsageError
 from protocol.runtime.health import look_at_line
@@ -31,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
     """Read both statuses and print them."""
     run_dir = _run_dir(args.run_dir)
     plant, controller = _statuses(run_dir)
-    claim = _claim(run_dir)
+    claim, distance = _claim(run_dir)
+    distance *= plant.key_blocks_begun
     pads, unread = _pads(run_dir)
     now_ns = time.time_ns()
     warnings = [
@@ -54,12 +55,21 @@ def run(args: argparse.Namespace) -> int:
         elif age_s > OLD_S and not line.startswith("stopped"):
             warnings.append(f"{name} last spoke {age_s:.0f} s ago")
     if args.json:
-        told = {"plant": plant.model_dump(), "controller": controller.model_dump()}
+        told: dict[str, Any] = {
+            "plant": plant.model_dump(),
+            "controller": controller.model_dump(),
+        }
         servers = {name: line for name, (_, line) in served.items()}
-        print(json.dumps({**told, **servers, "claim": claim, "pads": pads, "warnings": warnings}))
+        told |= {**servers, "claim": claim, "distance": distance, "pads": pads}
+        print(json.dumps({**told, "warnings": warnings}))
     else:
         rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
-        lines = (*_lines(plant, controller, claim), *_lines_of_pads(pads), *rows)
+        lines = (
+            *_lines(plant, controller, claim),
+            *_lines_of_distance(plant, distance),
+            *_lines_of_pads(pads),
+            *rows,
+        )
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
     return FAILED if warnings else DONE
@@ -107,8 +117,10 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     return plant, controller
 
 
-def _claim(run_dir: Path) -> str:
-    """Under which claim the run's keys are secret; empty where it makes none."""
+def _claim(run_dir: Path) -> tuple[str, float]:
+    """Under which claim the run's keys are secret, and the distance from perfect keys that one
+    block may have; empty and 0 where it makes none.
+    """
     from protocol.runtime.run_folder import SCENARIO
     from protocol.scenario import ScenarioError, load_scenario
 
@@ -117,11 +129,11 @@ def _claim(run_dir: Path) -> str:
         keys = load_scenario(path).keys if path.exists() else None
     except ScenarioError as error:
         raise Failure(error.problems[0]) from None
-    return "" if keys is None else keys.assumption().sentence()
+    return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _pads(run_dir: Path) -> "tuple[dict[Side, dict[Side, dict[str, int]]], list[str]]":
-    """What each end's ledger says of the pads for each side's tags, and what cannot be read.
+def _pads(run_dir: Path) -> "tuple[dict[Side, dict[str, int]], list[str]]":
+    """What each end's ledger says of the pads for sessions to come, and what cannot be read.
 
     Without a secret, nothing. The store of an end that was killed while it wrote cannot be read
     before that end has opened it again.
@@ -131,27 +143,35 @@ def _pads(run_dir: Path) -> "tuple[dict[Side, dict[Side, dict[str, int]]], list[
     from protocol.secret.records import StoreError
 
     stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
-    found: dict[Side, dict[Side, dict[str, int]]] = {}
+    found: dict[Side, dict[str, int]] = {}
     unread = []
     for end, path in stores.items():
         try:
-            counts = pad_counts(run_dir / path) if (run_dir / path).exists() else {}
+            counts = pad_counts(run_dir / path) if (run_dir / path).exists() else None
         except StoreError as error:
             unread.append(str(error))
             continue
         if counts:
-            found[end] = {side: pads._asdict() for side, pads in counts.items()}
+            found[end] = counts._asdict()
     return found, unread
 
 
-def _lines_of_pads(pads: "dict[Side, dict[Side, dict[str, int]]]") -> list[str]:
+def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
+    """What all blocks that were begun may cost, and what no end can tell of its key store."""
+    if not plant.key_blocks_begun or plant.keys_refused:
+        return []
     return [
-        f"pads        at the {end}, "
-        + "; ".join(
-            f"for the {side}'s tags: {one['made']} made, {one['spent']} spent, {one['left']} left"
-            for side, one in sides.items()
-        )
-        for end, sides in pads.items()
+        f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
+        f"{distance:.2g} from perfect keys at most",
+        "stores      what one end gives is marked at the other first; put back together, both may "
+        "give keys twice",
+    ]
+
+
+def _lines_of_pads(pads: "dict[Side, dict[str, int]]") -> list[str]:
+    return [
+        f"pads        at the {end}: {n['made']} sets made, {n['spent']} spent, {n['left']} left"
+        for end, n in pads.items()
     ]
 
 
@@ -159,6 +179,7 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
     late = max(plant.sampled_late_s, default=0.0)
     acted = max(plant.actuated_after_s, default=0.0)
     keys = plant.keys_refused or claim
+    waiting = max(plant.key_blocks_waiting, controller.key_blocks_waiting)
     return [
         f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
         f"messages, {plant.agreements} keys agreed",
@@ -168,20 +189,38 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         f"measurement at most, {plant.overruns} overruns",
         f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
         + (f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else "")
+        + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
+        *_lines_of_appearances(plant, controller, claim),
     ]
 
 
+def _lines_of_appearances(
+    plant: "PlantStatus", controller: "ControllerStatus", claim: str
+) -> list[str]:
+    """How often a message leaves each end, where keys rest on it."""
+    if not claim:
+        return []
+    ends = (("plant", plant), ("controller", controller))
+    times = (f"{one.appearances} at the {name}" for name, one in ends)
+    return [f"appearances of a message: {', '.join(times)}"]
+
+
 def _warnings_of_taps(run_dir: Path) -> list[str]:
-    """What a tap in the same folder found against the claim that keys rest on."""
+    """Who of a tap in the same folder failed, and what was found against the keys' claim."""
     from protocol.runtime.run_folder import BELIEFS
 
     try:
         told = json.loads((run_dir / BELIEFS).read_bytes())
+        found = [
+            f"eavesdropper {name} failed: {one['failed']}"
+            for name, one in told.items()
+            if one.get("failed")
+        ]
         keys = [one["keys"] for one in told.values() if one.get("keys")]
-        found = [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
+        found += [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
         found += [
-            f"the tap misses {k['at_most']:.2g} of the copies at most: "
+            f"the tap misses {k['at_most']:.2g} of the {k['direction']} at most: "
             "the operator's claim is refuted"
             for k in keys
             if k["refuted"]

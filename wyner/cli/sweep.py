@@ -177,7 +177,7 @@ def run(args: argparse.Namespace) -> int:
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
-        results = Results(output, list(sweep.grid), args.resume, taps)
+        results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:
         raise UsageError(error.problems) from None
     except OSError as error:
@@ -202,14 +202,15 @@ def run(args: argparse.Namespace) -> int:
         results.close()
     ours = {p.key for p in points}
     summaries = summarise(row for row in results.rows if key_of(row) in ours)
-    grid, new = list(sweep.grid), len(results.rows) - before
+    grid, new = list(sweep.columns), len(results.rows) - before
+    stopped = sweep.stop is not None
     ready = output.with_name(f"{output.stem}-rates.csv")
     if summaries:
-        write_ready(ready, ready_rows(summaries, grid))
+        write_ready(ready, ready_rows(summaries, grid, stopped=stopped))
     if args.json:
-        print(json.dumps(_as_object(sweep.name, output, grid, new, summaries)))
+        print(json.dumps(_as_object(sweep.name, output, grid, new, summaries, stopped=stopped)))
     else:
-        print(_render(grid, summaries))
+        print(_render(grid, summaries, stopped=stopped))
         print(f"{len(results.rows)} rows in {output}, {new} of them new")
         print(f"rates and intervals, a row a point, in {ready}; `wyner plot {ready}` draws them")
     for line in failures:
@@ -218,11 +219,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_object(
-    name: str, output: Path, grid: list[str], new: int, summaries: "list[Summary]"
+    name: str,
+    output: Path,
+    grid: list[str],
+    new: int,
+    summaries: "list[Summary]",
+    *,
+    stopped: bool,
 ) -> dict[str, Any]:
     points = []
     for s in summaries:
-        rate = s.rate
+        rate = (s.rate_at_every_look if stopped else s.rate).as_json()
         fixed = {k: v for k, v in s.first.items() if k in ("task", "scenario", "variant")}
         fields = {field: json.loads(s.first[field]) for field in grid}
         points.append(
@@ -230,27 +237,30 @@ def _as_object(
                 **fixed,
                 "fields": fields,
                 "runs": s.runs,
-                "bits_per_second": rate.value,
-                "interval_95": [rate.low, rate.high],
+                "bits_per_second": rate["value"],
+                "interval_95": [rate["low"], rate["high"]],
+                "shares": {name: share.as_json() for name, share in s.shares.items()},
                 **s.counts,
             }
         )
     return {"sweep": name, "output": str(output), "new_rows": new, "points": points}
 
 
-def _share(counts: dict[str, int]) -> str:
-    keys = 100 * counts["right"] / counts["agreed"] if counts["agreed"] else float("nan")
-    return f"{keys:.1f} %, {counts['read']} of {counts['delivered']}"
+def _share(s: "Summary", name: str) -> str:
+    counts = s.taps[name]
+    keys = s.shares[f"{name} keys right"].scaled(100.0)
+    return f"{keys.text('.1f', ' %')}, {counts['read']} of {counts['delivered']}"
 
 
-def _render(grid: list[str], summaries: "list[Summary]") -> str:
+def _render(grid: list[str], summaries: "list[Summary]", *, stopped: bool) -> str:
     """A table: the fields of each point, its runs, its rate with the interval."""
     taps = list(summaries[0].taps) if summaries else []
-    head = ["scenario", "variant", *grid, "runs", "bit/s", "95 % interval", "mistaken"]
+    interval = "95 % at every look" if stopped else "95 % interval"
+    head = ["scenario", "variant", *grid, "runs", "bit/s", interval, "mistaken"]
     head += [f"{name} keys, messages" for name in taps]
     rows = [head]
     for s in summaries:
-        rate = s.rate
+        rate = s.rate_at_every_look if stopped else s.rate
         rows.append(
             [
                 str(s.first["scenario"]),
@@ -258,9 +268,9 @@ def _render(grid: list[str], summaries: "list[Summary]") -> str:
                 *(str(s.first[name]) for name in grid),
                 str(s.runs),
                 f"{rate.value:.4g}",
-                f"[{rate.low:.4g}, {rate.high:.4g}]",
+                f"[{rate.low:.4g}, {rate.high:.4g}]" if rate.known else "none",
                 str(s.counts["mistaken"]),
-                *(_share(s.taps[name]) for name in taps),
+                *(_share(s, name) for name in taps),
             ]
         )
     keep = [i for i in range(len(head)) if any(row[i] for row in rows[1:])] or [0]

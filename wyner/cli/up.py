@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-from protocol.files import write_atomically
 from protocol.messages import ControllerStatus, PlantStatus
 from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from protocol.runtime.options import (
@@ -26,7 +25,6 @@ from protocol.runtime.run_folder import (
     CONTROLLER_JOURNAL,
     MANIFEST,
     PLANT_JOURNAL,
-    SUMMARY,
 )
 from protocol.runtime.scenario_file import scenario_of
 from protocol.topics import DEFAULT_LOOP, key_of
@@ -34,6 +32,7 @@ from protocol.topics import DEFAULT_LOOP, key_of
 if TYPE_CHECKING:
     from protocol.runtime.bus import Bus
     from protocol.scenario import Scenario
+    from wyner.dashboard.app import Stage
     from wyner.deployment.supervisor import Supervisor
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
@@ -56,7 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="end when the plant has the message, and each that was sent meanwhile",
     )
     parser.add_argument(
-        "--eavesdropper", metavar="NAME[,NAME...]", help="as for the tap (default: the scenario's)"
+        "--eavesdropper",
+        metavar="NAME[,NAME...]",
+        help="who listens besides those of the scenario, by name or as path/to/file.py:Name",
     )
     parser.add_argument(
         "--story", action="store_true", help="pause at what matters, with a caption each time"
@@ -83,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         raise outcome.failure
     if outcome.interrupted:
         return INTERRUPTED
-    if args.until_delivered and not summary["delivered"]:
+    if summary["failed"] or (args.until_delivered and not summary["delivered"]):
         return FAILED
     # keys were asked for, and under the scenario's claim there cannot be any
     return FAILED if outcome.scenario.keys is not None and outcome.scenario.keys.refusal() else DONE
@@ -96,6 +97,8 @@ class Outcome(NamedTuple):
     summary: dict[str, Any]
     failure: Failure | None
     interrupted: bool
+    left: bool
+    """Whether the screen was left before the run had come to its end."""
 
 
 Errand = Callable[[], bool]
@@ -109,6 +112,7 @@ def conduct(
     *,
     stays: bool = True,
     title: str = "",
+    stage: "Stage | None" = None,
 ) -> Outcome:
     """Run the three services, watch them, stop them and sum up.
 
@@ -124,6 +128,8 @@ def conduct(
         Whether a last screen stays until a key is pressed.
     title : str, optional
         What the screen's first line begins with.
+    stage : Stage, optional
+        A full screen that is open already.
     """
     from protocol.runtime.zenoh_bus import ZenohBus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
@@ -186,6 +192,7 @@ def conduct(
                     story=args.story,
                     conclude=conclude if stays else None,
                     title=title,
+                    stage=stage,
                 )
             else:
                 out = sys.stderr if args.json else sys.stdout
@@ -196,11 +203,13 @@ def conduct(
         ending = Ending.INTERRUPTED
     finally:
         conclude()
-    write_atomically(
-        run_dir / SUMMARY, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n"
-    )
-    seal(run_dir)
-    return Outcome(scenario, summary, failure, ending is Ending.INTERRUPTED)
+    try:
+        seal(run_dir, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n")
+    except OSError as error:
+        why = f"{error.filename or run_dir}: {error.strerror}"
+        failure = failure or Failure(f"{why}: the run was not sealed")
+    interrupted, left = ending is Ending.INTERRUPTED, ending is Ending.QUIT
+    return Outcome(scenario, summary, failure, interrupted, left)
 
 
 def _take_signals() -> None:
@@ -225,16 +234,28 @@ def _design(scenario: "Scenario") -> None:
 
 
 def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
-    """The eavesdroppers asked for, or the scenario's; each one is there, before anything starts."""
-    from tap_service.command import find_each, names_of
-    from tap_service.guests import guarded
+    """The scenario's eavesdroppers, and those asked for besides: true is what the best one leaves.
 
-    asked = args.eavesdropper
-    names = scenario.tap.eavesdroppers if asked is None else names_of([asked])
-    if asked is not None and not names:
-        raise UsageError(f"--eavesdropper: got {asked!r}, expected at least one name")
-    find_each(names, guarded, "" if asked is not None else f"{args.scenario}: tap.eavesdroppers: ")
-    return names
+    Each is looked for before anything starts.
+    """
+    from tap_service.capture.channel import View
+    from tap_service.command import find_each, names_of
+    from tap_service.eavesdroppers import KnowledgeError, default_names
+    from tap_service.guests import each_once, guarded
+
+    asked = () if args.eavesdropper is None else names_of([args.eavesdropper])
+    if args.eavesdropper is not None and not asked:
+        raise UsageError(f"--eavesdropper: got {args.eavesdropper!r}, expected at least one name")
+    find_each(asked, guarded)
+    its = scenario.tap.eavesdroppers
+    find_each(its, guarded, f"{args.scenario}: tap.eavesdroppers: ")
+    if not its:
+        view = View.model_validate(scenario.tap.model_dump(exclude={"eavesdroppers"}))
+        its = default_names(scenario.knowledge(), clear=view.clear)
+    try:
+        return each_once((*its, *asked))
+    except KnowledgeError as error:
+        raise UsageError(f"--eavesdropper: {error}") from None
 
 
 class _Progress:

@@ -3,7 +3,8 @@
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import IO, Final
 
 from rich.console import Console, ConsoleDimensions
 from rich.live import Live
+from rich.padding import Padding
 from rich.text import Text
 
 from wyner.dashboard.keymap import Action, action_of
@@ -217,6 +219,53 @@ class Watch:
         self.wishes = replace(self.wishes, note=note)
 
 
+class Stage:
+    """One full screen for several runs: between them it is not left, and the shell stays behind it.
+
+    Made by `one_stage`.
+    """
+
+    def __init__(self, stream: IO[str]) -> None:
+        self.console = _KeptScreen(file=stream, force_terminal=True, highlight=False)
+
+    def card(self, *lines: str) -> None:
+        """A title and its lines, until the next run has something to show."""
+        self.console.clear()
+        self.console.print()
+        for line in lines:
+            self.console.print(Padding(Text(line), (0, 1)))
+
+
+class _KeptScreen(Console):
+    """A console whose full screen is entered once, and left by whoever opened it."""
+
+    kept = True
+
+    def set_alt_screen(self, enable: bool = True) -> bool:
+        if self.kept and (self.is_alt_screen or not enable):
+            return enable
+        return super().set_alt_screen(enable)
+
+
+@contextmanager
+def one_stage(out: IO[str] | None = None) -> Iterator[Stage]:
+    """A full screen for the runs within the block; the terminal is given back whatever happens.
+
+    What is written to standard error meanwhile is repeated after it.
+    """
+    stage = Stage(out or sys.stdout)
+    with hold_stderr(), cbreak():
+        try:
+            stage.console.set_alt_screen(True)
+            stage.console.show_cursor(False)
+            yield stage
+        finally:
+            stage.console.kept = False
+            stage.console.clear()
+            stage.console.set_alt_screen(False)
+            stage.console.show_cursor(True)
+
+
 def run_dashboard(
     source: Source,
     *,
@@ -227,6 +276,7 @@ def run_dashboard(
     story: bool = False,
     conclude: Callable[[], Sequence[str]] | None = None,
     title: str = "",
+    stage: Stage | None = None,
 ) -> Ending:
     """Show the live screen until ``q``, Ctrl-C, or ``until()``, which is asked ten times a second.
 
@@ -249,15 +299,22 @@ def run_dashboard(
         until a key is pressed. Without it, or without a keyboard, the screen closes at once.
     title : str, optional
         What the first line begins with; the program's name if not given.
+    stage : Stage, optional
+        A full screen that is open already, and stays open with the last picture on it.
 
     Returns
     -------
     Ending
-        How it ended. The terminal is as it was before, whatever happened; what was written to
-        standard error meanwhile and the names of saved screens are printed there.
+        How it ended; a last screen that was left has come to its end. The terminal is as it was
+        before, whatever happened; what was written to standard error meanwhile and the names of
+        saved screens are printed there.
     """
     stream = out or sys.stdout
-    console = Console(file=stream, force_terminal=True, highlight=False)
+    console = (
+        Console(file=stream, force_terminal=True, highlight=False)
+        if stage is None
+        else stage.console
+    )
     watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path(), story=story)
     watch.wishes = replace(watch.wishes, title=title)
     over = False
@@ -283,10 +340,10 @@ def run_dashboard(
                     live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
                 if finished and not over:
                     over = True
-                    if conclude is None or not keys.connected:
-                        break
                     watch.wishes = replace(watch.wishes, note=STOPPING)
                     live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
+                    if conclude is None or not keys.connected:
+                        break
                     lines = conclude()
                     watch.take(source)
                     watch.wishes = replace(watch.wishes, note="")
@@ -295,7 +352,8 @@ def run_dashboard(
                 for key in keys.read(REFRESH_S):
                     watch.press(key, size, source.now_ns())
             # Left as it is, a screen that grew while it was shown stays behind in some terminals.
-            console.clear()
+            if stage is None:
+                console.clear()
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
         # A signal that came while the screen was being set up left nobody to take it down.
@@ -306,7 +364,7 @@ def run_dashboard(
             print(f"saved {path}", file=sys.stderr)
         for line in source.problems():
             print(line, file=sys.stderr)
-    return Ending.QUIT if watch.quit else ending
+    return Ending.QUIT if watch.quit and not over else ending
 
 
 def has_screen(out: IO[str] | None = None) -> bool:

@@ -8,6 +8,7 @@ from protocol.agreement import INSIDE
 from wyner.dashboard import plane
 from wyner.dashboard.model import Board, TapBoard
 from wyner.dashboard.score import Score, characters_right
+from wyner.dashboard.secrecy_panel import keys_right
 from wyner.dashboard.text import (
     STYLES,
     Glyphs,
@@ -17,7 +18,6 @@ from wyner.dashboard.text import (
     figure,
     longest,
     number,
-    percent,
     row,
     rule,
 )
@@ -93,7 +93,7 @@ def _tap(board: Board, tap: TapBoard, its: Score, width: int, glyphs: Glyphs) ->
         row(
             "keys",
             Text(
-                f"{percent(its.right, its.scored)} of {its.scored} right; a key hides "
+                f"{keys_right(its)} % of {its.scored} right; a key hides at most "
                 f"{figure(its.bits_per_key)} bit from her"
             ),
         ),
@@ -103,6 +103,8 @@ def _tap(board: Board, tap: TapBoard, its: Score, width: int, glyphs: Glyphs) ->
     ]
     if sure:
         lines.append(row("", Text(sure)))
+    if status.failed:
+        lines.insert(1, row("FAILED", Text(drawn(status.failed), style=STYLES["bad"])))
     model = board.model
     for name in ("A", "B"):
         hers = getattr(status, name)

@@ -29,7 +29,13 @@ def shown_first(gauges: Sequence[float], most: int) -> list[int]:
 
 
 def bars(
-    gauges: Sequence[float], alpha: float, width: int, most: int, glyphs: Glyphs
+    gauges: Sequence[float],
+    alpha: float,
+    width: int,
+    most: int,
+    glyphs: Glyphs,
+    *,
+    own_shape: bool = False,
 ) -> list[Text]:
     """One line a candidate, and a line that names the marks.
 
@@ -45,6 +51,8 @@ def bars(
         Candidates for which there is room.
     glyphs : Glyphs
         Characters that the terminal can show.
+    own_shape : bool
+        Whether alpha D_c only holds D_e, which has a shape of its own.
     """
     half = max(NARROWEST, (width - INDEX - WORDS - 4) // 2)
     rows = [_bar(i, gauges[i], alpha, half, glyphs) for i in shown_first(gauges, most)]
@@ -52,7 +60,10 @@ def bars(
     hidden = len(gauges) - len(rows)
     more = f"   and {hidden} more" if hidden else ""
     scale.append("D_c".ljust(half + 1))
-    scale.append(longest(width - scale.cell_len, f"D_e = {number(alpha)} D_c{more}", "D_e"))
+    relation = "within" if own_shape else "="
+    scale.append(
+        longest(width - scale.cell_len, f"D_e {relation} {number(alpha)} D_c{more}", "D_e")
+    )
     return [*rows, scale]
 
 

@@ -18,10 +18,10 @@ from wyner.dashboard.score import (
     time_left_s,
     truth_for,
 )
-from wyner.dashboard.secrecy_panel import attacker, contradictions, held
+from wyner.dashboard.secrecy_panel import attacker, contradictions, held, keys_right
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, duration, letters, percent
+from wyner.dashboard.text import component, duration, letters
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
@@ -78,23 +78,22 @@ def progress(board: Board) -> str:
         right, total = characters_right(board, tap)
         old = "" if truth_for(board, tap.status.message) == board.sent else ", old"
         parts.append(
-            f"{printable(its.strongest)}: {percent(scored.right, scored.scored)} of key symbols,"
+            f"{printable(its.strongest)}: {keys_right(scored)} % of key symbols,"
             f" {right}/{total} characters{old}"
         )
     return "  ".join(parts)
 
 
 def secrecy_line(board: Board) -> str:
-    """What the paper claims against what is true, in words."""
+    """What the paper's rule counts against what is true, in words."""
     its = secrecy(board)
+    told = f"{its.claimed_bits:.0f} bit by the paper's rule"
+    failed = f"; FAILED: {', '.join(map(printable, its.failed))}" if its.failed else ""
     if its.left_bits is None:
-        told = f"the paper claims {its.claimed_bits:.0f} bit"
-        return f"secrecy: {told}, true unknown: no tap was scored"
-    loud = "PAPER'S CLAIM EXCEEDS TRUE: " if its.exceeds else ""
-    return (
-        f"secrecy: {loud}the paper claims {its.claimed_bits:.0f} bit,"
-        f" {printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
-    )
+        return f"secrecy: {told}, true unknown: {its.why}{failed}"
+    loud = "PAPER'S RULE EXCEEDS TRUE: " if its.exceeds else ""
+    left = f"{printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
+    return f"secrecy: {loud}{told}, {left}{failed}"
 
 
 def run_headless(
@@ -194,6 +193,11 @@ def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterat
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
         yield f"tap {name} heard"
+    failed, before_it = tap.status.failed, "" if was is None else was.status.failed
+    if failed and failed != before_it:
+        yield f"tap {name} FAILED: {printable(failed)}"
+    elif before_it and not failed:
+        yield f"tap {name} guesses again"
     solved = tap.status.solved_k
     newly_sure = solved >= 0 and (was is None or was.status.solved_k != solved)
     if tap.exact and (was is None or not (was.exact or newly_sure)):

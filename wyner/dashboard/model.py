@@ -4,7 +4,7 @@ Nothing here reads a clock, a socket or a terminal. The time of arrival comes wi
 recorded list of arrivals always gives the same board.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar
 
@@ -65,6 +65,8 @@ class TapBoard:
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
     once, a true one; she was heard before she was sure of any, beside somebody who knows the truth.
+    ``scored`` and ``right`` count the agreed steps on which she was compared and that are held no
+    more: what is looked at again and again counts all that there was, in every session.
     """
 
     status: TapStatus
@@ -72,6 +74,8 @@ class TapBoard:
     guesses: Mapping[int, ShownGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
+    scored: int = 0
+    right: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +205,10 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
             pictures={},
             truths={},
             states={},
-            taps={name: replace(tap, guesses={}) for name, tap in board.taps.items()},
+            taps={
+                name: replace(tap, guesses={})
+                for name, tap in _forgotten(board, board.truths).items()
+            },
         )
     truths, states = dict(board.truths), dict(board.states)
     tail = zip(
@@ -217,12 +224,16 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
         states[k] = x
     states[status.k] = status.x
     board = _picture(board, status, t_ns)
+    kept = _newest(truths, STEPS_KEPT)
+    if len(kept) < len(truths):
+        gone = truths.keys() - kept.keys()
+        board = replace(board, taps=_forgotten(replace(board, truths=truths), gone))
     return _judge(
         replace(
             board,
             plant=status,
             plant_seen_ns=t_ns,
-            truths=_newest(truths, STEPS_KEPT),
+            truths=kept,
             states=_newest(states, STATES_KEPT),
             texts=_with_text(board.texts, status.last_message),
         )
@@ -272,15 +283,52 @@ def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
     )
     for k, symbol, probability, agreed in tail:
         guesses[k] = ShownGuess(symbol, probability, agreed)
+    kept = _newest(guesses, STEPS_KEPT)
+    gone = _compared(
+        board, guesses, guesses.keys() - kept.keys() if len(kept) < len(guesses) else ()
+    )
     tap = TapBoard(
         status,
         t_ns,
-        _newest(guesses, STEPS_KEPT),
+        kept,
+        scored=gone[0] + (0 if before is None else before.scored),
+        right=gone[1] + (0 if before is None else before.right),
         exact=before is not None and before.exact,
         watched=(before is not None and before.watched)
         or (status.solved_k < 0 and bool(board.texts)),
     )
     return _judge(replace(board, taps={**board.taps, status.name: tap}))
+
+
+def _compared(
+    board: Board, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
+) -> tuple[int, int]:
+    """Of these steps the agreed ones that a tap has guessed, and those guessed right."""
+    scored = right = 0
+    for k in steps:
+        guess, truth = guesses.get(k), board.truths.get(k)
+        if guess is not None and truth is not None and truth.symbol >= 0:
+            scored += 1
+            right += guess.symbol == truth.symbol
+    return scored, right
+
+
+def compared(board: Board, tap: TapBoard) -> tuple[int, int]:
+    """The agreed steps that a tap has guessed so far, and those guessed right."""
+    scored, right = _compared(board, tap.guesses, tap.guesses)
+    return tap.scored + scored, tap.right + right
+
+
+def _forgotten(board: Board, steps: Collection[int]) -> dict[str, TapBoard]:
+    """The taps without their guesses of these steps, which are counted."""
+    taps = {}
+    for name, tap in board.taps.items():
+        scored, right = _compared(board, tap.guesses, steps)
+        guesses = {k: guess for k, guess in tap.guesses.items() if k not in steps}
+        taps[name] = replace(
+            tap, guesses=guesses, scored=tap.scored + scored, right=tap.right + right
+        )
+    return taps
 
 
 def _judge(board: Board) -> Board:

@@ -28,6 +28,7 @@ from wyner.dashboard.text import (
     UNICODE,
     component,
     count,
+    drawn,
     duration,
     glyph,
     letters,
@@ -285,6 +286,9 @@ class Panels:
             hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
             guess, marks = self._marked(hers, truth, start if same else 0)
             lines.append(row(tap.status.name, guess))
+            if tap.status.failed:
+                lines.append(row("FAILED", Text(drawn(tap.status.failed), style=STYLES["bad"])))
+                continue
             wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
             lines.append(row(wrong if same else f"{wrong}, old", marks))
         if not shown:

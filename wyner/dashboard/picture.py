@@ -42,7 +42,14 @@ def agreement(
         room = rows - 3  # rule, scale, verdict
         with_plane = room - min(len(gauges), 2) >= PLANE_ROWS + 1
         most = room - (PLANE_ROWS + 1 if with_plane else 0)
-        lines += bars(gauges, model.alpha, width, max(1, min(most, BARS_AT_MOST)), glyphs)
+        lines += bars(
+            gauges,
+            plane.spread(model),
+            width,
+            max(1, min(most, BARS_AT_MOST)),
+            glyphs,
+            own_shape=bool(model.eavesdropper_H),
+        )
         agreed = status.pictured_symbol >= 0
         lines.append(Text(f" {plane.verdict(status)}", style=STYLES["good"] if agreed else ""))
         if with_plane:

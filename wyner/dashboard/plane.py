@@ -111,7 +111,10 @@ def draw(
         for u in status.pictured_candidates
     ]
     fallen = _project(status.pictured_x_next, axes)
-    wide = [(model.alpha * a, model.alpha * b) for a, b in shape]
+    if model.eavesdropper_H:
+        wide = list(outline(model.eavesdropper_H, model.eavesdropper_h, axes))
+    else:
+        wide = [(model.alpha * a, model.alpha * b) for a, b in shape]
     points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in shape] + [fallen]
     if not isfinite(sum(abs(v) for point in points for v in point)):
         return blank
@@ -129,6 +132,17 @@ def draw(
     leaves_right = max(c[0] for c in centres) + spread
     canvas.arrows(leaves_left, leaves_right, "◀▶" if unicode else "<>")
     return canvas.rows()
+
+
+def spread(model: PlantModel) -> float:
+    """How many times D_c must be scaled to hold D_e: alpha, where it has no shape of its own."""
+    if not model.eavesdropper_H:
+        return model.alpha
+    farthest = 0.0
+    for v in _vertices(model.eavesdropper_H, model.eavesdropper_h, len(model.A)):
+        for row, edge in zip(model.defender_H, model.defender_h, strict=True):
+            farthest = max(farthest, sum(a * b for a, b in zip(row, v, strict=True)) / edge)
+    return farthest or model.alpha
 
 
 def _centre(A: Matrix, B: Matrix, x: Vector, u: Vector) -> Vector:

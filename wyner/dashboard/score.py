@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from wyner.dashboard.model import Board, TapBoard
+from protocol.agreement import Gauge
+from protocol.messages import PlantModel
+from protocol.statistics import CONFIDENCE, Interval, better_than, bits_left, confidence_sequence
+from wyner.dashboard.model import TAPS_KEPT, Board, TapBoard, compared
 from wyner.dashboard.text import letters, number
 
-SCORED_AT_LEAST: Final = 8
-"""Agreed steps needed before a guessing probability is quoted; fewer say nothing."""
-
-CONFIDENCE_Z: Final = 1.96
-"""Normal quantile of the 95 % Wilson interval."""
+ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
+"""Chance of a false alarm because of one tap, however long one watches: all of them share 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,132 +26,167 @@ class Score:
     ----------
     scored, right : int
         Agreed steps compared, and those where her likeliest symbol was the key symbol.
-    guessing : float or None
-        P_g, the share that was right and never below 1/M; None while too few were compared.
-    at_least : float
-        Lower end of the 95 % Wilson interval of the share that was right.
+    guessed : Interval
+        The share that was right, with 95 % limits that hold at every look together: it is looked
+        at after every status.
+    size : int
+        M.
+    leads : bool
+        Whether she is shown to do better than chance.
     """
 
     scored: int
     right: int
-    guessing: float | None
-    at_least: float
+    guessed: Interval
+    size: int
+    leads: bool
 
     @property
     def bits_per_key(self) -> float | None:
-        """Min-entropy left in one key symbol, -log2 P_g, in bits."""
-        return None if self.guessing is None else abs(math.log2(self.guessing))
+        """What one key symbol hides from her at most, -log2 P_g in bits; None: she guessed none."""
+        return bits_left(1, self.size, self.guessed).high if self.scored else None
 
 
 @dataclass(frozen=True, slots=True)
 class SecrecyScore:
-    """What the paper claims of the keys agreed so far, against what is true.
+    """What the paper's rule counts of the keys agreed so far, against what is true.
 
     Parameters
     ----------
     claimed_bits : float
-        What the paper's rule counts: every agreed symbol as log2 M secret bits.
-    left_bits : float or None
-        What the strongest tap leaves of it; None while no tap was scored.
+        What the paper's rule counts, of whichever law: every agreed symbol as log2 M secret bits.
+    left : Interval or None
+        Bits that the strongest running tap leaves of it; None while nobody is scored.
     strongest : str
         Name of that tap, or "".
     exceeds : bool
-        Whether the claim is shown to be too high: a tap holds a true message, or her guesses are
-        better than blind ones beyond chance (95 %).
+        Whether that is shown to be too much: a tap holds a true message, or her guesses are better
+        than blind ones. Of taps that are blind it is ever so with a chance of 5 % at most.
     when_bits : float
-        Upper bound 2 log2(N + 1) on what may stay hidden of *when* keys were agreed, in N steps.
+        Upper bound on what may stay hidden of *when* keys were agreed in N steps, from one who
+        knows D_e: f log2(2N + 1), f = 1 width of D_c where D_e = alpha D_c.
     scored : int
         Agreed steps on which that tap was scored.
+    why : str
+        Why nobody is scored, or what the figure rests on where it is not her guesses.
+    failed : tuple of str
+        Taps that do not guess any more.
     """
 
     claimed_bits: float
-    left_bits: float | None
+    left: Interval | None
     strongest: str
     exceeds: bool
     when_bits: float
     scored: int
+    why: str = ""
+    failed: tuple[str, ...] = ()
+
+    @property
+    def left_bits(self) -> float | None:
+        """Bits left at most."""
+        return None if self.left is None else self.left.high
 
 
 def score(board: Board, tap: TapBoard) -> Score:
-    """Score one tap on the agreed steps that are still held."""
-    scored = right = 0
-    for k, guess in tap.guesses.items():
-        truth = board.truths.get(k)
-        if truth is not None and truth.symbol >= 0:
-            scored += 1
-            right += truth.symbol == guess.symbol
-    guessing = None
-    if scored >= SCORED_AT_LEAST:
-        guessing = max(right / scored, 1.0 / board.candidates)
-    return Score(scored, right, guessing, wilson_lower(right, scored))
-
-
-def wilson_lower(right: int, scored: int) -> float:
-    """Lower end of the 95 % Wilson interval for a proportion; 0 of none."""
-    if right == 0:
-        return 0.0
-    z2 = CONFIDENCE_Z**2
-    share = right / scored
-    centre = share + z2 / (2 * scored)
-    spread = CONFIDENCE_Z * math.sqrt(share * (1 - share) / scored + z2 / (4 * scored**2))
-    return max(0.0, (centre - spread) / (1 + z2 / scored))
+    """Score one tap on all agreed steps so far."""
+    scored, right = compared(board, tap)
+    size = board.candidates
+    leads = better_than(1.0 / size, right, scored, ALARM)
+    return Score(scored, right, confidence_sequence(right, scored), size, leads)
 
 
 def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
-    """The taps, strongest first: a true message, else most of its text, else the best guesses."""
+    """The taps, strongest first: a true message, else most of its text, else the best guesses.
+
+    Those that failed come last, but for one that holds a true message.
+    """
     scored = [(tap, score(board, tap)) for tap in board.taps.values()]
 
-    def strength(pair: tuple[TapBoard, Score]) -> tuple[bool, int, float, str]:
+    def strength(pair: tuple[TapBoard, Score]) -> tuple[bool, bool, int, float, str]:
         tap, its = pair
         right, total = characters_right(board, tap)
         # In tenths of the text, so that a character right by chance changes no order.
         tenths = 10 * right // total if total else 0
-        return (not tap.exact, -tenths, -its.at_least, tap.status.name)
+        failed = bool(tap.status.failed) and not tap.exact
+        return (failed, not tap.exact, -tenths, -its.guessed.low, tap.status.name)
 
     return sorted(scored, key=strength)
 
 
+def left_by(board: Board, tap: TapBoard, its: Score) -> Interval | None:
+    """Bits that one tap leaves of the agreed keys; None where nobody knows.
+
+    None of them where she holds a true message. By her own account where she gives one; else what
+    guessing one by one leaves.
+    """
+    if tap.exact:
+        return Interval(0.0, 0.0, 0.0)
+    if tap.status.failed:
+        return None
+    if tap.status.bits_left is not None:
+        return Interval(*(tap.status.bits_left,) * 3)
+    if not its.scored:
+        return None
+    keys = board.plant.agreements if board.plant is not None else 0
+    return bits_left(keys, its.size, its.guessed)
+
+
+def _hidden_widths(model: PlantModel | None) -> int:
+    """Widths of D_c that she does not know, who knows D_e."""
+    if model is None or not model.eavesdropper_H:
+        return 1
+    box = Gauge.from_rows(model.defender_H, model.defender_h).half_widths
+    return len(box or model.defender_h)
+
+
 def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) -> SecrecyScore:
-    """The paper's claim against the truth, from all taps.
+    """What the paper's rule counts against the truth, from all taps.
 
     ``taps`` are those of `ranked` where it was called.
     """
     symbols = board.plant.agreements if board.plant is not None else 0
     transitions = board.plant.transitions if board.plant is not None else 0
-    bits = math.log2(board.candidates)
-    claimed = symbols * bits
-    when = 2 * math.log2(transitions + 1)
-    best: tuple[float, str, int] | None = None
-    exceeds = False
-    for tap, its in ranked(board) if taps is None else taps:
-        left = 0.0 if tap.exact else its.bits_per_key
-        if left is None:
-            continue
-        if best is None or left < best[0]:
-            best = (left, tap.status.name, its.scored)
-        exceeds |= tap.exact or its.at_least > 1.0 / board.candidates
+    claimed = symbols * math.log2(board.candidates)
+    widths = _hidden_widths(board.model)
+    cuts = board.candidates if widths > 1 else 2
+    when = widths * math.log2(cuts * transitions + 1)
+    taps = ranked(board) if taps is None else taps
+    failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
+    exceeds = symbols > 0 and any(tap.exact or its.leads for tap, its in taps)
+    best: tuple[Interval, TapBoard, Score] | None = None
+    for tap, its in taps:
+        left = left_by(board, tap, its)
+        if left is not None and (best is None or left.high < best[0].high):
+            best = left, tap, its
     if best is None:
-        return SecrecyScore(claimed, None, "", False, when, 0)
-    left_bits, exceeds = symbols * best[0], exceeds and symbols > 0
-    return SecrecyScore(claimed, left_bits, best[1], exceeds, when, best[2])
+        why = "she failed" if failed else "nobody guessed" if taps else "nobody listens"
+        return SecrecyScore(claimed, None, "", exceeds, when, 0, why, failed)
+    left, tap, its = best
+    own = tap.status.bits_left is not None and not tap.exact
+    why = "a true message" if tap.exact else "her own account" if own else ""
+    return SecrecyScore(claimed, left, tap.status.name, exceeds, when, its.scored, why, failed)
 
 
 def course(board: Board, points: int) -> list[tuple[float, float | None]]:
-    """Bits that the paper claims, and bits left by the strongest tap, over the steps that are held.
+    """Bits by the paper's rule, and bits left at most by the strongest tap, over the steps held.
 
-    Of her guesses up to each of ``points`` moments, evenly spread; None while too few were scored.
-    From the step on at which she was sure of a true message, nothing is left.
+    Of her guesses up to each of ``points`` moments, evenly spread; None while there were none, and
+    where the figure is her own account, which is known of the last moment alone. From the step on
+    at which she was sure of a true message, nothing is left.
     """
     agreed = [k for k in sorted(board.truths) if board.truths[k].symbol >= 0]
     its = secrecy(board)
     if not agreed or points < 1 or board.plant is None:
         return []
     tap = board.taps.get(its.strongest)
-    bits = math.log2(board.candidates)
+    size = board.candidates
+    bits = math.log2(size)
     before = max(0, board.plant.agreements - len(agreed))
     first, last = min(board.truths), max(board.truths)
     found: list[tuple[float, float | None]] = []
-    scored = right = at = 0
+    scored, right = (tap.scored, tap.right) if tap is not None else (0, 0)
+    at = 0
     for i in range(points):
         until = first + (last - first) * (i + 1) / points
         while at < len(agreed) and agreed[at] <= until:
@@ -161,9 +196,10 @@ def course(board: Board, points: int) -> list[tuple[float, float | None]]:
                 right += guess.symbol == board.truths[agreed[at]].symbol
             at += 1
         left: float | None = None
-        if scored >= SCORED_AT_LEAST:
-            share = max(right / scored, 1.0 / board.candidates)
-            left = (before + at) * abs(math.log2(share))
+        if tap is not None and tap.status.bits_left is not None:
+            left = its.left_bits if i == points - 1 else None
+        elif scored:
+            left = bits_left(before + at, size, confidence_sequence(right, scored)).high
         if tap is not None and tap.exact and 0 <= tap.status.solved_k <= until:
             left = 0.0
         found.append(((before + at) * bits, left))
@@ -171,7 +207,10 @@ def course(board: Board, points: int) -> list[tuple[float, float | None]]:
 
 
 def rate_of(board: Board) -> float | None:
-    """Message bits per second of plant time, over the session; None: the period is not known."""
+    """Message bits per second of plant time, over the session; None: the period is not known.
+
+    A count of what was sent, and no estimate: it has no interval.
+    """
     plant, model = board.plant, board.model
     if plant is None or model is None:
         return None

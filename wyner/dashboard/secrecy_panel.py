@@ -1,5 +1,6 @@
-"""The secrecy panel: what the paper claims against what is true, keys, and the taps in a table."""
+"""The secrecy panel: what counts as secret against what is true, keys, and the taps in a table."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -25,14 +26,16 @@ from wyner.dashboard.text import (
 )
 
 CURVE: Final = 60
-"""Most cells of the curves of the bits that the paper claims and of those that are true."""
+"""Most cells of the curves of the bits by the paper's rule and of those that are true."""
 
 
 def verdict(its: SecrecyScore, width: int) -> Text:
-    """What the paper claims against what is true, in one line; loud where it claims too much."""
-    claimed = f" paper claims {its.claimed_bits:.0f} bit  "
+    """What the paper's rule counts against what is true, in one line; loud where it is too much."""
+    claimed = f" paper's rule {its.claimed_bits:.0f} bit  "
     if its.left_bits is None:
-        return Text(f"{claimed}true: unknown, no tap was scored yet")
+        style = STYLES["bad"] if its.failed else ""
+        told = longest(width - len(claimed), f"true: unknown, {its.why}", f"true: {its.why}")
+        return Text.assemble(claimed, (told, style))
     left = f"{its.left_bits:.0f} bit"
     room = width - len(claimed)
     strongest = drawn(its.strongest)
@@ -40,8 +43,8 @@ def verdict(its: SecrecyScore, width: int) -> Text:
         return Text(claimed + longest(room, f"true: at most {left} ({strongest})", left))
     loud = longest(
         room,
-        f"PAPER'S CLAIM EXCEEDS TRUE: {strongest} leaves {left}",
-        f"EXCEEDS TRUE: {strongest} leaves {left}",
+        f"PAPER'S RULE EXCEEDS TRUE: {strongest} leaves at most {left}",
+        f"EXCEEDS TRUE: {strongest} leaves at most {left}",
         f"EXCEEDS TRUE, {left}",
         "EXCEEDS TRUE",
     )
@@ -53,11 +56,12 @@ def explanation(its: SecrecyScore, width: int) -> Text:
     when = f"when keys were agreed hides at most {its.when_bits:.0f} bit"
     if its.left_bits is None:
         return Text(f" {when}")
+    by = its.why or f"measured on {its.scored} agreed steps, 95 % however often one looks"
     text = longest(
         width - 1,
-        f"measured on {its.scored} agreed steps; a stronger tap may exist, so true is no more"
-        f" than this; {when}",
-        f"measured on {its.scored} agreed steps; {when}",
+        f"{by}; a stronger tap may exist, so true is no more than this; {when}",
+        f"{by}; {when}",
+        by,
     )
     return Text(f" {text}", style=STYLES["label"])
 
@@ -117,7 +121,8 @@ def held(board: Board, room: int) -> tuple[str, str]:
     bits = f"she holds {count(hers.key_bits_held)} bits"
     share = percent(hers.copies_missed, hers.copies)
     of = f"{bits} of {count(hers.key_blocks)} blocks"
-    told = longest(room, f"{of}, missed {share}", of, bits)
+    missed = f"missed {share}" if hers.copies or not hers.copies_absent else "was not there"
+    told = longest(room, f"{of}, {missed}", of, bits)
     return told, "bad" if hers.key_bits_held else "good"
 
 
@@ -127,7 +132,8 @@ def contradictions(board: Board) -> Iterator[str]:
     if hers is None:
         return
     if hers.claim_refuted:
-        yield f"CLAIM REFUTED: she misses {hers.missed_at_most:.2g} at most"
+        of = f" of the {drawn(hers.missed_direction)}" if hers.missed_direction else ""
+        yield f"CLAIM REFUTED: she misses {hers.missed_at_most:.2g}{of} at most"
     if hers.misses_in_bursts:
         yield "MISSES IN BURSTS"
     if hers.sealed_bits_known:
@@ -138,24 +144,28 @@ def contradictions(board: Board) -> Iterator[str]:
 
 
 def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:
-    """What the paper claims and what is true over time, on one scale, each with its last figure."""
+    """What the paper's rule counts and what is true over time, on one scale, with last figures."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
     figures = max(len(claimed), len(left))
-    loud, who = "", " (nobody was scored)"
+    loud, who = "", f" ({its.why})"
     room = width - LABEL - 2 - figures
     if its.exceeds:
-        loud = longest(room, " PAPER'S CLAIM EXCEEDS TRUE", " EXCEEDS TRUE")
+        loud = longest(room, " PAPER'S RULE EXCEEDS TRUE", " EXCEEDS TRUE")
     if its.strongest:
         who = longest(room, f" ({drawn(its.strongest)})")
+    if its.failed:
+        who = longest(room, f"{who} FAILED: {', '.join(map(drawn, its.failed))}", " FAILED", who)
     shown = course(board, max(0, min(CURVE, room - max(cell_len(loud), cell_len(who)))))
     lines = []
     for label, values, told, note, style in (
-        ("paper claims", [c for c, _ in shown], claimed, loud, "bad"),
-        ("true, at most", [t for _, t in shown], left, who, "label"),
+        ("paper's rule", [c for c, _ in shown], claimed, loud, "bad"),
+        ("true, at most", [t for _, t in shown], left, who, "bad" if its.failed else "label"),
     ):
         bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)
-        line = row(label, Text(bars, style=STYLES["claimed" if style == "bad" else "true"]))
+        line = row(
+            label, Text(bars, style=STYLES["claimed" if label == "paper's rule" else "true"])
+        )
         line.append(told.rjust(figures))
         line.append(longest(width - line.cell_len, note), style=STYLES[style])
         lines.append(line)
@@ -199,7 +209,17 @@ def _model_off(board: Board, tap: TapBoard) -> str:
     return "0 %" if off == 0 else f"{number(100 * off)} %"
 
 
+def keys_right(its: Score) -> str:
+    """The share of keys that she guessed right, in per cent, with its limits."""
+    if not its.scored:
+        return "-"
+    low, high = int(100 * its.guessed.low), math.ceil(100 * its.guessed.high)
+    return f"{100 * its.right // its.scored} [{low},{high}]"
+
+
 def _broke(tap: TapBoard) -> str:
+    if tap.status.failed:
+        return "FAILED, exact" if tap.exact else "FAILED"
     solved = tap.status.solved_k
     if solved < 0:
         return "exact, unsure" if tap.exact else "not yet"
@@ -220,7 +240,7 @@ class _Column:
 
 
 _COLUMNS: Final = (
-    _Column("keys right", 10, 0, lambda _, __, its: percent(its.right, its.scored)),
+    _Column("keys right %", 12, 0, lambda _, __, its: keys_right(its)),
     _Column("of", 6, 6, lambda _, __, its: count(its.scored)),
     _Column("hides/key", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
     _Column("follows", 7, 4, lambda _, tap, __: _follows(tap)),

@@ -96,7 +96,7 @@ def _list(board: Board) -> Moment | None:
     return Moment(
         f"Her list: {tap.status.candidates_left} ways to read the same steps",
         (
-            "Which steps agreed a key depends on two thresholds that she does not know.",
+            "Which steps agreed a key depends on a threshold that she does not know.",
             "Only so many of them make a difference. She decodes under each, and keeps",
             "what reads like a message.",
         ),

@@ -4,6 +4,7 @@ Every line is made here to its exact width, so that what a test compares is what
 screen is whole from 80x24 on. On a smaller one whole panels go, in the order of `DROPPED_FIRST`.
 """
 
+from textwrap import wrap
 from typing import Final
 
 from rich.cells import cell_len
@@ -47,13 +48,13 @@ HELP: Final = (
     "the edge of D_c (1), then of D_e = alpha D_c. A key is agreed when one bar",
     "alone ends in D_c and none beyond D_e. Below: the same in the plane of states.",
     "keys: true key symbols, the strongest tap's below; ^ stands under wrong ones.",
-    "paper claims: those keys as secret bits. true: what the strongest tap leaves.",
-    "keys right: on agreed steps. hides/key: -log2 of her chance to guess one, bit.",
-    "follows: readings she keeps. model off: her A, B, relative. text: characters",
-    "right. has it since: the step at which she was sure. When keys were agreed may",
-    "stay hidden: at most 2 log2(N + 1) bit in N steps. A small screen drops, in",
-    "turn: picture; key symbols and automata; taps; loop; message. It is whole",
-    "from 80x24 on. Distilled keys are other keys, with a proof (docs/keys.md).",
+    "paper's rule: bits that it counts as secret. true: what the best tap leaves at",
+    "most. keys right: [95 %, however often one looks]. hides/key: -log2 of her",
+    "chance, at most. A bit/s is a count: no interval. follows: readings she keeps.",
+    "model off: her A, B, relative. text: characters right. has it since: the step",
+    "at which she was sure. When keys were agreed may stay hidden: at most",
+    "log2(2N + 1) bit in N steps. A small screen drops, in turn: picture; key",
+    "symbols and automata; taps; loop; message. It is whole from 80x24 on.",
 )
 
 
@@ -112,7 +113,7 @@ class _Page(Panels):
 
     def _needed(self, shown: set[str]) -> int:
         rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
-        rows += len(self.wishes.caption) + len(distilled(self.board, self.width))
+        rows += len(self._caption()) + len(distilled(self.board, self.width))
         return rows + self._top_rows(shown) + 5 * ("message" in shown) + 2 * ("taps" in shown)
 
     def _caption(self) -> list[Text]:
@@ -120,7 +121,11 @@ class _Page(Panels):
         if not self.wishes.caption:
             return []
         title, *lines = self.wishes.caption
-        return [self.rule(drawn(title), self.width)] + [Text(f" {drawn(line)}") for line in lines]
+        shown = (wrap(drawn(line), self.width - 2, subsequent_indent="   ") for line in lines)
+        return [
+            self.rule(drawn(title), self.width),
+            *(Text(f" {row}") for rows in shown for row in rows),
+        ]
 
     def _top_rows(self, shown: set[str]) -> int:
         return 5 * ("loop" in shown) + 4 * ("key symbols and automata" in shown)
@@ -240,7 +245,7 @@ class _Page(Panels):
         return [Text.assemble(fit(a, left_width), " ", b) for a, b in zip(left, right, strict=True)]
 
     def secrecy_panel(self, with_table: bool, rows: int, explained: bool) -> list[Text]:
-        """The paper's claim against the truth, and a table of the taps, strongest first."""
+        """What the paper's rule counts against the truth, and a table of the taps, best first."""
         shown = self.filtered()
         note = ""
         if self.wishes.filter:

@@ -17,6 +17,9 @@ from protocol.runtime.services import SERVICES
 from protocol.runtime.signals import STOP_WITH_STDIN
 from wyner.deployment.running import listens
 
+LEFT_S: Final = 1.0
+"""Seconds to wait until what a killed service has left is gone."""
+
 RESTART_S: Final = 0.2
 """Seconds before a killed service is started again."""
 
@@ -51,6 +54,8 @@ class Child:
     restarts: int = 0
     restart_at: float = 0.0
     returned: int | None = None
+    alone: bool = False
+    """Whether all that the process had started is gone with it."""
 
     def start(self) -> None:
         """Start the process, in a process group of its own: Ctrl-C reaches the parent only.
@@ -59,6 +64,7 @@ class Child:
         and looks at niceness within each: a tap that gives way would get as much as the plant.
         """
         make_folder(self.log.parent)
+        self.alone = False
         log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         try:
             self.process = subprocess.Popen(
@@ -83,6 +89,7 @@ class Child:
         code = self.process.poll()
         if code is None:
             return None
+        self._end_the_rest()
         if code >= 0 or self.restarts >= RESTARTS:
             self.returned = code
         elif not self.restart_at:
@@ -113,7 +120,23 @@ class Child:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
+        self._end_the_rest()
         self._let_go()
+
+    def _end_the_rest(self) -> None:
+        """End what a service that was killed has left: processes of its own, at its files still.
+
+        A tap's eavesdroppers went on writing their guesses in a run that was sealed already.
+        """
+        if self.process is None or self.alone:
+            return
+        self.alone = True  # the group's number may be another's from here on
+        group, until = self.process.pid, time.monotonic() + LEFT_S
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
+            while time.monotonic() < until:  # longer only where nobody takes notice of the dead
+                os.killpg(group, 0)
+                time.sleep(0.005)
 
     def _let_go(self) -> None:
         if self.process is not None and self.process.stdin is not None:

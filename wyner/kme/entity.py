@@ -7,6 +7,7 @@ from typing import Final, TypeVar
 
 from pydantic import ValidationError
 
+from protocol.secret.giving import Giver, Unanswered
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import (
     Key,
@@ -74,13 +75,21 @@ class KeyManagementEntity:
     """Serves one side's store to its applications, each pair with a share of the keys.
 
     As master the application gets keys of this side's own half, as slave those of the partner's
-    half by their ids, which the master told it. So no key is handed to two masters, and the two
-    entities need not talk to each other.
+    half by their ids, which the master told it. So no key is handed to two masters. The other end
+    has marked each before it is given: for that the services of both ends must run.
+
+    Parameters
+    ----------
+    names : Names
+    store : KeyStore
+    giver : Giver, optional
+        Of that store.
     """
 
-    def __init__(self, names: Names, store: KeyStore) -> None:
+    def __init__(self, names: Names, store: KeyStore, giver: Giver | None = None) -> None:
         self.names = names
         self._store = store
+        self._giver = giver or Giver(store)
 
     @property
     def refused(self) -> str | None:
@@ -146,8 +155,8 @@ class KeyManagementEntity:
         if not 1 <= request.number <= MOST_AT_ONCE:
             raise _wrong("number", f"got {request.number}, expected 1 to {MOST_AT_ONCE}")
         try:
-            keys = self._store.deliver(request.number, caller, share)
-        except (TooFewKeys, KeysRefused, StoreError) as error:
+            keys = self._giver.deliver(request.number, caller, share)
+        except (TooFewKeys, KeysRefused, StoreError, Unanswered) as error:
             raise Refusal(UNAVAILABLE, f"no key: {error}") from None
         return self._container(keys)
 
@@ -164,14 +173,14 @@ class KeyManagementEntity:
         if len(wanted) > MOST_AT_ONCE:
             raise _wrong("key_IDs", f"got {len(wanted)}, expected {MOST_AT_ONCE} at most")
         try:
-            keys = self._store.deliver_named(wanted, caller, share)
+            keys = self._giver.deliver_named(wanted, caller, share)
         except OthersKeys as error:
             message = f"{len(error.ids)} keys are not for SAE {caller!r}"
             raise Refusal(UNAUTHORISED, message, ({"key_ID": i} for i in error.ids)) from None
         except UnknownKeys as error:
             message = "one or more keys specified are not found on KME"
             raise Refusal(BAD_REQUEST, message, ({"key_ID": i} for i in error.ids)) from None
-        except (KeysRefused, StoreError) as error:
+        except (KeysRefused, StoreError, Unanswered) as error:
             raise Refusal(UNAVAILABLE, f"no key: {error}") from None
         return self._container(keys)
 

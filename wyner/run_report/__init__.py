@@ -1,5 +1,5 @@
 """``wyner report``: a run on one page of HTML that needs no network, no script, no library."""
 
-from wyner.run_report.page import write_report
+from wyner.run_report.page import StepError, write_report
 
-__all__ = ["write_report"]
+__all__ = ["StepError", "write_report"]

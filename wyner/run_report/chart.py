@@ -13,21 +13,32 @@ CHART_HEIGHT: Final = 240
 PLANE_HEIGHT: Final = 380
 LEFT, RIGHT, TOP, BOTTOM = 56, 16, 12, 40
 MOST_POINTS: Final = 1500
-"""Points of a line; longer ones are thinned to the extremes of each stretch."""
+"""Points of a line; of longer ones the extremes of so many stretches are drawn."""
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555")
 DASHES: Final = ("", "6 3", "2 3", "8 3 2 3", "1 4", "10 4", "4 2")
 """Colour is never the only signal."""
 
 
+DENSE: Final = 600
+"""Points from which a line that goes up and down is a smear: its range is drawn instead."""
+
+COLUMNS: Final = 170
+"""Stretches of such a range: four pixels each."""
+
+
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A line of a chart; ``steps`` draws it as a staircase, ``place`` chooses colour and dashes."""
+    """A line of a chart; ``steps`` draws it as a staircase, ``place`` chooses colour and dashes.
+
+    ``banded`` says that a long one is drawn as the range of its values.
+    """
 
     label: str
     points: Points
     place: int = 0
     steps: bool = False
+    banded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +60,61 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     return [i * step for i in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def thinned(points: Points) -> Points:
-    """At most :data:`MOST_POINTS` points that keep every peak."""
-    if len(points) <= MOST_POINTS:
-        return points
-    stretch = math.ceil(2 * len(points) / MOST_POINTS)
-    out: list[tuple[float, float]] = []
-    for i in range(0, len(points), stretch):
-        part = points[i : i + stretch]
-        out += sorted({min(part, key=_second), max(part, key=_second)})
-    return out
+def band(points: Points) -> Points:
+    """The outline of what a long line covers: the highest of each stretch, then the lowest."""
+    x = [p[0] for p in points]
+    low, span = x[0], max(x[-1] - x[0], 1e-300)
+    top: dict[int, tuple[float, float]] = {}
+    foot: dict[int, tuple[float, float]] = {}
+    for point in points:
+        column = min(int(COLUMNS * (point[0] - low) / span), COLUMNS - 1)
+        top[column] = max(top.get(column, point), point, key=_second)
+        foot[column] = min(foot.get(column, point), point, key=_second)
+    middle = [low + span * (column + 0.5) / COLUMNS for column in top]
+    upper = [(at, p[1]) for at, p in zip(middle, top.values(), strict=True)]
+    lower = [(at, p[1]) for at, p in zip(middle, foot.values(), strict=True)]
+    return [*upper, *reversed(lower)]
+
+
+class Series:
+    """Points of a line as they come; of a long one the extremes of each stretch are kept.
+
+    There are at most two for each of :data:`MOST_POINTS` stretches, and every peak is among them.
+    """
+
+    def __init__(self, points: Iterable[tuple[float, float]] = ()) -> None:
+        self._stretches: list[tuple[tuple[float, float], tuple[float, float]]] = []
+        self._length = 1
+        self._open = 0
+        for point in points:
+            self.add(*point)
+
+    def add(self, x: float, y: float) -> None:
+        """Take the next point."""
+        point = x, y
+        if self._open and self._stretches:
+            self._stretches[-1] = _extremes(self._stretches[-1], (point, point))
+        else:
+            self._stretches.append((point, point))
+        self._open = (self._open + 1) % self._length
+        if not self._open and len(self._stretches) > MOST_POINTS:
+            pairs = self._stretches
+            self._stretches = [_extremes(*pairs[i : i + 2]) for i in range(0, len(pairs) - 1, 2)]
+            self._length *= 2
+            if len(pairs) % 2:
+                self._stretches.append(pairs[-1])
+                self._open = self._length // 2
+
+    def points(self) -> Points:
+        """What is kept, in order."""
+        return [p for stretch in self._stretches for p in sorted(set(stretch))]
+
+
+def _extremes(
+    one: tuple[tuple[float, float], tuple[float, float]],
+    other: tuple[tuple[float, float], tuple[float, float]],
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    return min(one[0], other[0], key=_second), max(one[1], other[1], key=_second)
 
 
 def _second(point: tuple[float, float]) -> float:
@@ -161,7 +217,7 @@ def chart(
     x_label: str,
     y_label: str,
     *,
-    marks: Sequence[Mark] = (),
+    marks: Iterable[Mark] = (),
     floor: float | None = None,
 ) -> str:
     """Lines over time with a legend.
@@ -171,7 +227,8 @@ def chart(
     title : str
     lines : sequence of Line
     x_label, y_label : str
-    marks : sequence of Mark
+    marks : iterable of Mark
+        Those of one place are drawn once.
     floor : float, optional
         A value that the vertical axis shows in any case.
     """
@@ -181,10 +238,16 @@ def chart(
     frame = PlotFrame.about(points, CHART_HEIGHT)
     parts = frame.axes(x_label, y_label)
     for line in lines:
-        d = frame.path(thinned(line.points), steps=line.steps)
-        parts.append(f'<path class="line" {_look(line.place)} d="{d}"/>')
+        if len(line.points) > DENSE and line.banded:
+            d = frame.path(band(line.points))
+            colour = COLOURS[line.place % len(COLOURS)]
+            parts.append(f'<path class="band" fill="{colour}" d="{d}Z"/>')
+        else:
+            d = frame.path(line.points, steps=line.steps)
+            parts.append(f'<path class="line" {_look(line.place)} d="{d}"/>')
     foot = CHART_HEIGHT - BOTTOM
-    ticked = "".join(f"M{_number(frame.at(m.x, 0.0)[0])} {foot}v-7" for m in marks)
+    places = dict.fromkeys(_number(frame.at(m.x, 0.0)[0]) for m in marks)
+    ticked = "".join(f"M{x} {foot}v-7" for x in places)
     if ticked:
         parts.append(f'<path class="mark" d="{ticked}"/>')
     return svg(title, CHART_HEIGHT, parts) + legend([(x.label, x.place) for x in lines])

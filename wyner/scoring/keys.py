@@ -4,26 +4,39 @@ The claim is the operator's; a run can refute it, and never prove it. What she m
 her capture is all that she heard, and which copies counted stands in the plant's trace.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.messages import Sealed
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_KEYS, PLANT_KEYS, PLANT_TRACE
+from protocol.runtime.jsonl import decode
+from protocol.runtime.parts import parts_of
+from protocol.runtime.run_folder import (
+    CAPTURE,
+    CONTROLLER_KEYS,
+    CONTROLLER_TRACE,
+    PLANT_KEYS,
+    PLANT_TRACE,
+)
 from protocol.runtime.trace import TraceError, TraceReader
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
 from protocol.secret.store import KeyStore
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.inference.key_solver import bits_held
-from tap_service.inference.miss_rate import MissRate, miss_rate
+from tap_service.inference.miss_rate import AWAY, Audit, MissRate
 
 KEY_BITS: Final = 8 * NONCE_BYTES
 
 Copy = tuple[str, str, int]
 """A copy 0: which message (``offer``, ``measurement``), session and step."""
+
+_LEAVING: Final = (b'{"event":"appearances"', b'{"event":"session"')
+"""How the lines of a trace begin that tell how often messages left, and in which session."""
 
 
 class AuditedBlock(NamedTuple):
@@ -53,6 +66,40 @@ class _Block:
     steps: int = 0
     last_k: int = -1
     copies: list[Copy] = field(default_factory=list)
+
+
+class _Leaving:
+    """How often the messages of one end left, from its trace."""
+
+    def __init__(self, trace: Path) -> None:
+        self._at: dict[str | None, list[tuple[int, int]]] = {}
+        times = 1
+        for event in _leaving(trace):
+            k = event.get("k", -1)
+            times = event.get("times", times)
+            self._at.setdefault(event["session"], []).append((k, times))
+
+    def times(self, session: str, k: int) -> int | None:
+        """Of the message of step k; None where that changed just then."""
+        times = None
+        for at, count in self._at.get(session, ()):
+            if abs(at - k) <= 1 and times not in (None, count):
+                return None
+            if at <= k:
+                times = count
+        return 1 if times is None else times
+
+
+def _leaving(trace: Path) -> Iterator[dict[str, Any]]:
+    """The lines of a trace that tell it; nothing else is parsed."""
+    for part in parts_of(trace):
+        try:
+            with part.open("rb") as lines:
+                for line in lines:
+                    if line.startswith(_LEAVING) and (event := decode(line)) is not None:
+                        yield event
+        except OSError:
+            continue
 
 
 @dataclass(slots=True)
@@ -115,8 +162,9 @@ class KeyAudit:
     same : bool or None
         Whether both stores hold the same keys under the same ids in the same order; None where one
         of them is not there.
-    rate : MissRate or None
-        Her misses of copies 0, None where nothing was captured.
+    rates : mapping of str to MissRate
+        Her misses of copies 0 while she was there, each direction by itself, and in it each number
+        of times that messages left; empty where nothing was captured.
     seconds : float
         Plant time.
     period_s : float
@@ -127,7 +175,7 @@ class KeyAudit:
     refused: str | None
     blocks: tuple[AuditedBlock, ...]
     same: bool | None
-    rate: MissRate | None
+    rates: Mapping[str, MissRate]
     seconds: float
     period_s: float
 
@@ -142,6 +190,17 @@ class KeyAudit:
         return sum(block.held_bits for block in self.blocks if block.keys)
 
     @property
+    def waiting(self) -> int:
+        """Whole blocks with rows for a key that the partner has not confirmed."""
+        return sum(block.rows >= 2 and not block.confirmed for block in self.blocks)
+
+    @property
+    def missed(self) -> float | None:
+        """Share of copies 0 that she missed while she was there; None where she never was."""
+        copies = sum(rate.copies for rate in self.rates.values())
+        return sum(rate.missed for rate in self.rates.values()) / copies if copies else None
+
+    @property
     def first_key_s(self) -> float | None:
         """Plant time at which the first key's block was over."""
         made = [block for block in self.blocks if block.keys]
@@ -154,16 +213,16 @@ class KeyAudit:
         if self.held_bits:
             broken = sum(block.held_bits > 0 and block.keys > 0 for block in self.blocks)
             found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
-        if self.rate is not None and self.rate.refuted:
-            found.append(
-                f"she misses {self.rate.high:.3g} at most, and eps_E = {self.claim:g} was claimed: "
-                "refuted"
-            )
-        if self.rate is not None and self.rate.bursts:
-            found.append(
-                f"her misses come in bursts (lag {self.rate.lag}, {self.rate.z:.1f} standard "
-                "deviations)"
-            )
+        for name, rate in self.rates.items():
+            if rate.refuted:
+                found.append(
+                    f"she misses {rate.high:.3g} of the {name} at most, and eps_E = "
+                    f"{self.claim:g} was claimed: refuted"
+                )
+            if rate.bursts:
+                found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
+            if not rate.copies and rate.absent:
+                found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
         if self.same is False:
             found.append("the two stores differ")
         return tuple(found)
@@ -176,16 +235,18 @@ class KeyAudit:
         last = made[-1] if made else None
         return {
             "made": self.made,
+            "waiting": self.waiting,
             "bits_per_second": KEY_BITS * self.made / self.seconds if self.seconds else 0.0,
             "last_block_bits_per_second": 0.0
             if last is None
             else KEY_BITS * last.keys / (last.steps * self.period_s),
             "first_key_s": self.first_key_s,
             "same_at_both_ends": self.same,
-            "held_by_tap_bits": None if self.rate is None else self.held_bits,
+            "held_by_tap_bits": self.held_bits if self.rates else None,
             "refused": self.refused,
             "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
-            "missed_by_tap": None if self.rate is None else self.rate.missed / self.rate.copies,
+            "missed_by_tap": self.missed,
+            "audited": {name: rate._asdict() for name, rate in self.rates.items()},
             "assumption": self.sentence,
             "warnings": list(self.warnings),
         }
@@ -202,6 +263,9 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
         f"Eve holds {held} bits of them.",
         f"           {keys['assumption']}",
     ]
+    if keys["waiting"]:
+        text = f"{keys['waiting']} blocks are whole, and wait to be confirmed at both ends"
+        lines.append(f"           {text}")
     if refused is not None:
         lines.append(f"           refused: {refused}")
     return lines + [f"           WARNING: {text}" for text in keys["warnings"]]
@@ -215,7 +279,8 @@ def audit_keys(run_dir: Path, scenario: Scenario) -> KeyAudit | None:
     schedule = scenario.keys.schedule()
     refused = _refused(run_dir) or scenario.keys.refusal()
     if schedule is None:
-        nothing = (claim.sentence(), refused, (), None, None, 0.0, scenario.plant.period_s)
+        rates: dict[str, MissRate] = {}
+        nothing = (claim.sentence(), refused, (), None, rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
     walk = _Walk(schedule)
     try:
@@ -229,25 +294,56 @@ def audit_keys(run_dir: Path, scenario: Scenario) -> KeyAudit | None:
         for at, block in walk.blocks.items()
         if block.transitions == schedule.length(at[1])
     )
-    rate = None
-    if heard is not None:
-        directions = claim.directions
-        sent = [c for c in walk.sent if directions in ("both", f"{c[0]}s")]
-        rate = miss_rate([copy not in heard for copy in sent], claim.eps_E)
+    rates = {} if heard is None else _rates(run_dir, claim, walk.sent, heard)
     return KeyAudit(
         claim.eps_E,
         claim.sentence(),
         refused,
         blocks,
         _same(run_dir),
-        rate,
+        rates,
         walk.steps * scenario.plant.period_s,
         scenario.plant.period_s,
     )
 
 
+def _rates(
+    run_dir: Path, claim: Assumption, sent: Sequence[Copy], heard: Mapping[Copy, int]
+) -> dict[str, MissRate]:
+    """Her misses by class: direction, and how often the message left.
+
+    What left more often than the claim states was no copy 0, and what left just then may have been
+    none; neither is counted. She was not there before she heard anything, between two of her
+    recordings, and after the last copy that she heard, where :data:`AWAY` or more followed. Her
+    capture's header says how many of a message's appearances reach her: 1, by her own link.
+    """
+    hears = CaptureReader(run_dir / CAPTURE).header.get("appearances", 1)
+    leaving = {
+        "measurement": _Leaving(run_dir / PLANT_TRACE),
+        "offer": _Leaving(run_dir / CONTROLLER_TRACE),
+    }
+    copies: list[tuple[str, Copy]] = []
+    for copy in sent:
+        name = f"{copy[0]}s"
+        times = leaving[copy[0]].times(*copy[1:])
+        if claim.directions not in ("both", name) or times is None or times > claim.appearances:
+            continue
+        copies.append((name if times == 1 else f"{name} that left {times} times", copy))
+    last: dict[int, int] = {}  # of each of her recordings, the last copy in it
+    for i, (_, copy) in enumerate(copies):
+        if copy in heard:
+            last[heard[copy]] = i
+    ends = {i for i in last.values() if i < max(last.values()) or len(copies) - i > AWAY}
+    audit = Audit(claim.eps_E**hears, tuple(dict.fromkeys(name for name, _ in copies)))
+    for i, (name, copy) in enumerate(copies):
+        audit.add(name, missed=copy not in heard)
+        if i in ends:
+            audit.gone()
+    return audit.judge()
+
+
 def _audited(
-    walk: _Walk, at: tuple[str, int], block: _Block, heard: set[Copy] | None
+    walk: _Walk, at: tuple[str, int], block: _Block, heard: Mapping[Copy, int] | None
 ) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
@@ -267,17 +363,18 @@ def _audited(
     )
 
 
-def _heard(run_dir: Path) -> set[Copy] | None:
-    """Every copy 0 in the capture; None where there is none."""
+def _heard(run_dir: Path) -> dict[Copy, int] | None:
+    """Every copy 0 in the capture, with the number of her recording; None where there is none."""
+    heard: dict[Copy, int] = {}
     try:
         reader = CaptureReader(run_dir / CAPTURE)
-        return {
-            (message.topic, message.session, message.k)
-            for _, message in reader.records()
-            if not isinstance(message, Sealed) and not message.copy_number
-        }
+        for _, message in reader.records():
+            if not isinstance(message, Sealed) and not message.copy_number:
+                copy = (message.topic, message.session, message.k)
+                heard.setdefault(copy, reader.lives)
     except (CaptureError, OSError):
         return None
+    return heard
 
 
 def _refused(run_dir: Path) -> str | None:

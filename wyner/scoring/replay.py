@@ -14,7 +14,8 @@ from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
 from tap_service.guests import guarded
 from tap_service.status import Listener, status_of
-from wyner.scoring.score import Said, Step
+from wyner.scoring.by_step import BySteps
+from wyner.scoring.score import Said
 
 COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "garbage")
 
@@ -78,8 +79,8 @@ class Replay:
         self.finished = False
         self._first, self._last = first, last
         self._records = self.reader.records()
-        self._guesses: dict[str, dict[Step, int]] = {x.name: {} for x in self.listeners}
-        self._reviews: dict[str, dict[Step, int]] = {x.name: {} for x in self.listeners}
+        self._guesses: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
+        self._reviews: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
 
     def advance(self, transitions: int) -> bool:
         """Decode about ``transitions`` more; False when the capture is at its end."""

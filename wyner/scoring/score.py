@@ -1,33 +1,30 @@
 """Secrecy as it is reported: each eavesdropper's guesses beside the truth, and beside the claim.
 
 This is the scoring, and it stands outside the tap: it reads what the tap wrote and the plant's
-trace, and nothing in the tap imports it. Probabilities come with Wilson intervals, and a guessing
-probability P_g gives the min-entropy -log2 P_g that it leaves of one key symbol.
+trace, and nothing in the tap imports it. Only one who runs and guesses is scored: of one who failed
+or did not guess nobody knows what she leaves. Intervals are those of :mod:`protocol.statistics`.
 """
 
 import base64
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from operator import index
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from pydantic_core import from_json
 
 from protocol.agreement import NO_SYMBOL
 from protocol.runtime.jsonl import read_lines
 from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE
-from protocol.runtime.trace import Trace, TraceError, read_trace
+from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
+from protocol.runtime.trace import TraceError, TraceReader
+from protocol.scenario import ScenarioError, load_scenario
 from protocol.text import printable
 from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
-
-Z: Final = 1.959963984540054
-"""Normal quantile of a two-sided 95 % interval."""
-
-Step = tuple[str, int]
+from wyner.scoring.by_step import BySteps, Step
 
 
 class ScoreError(Exception):
@@ -36,7 +33,7 @@ class ScoreError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """A share of successes with its 95 % Wilson interval; of no trials it says nothing."""
+    """Successes and trials; of no trials it says nothing."""
 
     right: float
     of: int
@@ -47,17 +44,9 @@ class Proportion:
         return self.right / self.of if self.of else None
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """Lower and upper end; (0, 1) of no trials."""
-        if not self.of:
-            return 0.0, 1.0
-        n, p, z2 = self.of, self.right / self.of, Z**2
-        centre = p + z2 / (2 * n)
-        spread = Z * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
-        scale = 1 + z2 / n
-        low = 0.0 if p == 0 else max(0.0, (centre - spread) / scale)
-        high = 1.0 if p == 1 else min(1.0, (centre + spread) / scale)
-        return low, high
+    def every(self) -> bool:
+        """Whether each of them, and there was one."""
+        return bool(self.of) and self.right == self.of
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +65,8 @@ class Truth:
     whole : tuple of (int, bytes)
         Each message that the plant recovered, with the step (of its session) at which it was whole.
     transitions : int
+    hidden_widths : int
+        Widths of D_c that one who knows f_c and D_e does not know.
     """
 
     size: int
@@ -83,6 +74,7 @@ class Truth:
     symbols: Mapping[Step, int]
     whole: tuple[tuple[int, bytes], ...]
     transitions: int
+    hidden_widths: int = 1
 
     @property
     def claimed_bits(self) -> float:
@@ -98,21 +90,22 @@ class Truth:
             {at: symbol for at, symbol in self.symbols.items() if low <= at[1] <= high},
             tuple((k, payload) for k, payload in self.whole if low <= k <= high),
             self.transitions,
+            self.hidden_widths,
         )
 
 
-def truth_of(trace: Trace) -> Truth:
-    """Read the truth from a plant's trace."""
-    keys: dict[Step, int] = {}
-    symbols: dict[Step, int] = {}
-    steps: set[Step] = set()
+def truth_of(events: Iterable[dict[str, Any]]) -> Truth:
+    """The truth from a plant's trace, event by event."""
+    keys, symbols, steps = BySteps(), BySteps(), BySteps()
     whole: list[tuple[int, bytes]] = []
+    last: dict[str, int] = {}
     size, last_k = 2, -1
-    for event in trace.events:
+    for event in events:
         if event["event"] == "transition":
-            at = (str(event["session"]), int(event["k"]))
-            steps.add(at)
-            last_k = at[1]
+            session, last_k = str(event["session"]), int(event["k"])
+            at = session, last_k
+            steps[at] = 1
+            last[session] = max(last_k, last.get(session, last_k))
             size = len(event["candidates"])
             # a plant that was killed may have written a transition twice: the last counts
             for store, value in (
@@ -124,9 +117,6 @@ def truth_of(trace: Trace) -> Truth:
                     store[at] = value
         elif event["event"] == "recovered":
             whole.append((last_k, base64.b64decode(event["payload"])))
-    last: dict[str, int] = {}
-    for session, k in steps:
-        last[session] = max(k, last.get(session, k))
     for at in last.items():  # no message follows it: its result never travelled
         keys.pop(at, None)
     return Truth(size, keys, symbols, tuple(whole), len(steps))
@@ -136,7 +126,8 @@ def truth_of(trace: Trace) -> Truth:
 class Said:
     """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
 
-    Where she was not ``heard_out``, nobody knows which symbols she believes in.
+    Where she was not ``heard_out``, nobody knows which symbols she believes in. ``behind`` counts
+    the steps captured that she never looked at.
     """
 
     name: str
@@ -146,6 +137,7 @@ class Said:
     belief: Belief
     failed: str = ""
     heard_out: bool = True
+    behind: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +150,8 @@ class EavesdropperScore:
     keys : Proportion
         Agreed steps on which her likeliest symbol, right after the step, was the key symbol; one
         that she missed counts as a blind guess. Steps before the first and after the last that is
-        on record of her are left out: she was not there, or her log was cut.
+        on record of her are left out: she was not there, or her log was cut. None of one who failed
+        or did not guess.
     keys_reviewed : Proportion
         The same with her second thoughts, where she has any.
     bits : Proportion
@@ -176,7 +169,13 @@ class EavesdropperScore:
     guess : str
         Her best message as text.
     failed : str
-        Why she stopped, if she did.
+        Why she stopped, if she did. What she had before counts, what she lacks does not.
+    stray : int
+        Steps that she takes for the message's, and that are none of it: they shift her frame.
+    behind : int
+        Steps captured that she never looked at.
+    told_left : float, optional
+        Bits left by her own account, where she gives one.
     held : KeysHeld, optional
         What she holds of distilled keys, by her own count, where she goes for them.
     """
@@ -192,12 +191,18 @@ class EavesdropperScore:
     guess: str = ""
     failed: str = ""
     held: KeysHeld | None = None
+    stray: int = 0
+    behind: int = 0
+    told_left: float | None = None
 
     @property
-    def guessing(self) -> float | None:
-        """P_g per key symbol, with all that she knew at the end; never below 1/M."""
-        share = self.keys_reviewed.share
-        return None if share is None else max(share, 1.0 / self.size)
+    def why_unscored(self) -> str:
+        """Why nobody knows what she leaves; empty where it is known."""
+        if self.messages.every:
+            return ""
+        if self.failed:
+            return f"she failed: {self.failed}"
+        return "" if self.keys_reviewed.of or self.told_left is not None else "she guessed nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,10 +214,30 @@ class RunScore:
     taps: tuple[EavesdropperScore, ...]
 
 
+class Later(Mapping[Step, int]):
+    """Her guesses, and in place of each its second thought where there is one."""
+
+    def __init__(self, live: Mapping[Step, int], reviewed: Mapping[Step, int]) -> None:
+        self._live, self._reviewed = live, reviewed
+
+    def __getitem__(self, at: Step) -> int:
+        return self._reviewed[at] if at in self._reviewed else self._live[at]
+
+    def __contains__(self, at: object) -> bool:
+        return at in self._reviewed or at in self._live
+
+    def __iter__(self) -> Iterator[Step]:
+        yield from self._live
+        yield from (at for at in self._reviewed if at not in self._live)
+
+    def __len__(self) -> int:
+        return len(self._live) + sum(at not in self._live for at in self._reviewed)
+
+
 def score(truth: Truth, said: Said) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     blind = 1.0 / truth.size
-    keys = _on_record(truth, said)
+    keys = {} if said.failed else _on_record(truth, said)
 
     def right(guesses: Mapping[Step, int]) -> float:
         missed = sum(at not in guesses for at in keys)
@@ -231,7 +256,7 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
     return EavesdropperScore(
         name=said.name,
         keys=Proportion(right(said.live), len(keys)),
-        keys_reviewed=Proportion(right({**said.live, **said.reviewed}), len(keys)),
+        keys_reviewed=Proportion(right(Later(said.live, said.reviewed)), len(keys)),
         bits=_bits(truth, said),
         messages=Proportion(exact, len(recovered)),
         candidates_left=belief.candidates_left,
@@ -240,39 +265,47 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
         guess=belief.message.decode("utf-8", errors="replace"),
         failed=said.failed,
         held=belief.keys,
+        stray=_stray(truth, said),
+        behind=said.behind,
+        told_left=None if said.failed else belief.bits_left,
     )
 
 
 def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
     """The keys of the steps between the first and the last guess of hers in each session.
 
-    Of one who was there to the end and heard nothing at all, every key counts.
+    Without a guess there is nothing to score.
     """
-    if not said.live:
-        return truth.keys if said.heard_out else {}
     first: dict[str, int] = {}
     last: dict[str, int] = {}
     for session, k in said.live:
         first[session] = min(k, first.get(session, k))
         last[session] = max(k, last.get(session, k))
-    return {
-        (session, k): key
+    return BySteps(
+        ((session, k), key)
         for (session, k), key in truth.keys.items()
         if session in first and first[session] <= k <= last[session]
-    }
+    )
 
 
 def _bits(truth: Truth, said: Said) -> Proportion:
     """Message symbols right, of her last session's; of the newest only, where she kept no more."""
-    if not said.heard_out:
+    if not said.heard_out or said.failed or not said.live:
         return Proportion(0.0, 0)
     symbols = dict(said.belief.symbols)
     oldest = min(symbols) if len(symbols) >= KEPT_SYMBOLS else 0
-    asked = {k: s for (session, k), s in truth.symbols.items() if session == said.session}
-    asked = {k: s for k, s in asked.items() if k >= oldest}
-    missed = sum(k not in symbols for k in asked)
-    right = sum(symbols.get(k) == symbol for k, symbol in asked.items())
-    return Proportion(right + missed / truth.size, len(asked))
+    asked = missed = right = 0
+    for (session, k), symbol in truth.symbols.items():
+        if session == said.session and k >= oldest:
+            asked += 1
+            missed += k not in symbols
+            right += symbols.get(k) == symbol
+    return Proportion(right + missed / truth.size, asked)
+
+
+def _stray(truth: Truth, said: Said) -> int:
+    """Steps of her last session that she takes for the message's and that are not."""
+    return sum((said.session, k) not in truth.symbols for k, _ in said.belief.symbols)
 
 
 def read_said(run_dir: Path) -> list[Said]:
@@ -290,13 +323,14 @@ def read_said(run_dir: Path) -> list[Said]:
         raise ScoreError(f"{beliefs}: cannot be read: {error.strerror}") from None
     except ValueError:
         raise ScoreError(f"{beliefs}: expected the tap's beliefs as JSON") from None
-    guesses: dict[str, dict[str, dict[Step, int]]] = {}
+    guesses: dict[str, dict[str, BySteps]] = {}
     for stem in (GUESSES, ANALYSIS_GUESSES):
         for path in parts_of(run_dir / stem):
             for line in read_lines(path):
                 event = line.value or {}
                 if event.get("event") in ("guess", "review"):
-                    mine = guesses.setdefault(event["name"], {"guess": {}, "review": {}})
+                    none = {"guess": BySteps(), "review": BySteps()}
+                    mine = guesses.setdefault(event["name"], none)
                     mine[event["event"]][event["session"], event["k"]] = event["symbol"]
     return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
 
@@ -312,6 +346,7 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
         solved_k=index(record["solved_k"]),
         confidence=float(record["confidence"]),
         symbols=() if symbols is None else tuple((int(k), int(v)) for k, v in symbols),
+        bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
     return Said(
@@ -322,6 +357,7 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
         belief=belief,
         failed=str(record["failed"]),
         heard_out=symbols is not None,
+        behind=index(record.get("behind", 0)),
     )
 
 
@@ -334,9 +370,16 @@ def read_truth(run_dir: Path) -> Truth:
         When its plant's trace cannot be read.
     """
     try:
-        return truth_of(read_trace(run_dir / PLANT_TRACE))
+        truth = truth_of(TraceReader(run_dir / PLANT_TRACE))
     except TraceError as error:
         raise ScoreError(str(error)) from None
+    except (LookupError, TypeError, ValueError) as error:  # a line that no plant wrote
+        what = f"{type(error).__name__}: {error}"
+        raise ScoreError(f"{PLANT_TRACE}: a line is not as expected: {what}") from None
+    try:
+        return replace(truth, hidden_widths=load_scenario(run_dir / SCENARIO).hidden_widths)
+    except ScenarioError:
+        return truth  # a folder of traces alone
 
 
 def score_run(run_dir: Path) -> RunScore:
@@ -353,7 +396,10 @@ def score_run(run_dir: Path) -> RunScore:
 
 
 def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
-    """Per eavesdropper, what the summary of a run says: accuracies and her guess."""
+    """Per eavesdropper, what the summary of a run says: accuracies and her guess.
+
+    Accuracies are shares of one run: they have no interval.
+    """
     return {
         tap.name: {
             "symbol_accuracy": tap.keys_reviewed.share,
@@ -365,6 +411,10 @@ def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
             "candidates_left": tap.candidates_left,
             "solved_k": tap.solved_k,
             "guessed_text": tap.guess,
+            "failed": tap.failed,
+            "unscored": tap.why_unscored,
+            "stray_steps": tap.stray,
+            "steps_not_looked_at": tap.behind,
             "keys": None if tap.held is None else tap.held.model_dump(),
         }
         for tap in run.taps

@@ -9,7 +9,8 @@ from protocol.runtime.run_folder import PLANT_TRACE
 from protocol.runtime.trace import TraceError, TraceReader
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
-from wyner.scoring.score import ScoreError, Step
+from wyner.scoring.by_step import Step
+from wyner.scoring.score import ScoreError
 
 Row = dict[str, Any]
 

@@ -16,6 +16,7 @@ from typing import Final, Literal, Protocol
 
 from controller_service.endpoint import ControllerEndpoint
 from plant_service import from_journal
+from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
@@ -42,12 +43,13 @@ class History:
     """What happened, as both ends saw it.
 
     ``offered`` has each offer ever sent, after the transition it was meant for and whether it
-    carries.
+    carries. ``rewritten`` names transitions that one side counted in two versions.
     """
 
     plant: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     controller: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     coins: dict[tuple[str, int], int] = field(default_factory=dict)
+    rewritten: list[tuple[str, int]] = field(default_factory=list)
     offered: list[tuple[int, bool, Offer]] = field(default_factory=list)
     inbox: list[bytes] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
@@ -140,6 +142,8 @@ class Simulation:
         A deadline each step, in virtual seconds; None for lock-step.
     plant_journal : PlantDisk, optional
         None: one in memory.
+    own : callable, optional
+        Gives what stands in the place of the scenario's plant, for each life of its process.
     """
 
     def __init__(
@@ -153,7 +157,9 @@ class Simulation:
         step_s: float | None = None,
         run: int = 0,
         plant_journal: PlantStorage | None = None,
+        own: Callable[[], Stepped | PlantAdapter] | None = None,
     ) -> None:
+        self._own = own
         self.history = History()
         self.now_s = 0.0
         self._scenario = scenario
@@ -274,19 +280,27 @@ class Simulation:
     def traced(self, event: Event) -> None:
         """Note what a side counted."""
         if isinstance(event, CountedTransition):
-            self.history.controller[event.session, event.j] = event
+            self._counted(self.history.controller, event)
         elif isinstance(event, Applied):
             t = event.transition
-            self.history.plant[t.session, t.j] = t
+            self._counted(self.history.plant, t)
             self.history.coins[t.session, t.j] = event.coin
         elif isinstance(event, Missed):
             self.history.missed += 1
+
+    def _counted(
+        self, known: dict[tuple[str, int], CountedTransition], t: CountedTransition
+    ) -> None:
+        at = t.session, t.j
+        if known.setdefault(at, t) != t:
+            self.history.rewritten.append(at)
 
     # --- lives and deaths -------------------------------------------------------------------------
 
     def _start(self, side: Side) -> None:
         end = self._ends[side]
         end.lives += 1
+        end.ports.doom()
         end.keeper = self.keeper(side)
         end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
         self._perform(end, end.endpoint.start(self.now_s))
@@ -317,6 +331,7 @@ class Simulation:
             self._identifier,
             self.now_s,
             Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
+            own=None if self._own is None else self._own(),
         )
         return self._plant
 

@@ -15,6 +15,7 @@ import numpy as np
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
+from protocol.agreement import predict as predict_linear
 from protocol.link.session import rules_of
 from protocol.runtime.model import load_model
 from protocol.scenario import Scenario
@@ -129,12 +130,16 @@ def simulate_plant(
     R = len(runs)
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
-    judge, predict = rules_of(scenario).judge, load_model(scenario, folder)
+    rules = rules_of(scenario)
+    judge, predict = rules.judge, load_model(scenario, folder)
+    rule, own_shape = rules.agreement, scenario.secrecy.disturbance is not None
+    f_c = predict or partial(predict_linear, scenario.A, scenario.B)
     coin = np.empty((steps, R), dtype=symbol_type(M))
     symbol = np.empty((steps, R), dtype=symbol_type(M))
     xs = np.empty((steps + 1, n, R))
     us = np.empty((steps, M, m, R))
     gs = np.empty((steps, M, R))
+    largest = np.empty((steps, R))
     for place, run in enumerate(runs):
         coins = SeededSymbols(seed, COIN, run=run)
         noise = Stream(seed, DISTURBANCE, width=width, run=run)
@@ -158,6 +163,8 @@ def simulate_plant(
                 xs[k + 1, :, place] = t.x_next
                 us[k, :, :, place] = t.candidates
                 gs[k, :, place] = gauges
+                centres = [f_c(t.x, u) for u in t.candidates] if own_shape else ()
+                largest[k, place] = rule.widest(centres, t.x_next) if own_shape else max(gauges)
         except (LookupError, PlantError) as error:
             raise SimulationError(f"run {run}, step {k + 1}: {error}") from None
         finally:
@@ -169,7 +176,7 @@ def simulate_plant(
         runs=runs,
         coin=coin,
         symbol=symbol,
-        largest=gs.max(axis=1),
+        largest=largest,
         state_cost=(xs[1:] ** 2).sum(axis=(0, 1)),
         input_effort=(applied**2).sum(axis=(0, 1)),
         x=xs,

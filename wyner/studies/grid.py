@@ -28,6 +28,9 @@ from protocol.shipped import SCENARIOS
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"
+FILE: Final = "file"
+"""A column of a sweep over several scenarios: as the sweep names each. Two may have one name."""
+
 NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
 """Fields of a scenario that the numbers do not depend on, but for ``tap.loss`` where keys are gone
 for."""
@@ -124,6 +127,12 @@ class Sweep(_Part):
         return self
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """What tells its points apart: the grid's fields, and of several scenarios the file."""
+        several = not isinstance(self.scenario, str) and len(self.scenario) > 1
+        return (FILE, *self.grid) if several else tuple(self.grid)
+
+    @property
     def limit(self) -> int:
         """Runs that no point needs more than."""
         return max(self.runs, self.stop.max_runs if self.stop else 0)
@@ -166,7 +175,7 @@ class Point:
     scenario : Scenario
     variant : str
     fields : dict
-        The grid's fields and their values.
+        The grid's fields and their values; of several scenarios also which, as `FILE`.
     task : str
         Hash of all that its numbers depend on: scenario, steps, seed and batch.
     """
@@ -274,8 +283,10 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                         **_heard(sweep, scenario),
                     }
                 )
-                point = Point(scenario, variant.label, fields, task)
                 shown = f"{where}: {canonical(fields)}" if fields else where
+                if FILE in sweep.columns:
+                    fields = {FILE: name, **fields}
+                point = Point(scenario, variant.label, fields, task)
                 if point.key in known:
                     problems.append(f"{shown}: stands there twice, first as {known[point.key]}")
                 known.setdefault(point.key, shown)
@@ -350,7 +361,7 @@ def code_version(*more: str) -> str:
 
 def describe(point: Point) -> str:
     """The point without its alpha, in a few words."""
-    fields: Mapping[str, Any] = {k: v for k, v in point.fields.items() if k != ALPHA}
+    fields: Mapping[str, Any] = {k: v for k, v in point.fields.items() if k not in (ALPHA, FILE)}
     parts = [point.scenario.name, *([point.variant] if point.variant else [])]
     parts += [f"{name} = {canonical(value)}" for name, value in fields.items()]
     return ", ".join(parts)

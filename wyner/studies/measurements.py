@@ -19,8 +19,9 @@ from protocol.shipped import SCENARIOS
 from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
-from wyner.studies import keys, signalling
+from wyner.studies import keys, shape, signalling
 from wyner.studies.grid import Point, code_version, load_sweep, points_of
+from wyner.studies.noise import study as noise
 from wyner.studies.results import Results
 from wyner.studies.secrecy.study import STUDIES, measure_study
 from wyner.studies.sweep import SerialExecutor, run_sweep
@@ -239,7 +240,7 @@ def measure_sweep(name: str) -> Callable[[Path], None]:
         sweep = load_sweep(file)
         with replacing(path, PUBLIC_FILE) as partial:
             partial.unlink()  # a sweep makes its file itself
-            results = Results(partial, list(sweep.grid), resume=False)
+            results = Results(partial, sweep.columns, resume=False)
             try:
                 points = points_of(sweep, file.parent)
                 failures = run_sweep(sweep, points, results, SerialExecutor())
@@ -284,6 +285,9 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "signalling-rates": measure_rows(signalling.RATE_COLUMNS, signalling.rate_rows),
     "signalling-price": measure_rows(signalling.PRICE_COLUMNS, signalling.price_rows),
     "two-step": measure_rows(signalling.CODE_COLUMNS, signalling.code_rows),
+    "block-codes": measure_rows(signalling.BLOCK_COLUMNS, signalling.block_rows),
+    "noise-bound": measure_rows(noise.COLUMNS, noise.bound_rows, noise.SOURCES),
+    "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
     "key-controls": measure_rows(keys.CONTROL_COLUMNS, keys.control_rows, keys.SOURCES),
 }
 """How each data file of docs/data is made."""

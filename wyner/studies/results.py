@@ -7,13 +7,19 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import log2
+from math import isnan, log2
 from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final
 
 from protocol.files import PUBLIC_FILE, write_atomically
-from wyner.scoring.statistics import Interval, bootstrap_mean, wilson
+from protocol.statistics import (
+    NOTHING,
+    Interval,
+    mean_over_runs,
+    mean_sequence,
+    share_over_runs,
+)
 from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
@@ -24,8 +30,15 @@ MEASURED: Final = (
     *COUNTS,
     *SUMS,
     "runs_by_symbols",
+    "runs_by_agreed",
 )
 """Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
+BY_RUN: Final = "runs_by_agreed"
+"""The column that says how many runs had how many of how many, as ``23/25:4``: agreed steps of
+those tested. Without it, as in files of before, the share has no interval: how runs differ cannot
+be told from a sum over them."""
+TAPPED_BY_RUN: Final = ("runs_by_keys", "runs_by_messages")
+"""The same of each eavesdropper: keys right of those agreed, messages read of those delivered."""
 TAPPED: Final = ("agreed", "right", "delivered", "read", "key_blocks", "key_bits")
 """Columns of each eavesdropper, after MEASURED: keys agreed and, of these, guessed right at once;
 messages that the plant had whole and, of these, those that she had; key blocks and the bits of
@@ -34,7 +47,7 @@ their rows that she holds, where she goes for keys. Named ``tap.NAME.right``."""
 
 def tap_columns(names: Iterable[str]) -> tuple[str, ...]:
     """The columns of the eavesdroppers of these names."""
-    return tuple(f"tap.{name}.{count}" for name in names for count in TAPPED)
+    return tuple(f"tap.{name}.{c}" for name in names for c in (*TAPPED, *TAPPED_BY_RUN))
 
 
 def taps_in(row: Row) -> list[str]:
@@ -189,17 +202,23 @@ def read_rows(path: Path) -> list[Row]:
 def _numbers(path: Path, rows: list[Row]) -> list[Row]:
     for number, row in enumerate(rows, start=2):
         try:
+            by_run = []
             for name in (*MEASURED, *tap_columns(taps_in(row))):
-                if name in ("period_s", *SUMS):
+                if name.rpartition(".")[2] in (BY_RUN, *TAPPED_BY_RUN):
+                    by_run += [name] if name in row else []
+                elif name in ("period_s", *SUMS):
                     row[name] = float(row[name])
                 elif name != "runs_by_symbols":
                     row[name] = int(row[name])
             name = "runs_by_symbols"
-            counted = sum(histogram_of(row[name]).values())
+            counted = {name: sum(histogram_of(row[name]).values())}
+            for name in by_run:
+                counted[name] = sum(pairs_of(row[name]).values())
         except (KeyError, ValueError):
             raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
-        if counted != row["runs"]:
-            raise SweepError(f"{path}: line {number}: {name}: expected {row['runs']} runs")
+        for name, runs in counted.items():
+            if runs != row["runs"]:
+                raise SweepError(f"{path}: line {number}: {name}: expected {row['runs']} runs")
     try:
         summarise(rows)
     except SweepError as error:
@@ -221,6 +240,8 @@ class Summary:
         How many runs carried each number of message symbols.
     taps : dict
         For each eavesdropper the counts of `TAPPED`.
+    pairs : dict
+        For each share how many runs had how many of how many; without those that the rows lack.
     """
 
     first: Row
@@ -229,19 +250,76 @@ class Summary:
     sums: dict[str, float]
     histogram: dict[int, int]
     taps: dict[str, dict[str, int]]
+    pairs: dict[str, dict[tuple[int, int], int]]
+
+    @property
+    def _scale(self) -> float:
+        row = self.first
+        return float(log2(row["candidates"]) / (row["steps"] * row["period_s"]))
 
     @property
     def rate(self) -> Interval:
         """Bits a second of plant time, with the bootstrap interval over runs."""
-        row = self.first
-        bits = log2(row["candidates"]) / (row["steps"] * row["period_s"])
-        return bootstrap_mean(self.histogram).scaled(bits)
+        return mean_over_runs(self.histogram).scaled(self._scale)
+
+    @property
+    def rate_at_every_look(self) -> Interval:
+        """The same with limits that hold at every look: where runs are added until they fit."""
+        return mean_sequence(self.histogram).scaled(self._scale)
+
+    @property
+    def shares(self) -> dict[str, Interval]:
+        """Steps that agreed, and of each eavesdropper keys right and messages read, over runs."""
+        sums = {"agreed": (self.counts["agreements"], self.counts["tested"])}
+        for name, counts in self.taps.items():
+            sums[f"{name} keys right"] = (counts["right"], counts["agreed"])
+            sums[f"{name} messages read"] = (counts["read"], counts["delivered"])
+        found = {}
+        for name, (right, of) in sums.items():
+            pairs = self.pairs.get(name)
+            if pairs is not None:
+                found[name] = share_over_runs(Counter(pairs).elements())
+            else:
+                found[name] = Interval(right / of) if of else NOTHING
+        return found
 
 
 def histogram_of(text: str) -> dict[int, int]:
     """The column ``runs_by_symbols``, read."""
     pairs = (pair.split(":") for pair in text.split())
     return {int(value): int(runs) for value, runs in pairs}
+
+
+def pairs_of(text: str) -> dict[tuple[int, int], int]:
+    """A column of :data:`BY_RUN` or :data:`TAPPED_BY_RUN`, read."""
+    found: Counter[tuple[int, int]] = Counter()
+    for part in text.split():
+        pair, runs = part.split(":")
+        right, of = pair.split("/")
+        found[int(right), int(of)] += int(runs)
+    return dict(found)
+
+
+def pairs_text(pairs: Iterable[tuple[int, int]]) -> str:
+    """The successes and trials of each run, as such a column holds them."""
+    counted = sorted(Counter(pairs).items())
+    return " ".join(f"{right}/{of}:{runs}" for (right, of), runs in counted)
+
+
+def _pairs(rows: Sequence[Row]) -> dict[str, dict[tuple[int, int], int]]:
+    """The shares of which every row says how many runs had how many."""
+    columns = {"agreed": BY_RUN}
+    for name in taps_in(rows[0]):
+        for share, column in zip(("keys right", "messages read"), TAPPED_BY_RUN, strict=True):
+            columns[f"{name} {share}"] = f"tap.{name}.{column}"
+    found = {}
+    for share, column in columns.items():
+        if all(column in row for row in rows):
+            counted: Counter[tuple[int, int]] = Counter()
+            for row in rows:
+                counted.update(pairs_of(row[column]))
+            found[share] = dict(counted)
+    return found
 
 
 def summarise(rows: Iterable[Row]) -> list[Summary]:
@@ -276,20 +354,27 @@ def summarise(rows: Iterable[Row]) -> list[Summary]:
                     name: {c: sum(row[f"tap.{name}.{c}"] for row in same) for c in TAPPED}
                     for name in taps_in(same[0])
                 },
+                pairs=_pairs(same),
             )
         )
     return out
 
 
-def ready_rows(summaries: Sequence[Summary], fields: Sequence[str]) -> list[Row]:
+def ready_rows(
+    summaries: Sequence[Summary], fields: Sequence[str], *, stopped: bool = False
+) -> list[Row]:
     """One row a point with what people plot: rates, shares, and the ends of their 95 % intervals.
 
-    Rates have a bootstrap interval over runs. Shares of keys and messages have Wilson intervals,
-    which count trials as independent.
+    Intervals are over runs; where the sweep has a stopping rule, the rate's hold at every look. A
+    cell is empty where there is no interval.
     """
+
+    def cell(value: float) -> float | str:
+        return "" if isnan(value) else value
+
     rows = []
     for s in summaries:
-        rate = s.rate
+        rate = s.rate_at_every_look if stopped else s.rate
         row: Row = {
             "scenario": s.first["scenario"],
             "variant": s.first["variant"],
@@ -297,18 +382,13 @@ def ready_rows(summaries: Sequence[Summary], fields: Sequence[str]) -> list[Row]
             "runs": s.runs,
             "steps": s.first["steps"],
             "bits_per_second": rate.value,
-            "bits_per_second_low": rate.low,
-            "bits_per_second_high": rate.high,
+            "bits_per_second_low": cell(rate.low),
+            "bits_per_second_high": cell(rate.high),
         }
-        shares = {"agreed": (s.counts["agreements"], s.counts["tested"])}
-        for name, counts in s.taps.items():
-            shares[f"{name} keys right"] = (counts["right"], counts["agreed"])
-            shares[f"{name} messages read"] = (counts["read"], counts["delivered"])
-        for name, (right, of) in shares.items():
-            share = wilson(right, of) if of else None
-            row[name] = "" if share is None else share.value
-            row[f"{name} low"] = "" if share is None else share.low
-            row[f"{name} high"] = "" if share is None else share.high
+        for name, share in s.shares.items():
+            row[name] = cell(share.value)
+            row[f"{name} low"] = cell(share.low)
+            row[f"{name} high"] = cell(share.high)
         rows.append(row)
     return rows
 

@@ -3,22 +3,24 @@
 import math
 from collections import Counter
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import Any, Final
 
 import numpy as np
 
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.alphabet import line_size
-from controller_service.sets.betting import DisturbanceLaw, best_bet
-from controller_service.sets.capacity import dither_price
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import feedback_gain
 from protocol.arrays import Array
 from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, parse_scenario
-from wyner.scoring.statistics import Interval, bootstrap_mean, normal_mean
+from protocol.statistics import Interval, mean_over_runs, normal_mean
 from wyner.simulate.engine import Runs, follow, simulate_runs
-from wyner.studies.two_step import best_codes, single_step_keys
+from wyner.studies.capacity.betting import DisturbanceLaw, best_bet
+from wyner.studies.capacity.blocks import chained_bits, finite_keys
+from wyner.studies.capacity.table import dither_price
+from wyner.studies.capacity.two_step import best_codes, single_step_keys
 
 SEED: Final = 7
 RUNS, STEPS = 100, 1000
@@ -26,7 +28,7 @@ ALPHAS: Final = (
     *(1.5, 2.0, 2.5, 2.67, 3.01, 3.5, 4.0, 4.5),
     *(5.01, 5.5, 6.0, 6.5, 7.01, 8.0, 9.01, 10.0),
 )
-SOURCES: Final = ("wyner/studies/signalling.py", "wyner/studies/two_step.py")
+SOURCES: Final = ("wyner/studies/signalling.py", "wyner/studies/capacity/*.py")
 
 RATE_COLUMNS: Final = (
     *("law", "scheme", "alpha", "candidates", "spacing", "runs", "steps", "seed"),
@@ -40,6 +42,8 @@ PRICE_COLUMNS: Final = (
 CODE_COLUMNS: Final = (
     *("alpha", "single_step", "two_step", "bits_per_step", "volume_bound", "period"),
 )
+BLOCK_STEPS: Final = (1, 2, 5, 10, 40)
+BLOCK_COLUMNS: Final = ("alpha", "steps", "bits_per_step", "volume_bound", "finite_bits")
 
 
 def changed(name: str, **tables: dict[str, Any]) -> Scenario:
@@ -62,7 +66,7 @@ def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected
     size = scenario.secrecy.candidates
     link = follow(runs, [alpha])
     agreed, carried = int(link.agreements.sum()), int(link.message_symbols.sum())
-    rate = bootstrap_mean(Counter(link.message_symbols[0].tolist())).scaled(math.log2(size) / STEPS)
+    rate = mean_over_runs(Counter(link.message_symbols[0].tolist())).scaled(math.log2(size) / STEPS)
     return (
         *(scenario.control.law, scenario.secrecy.scheme, alpha, size, spacing, RUNS, STEPS, SEED),
         *(agreed, carried, *rate, expected),
@@ -149,10 +153,18 @@ def _mean(values: Array) -> Interval:
 
 def code_rows() -> Iterator[tuple[Any, ...]]:
     """The most keys of one step and of two, just above each alpha."""
-    alphas = [round(2.0 + 0.125 * k, 3) for k in range(17)]
+    alphas = sorted([7 / 3, *(round(2.0 + 0.125 * k, 3) for k in range(17))])
     for alpha, code in zip(alphas, best_codes(alphas), strict=True):
         period = "; ".join(f"({x:g}, {y:g})" for x, y in code.periods)
         yield (
             *(alpha, single_step_keys(alpha), code.keys, math.log2(code.keys) / 2),
-            *(math.log2(1 + alpha), period),
+            *(math.log2(alpha), period),
         )
+
+
+def block_rows() -> Iterator[tuple[Any, ...]]:
+    """The chained code over blocks of steps, beside the volume bound and what finite offers do."""
+    for steps in BLOCK_STEPS:
+        for alpha in (round(1.05 + 0.05 * k, 2) for k in range(180)):
+            chained = chained_bits(Fraction(str(alpha)), steps)
+            yield alpha, steps, chained, math.log2(alpha), math.log2(finite_keys(alpha, 1))

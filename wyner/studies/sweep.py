@@ -31,7 +31,15 @@ from wyner.studies.grid import (
     describe,
     groups_of,
 )
-from wyner.studies.results import COUNTS, Results, key_of, summarise, tap_columns
+from wyner.studies.results import (
+    BY_RUN,
+    COUNTS,
+    Results,
+    key_of,
+    pairs_text,
+    summarise,
+    tap_columns,
+)
 
 
 @lru_cache(maxsize=64)
@@ -104,7 +112,9 @@ def run_task(
         histogram = Counter(link.message_symbols[i].tolist())
         text = " ".join(f"{v}:{runs}" for v, runs in sorted(histogram.items()))
         heard = _heard(simulated, alphas[i], eavesdroppers, message) if eavesdroppers else {}
-        rows.append(common | counts | sums | {"runs_by_symbols": text} | heard)
+        agreed = zip(link.agreements[i].tolist(), link.tested[i].tolist(), strict=True)
+        by_run = {"runs_by_symbols": text, BY_RUN: pairs_text(agreed)}
+        rows.append(common | counts | sums | by_run | heard)
     return code_version(), rows
 
 
@@ -117,17 +127,30 @@ def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str)
     payload = message.encode()
     size = frame_length(len(payload), secrecy.candidates)
     link = transfer(runs, payloads=[payload] * (1 + runs.steps // size))
-    counts = dict.fromkeys(tap_columns(name_of(name) for name in eavesdroppers), 0)
-    for place in range(len(runs.runs)):
-        for name, got in zip(eavesdroppers, listen(runs, link, eavesdroppers, place), strict=True):
-            for column, value in zip(tap_columns([name_of(name)]), astuple(got), strict=True):
-                counts[column] += value
-    return counts
+    of_runs = [listen(runs, link, eavesdroppers, place) for place in range(len(runs.runs))]
+    row: Row = {}
+    for i, eavesdropper in enumerate(eavesdroppers):
+        mine = [of_run[i] for of_run in of_runs]
+        sums = [sum(column) for column in zip(*map(astuple, mine), strict=True)]
+        by_run = [
+            pairs_text((got.right, got.agreements) for got in mine),
+            pairs_text((got.read, got.delivered) for got in mine),
+        ]
+        row |= zip(tap_columns([name_of(eavesdropper)]), (*sums, *by_run), strict=True)
+    return row
 
 
 def name_of(eavesdropper: str) -> str:
-    """What her columns are called: her name, or that of her class."""
-    return eavesdropper.rpartition(":")[2]
+    """What her columns are called: her name, as on every screen.
+
+    Raises
+    ------
+    KnowledgeError
+        When there is no such eavesdropper.
+    """
+    from tap_service.guests import guarded
+
+    return guarded(eavesdropper).name
 
 
 class SerialExecutor(Executor):
@@ -158,13 +181,14 @@ def looks(sweep: Sweep) -> Iterator[int]:
 def _enough(sweep: Sweep, group: Group, runs: int) -> bool:
     """Whether the first ``runs`` of every point of the group meet the stopping rule.
 
-    While all runs of a point carried the same, the bootstrap has no width and says nothing.
+    Whoever stops at the first narrow interval must have one that holds at every look. While all
+    runs of a point carried the same it has no limits and says nothing.
     """
     if sweep.stop is None:
         return True
     limit = sweep.stop.relative_width
     rows = [row for done in group.done.values() for row in done if row["first_run"] < runs]
-    return all(len(s.histogram) > 1 and s.rate.relative_width <= limit for s in summarise(rows))
+    return all(s.rate_at_every_look.relative_width <= limit for s in summarise(rows))
 
 
 def run_sweep(

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from protocol.agreement import INSIDE
+
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from protocol.scenario import Scenario
@@ -96,8 +98,9 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
     assert runs.candidates is not None
     assert runs.gauges is not None
     gauges = runs.gauges[SETTLED:]
-    inside = (gauges <= 1).sum(axis=1)
-    held = gauges.max(axis=1) <= scenario.secrecy.alpha
+    inside = (gauges <= INSIDE).sum(axis=1)
+    largest = runs.largest[SETTLED:]
+    held = largest <= scenario.secrecy.alpha
     one = inside == 1
     U, bound = (np.array(v) for v in scenario.control.inputs.rows())
     candidates = runs.candidates[SETTLED:]
@@ -113,11 +116,12 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
         "distance": float(np.median(apart)),
         "saturated": float(at_bound.mean()),
     }
-    # The same states judged by the smallest D_c that still holds D, and by its D_e.
+    # The same states judged by the smallest D_c that still holds D, and by its D_e; of a shape of
+    # its own it stays.
     room = room_in(scenario)
-    alone = ((gauges <= room).sum(axis=1) == 1) & (
-        gauges.max(axis=1) <= scenario.secrecy.alpha * room
-    )
+    hers = 1.0 if scenario.secrecy.disturbance is not None else room
+    one = (gauges <= room * INSIDE).sum(axis=1) == 1
+    alone = one & (largest <= scenario.secrecy.alpha * hers)
     return Why(**found, remedies=tuple(_remedies(scenario, found, float(alone.mean()))))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from wyner.verify import bus, files, key_blocks, keys, loop, message, sealed
+from wyner.verify import bus, files, key_blocks, keys, loop, message, sealed, stores
 from wyner.verify.clause import Clause, Finding, Tally
 from wyner.verify.evidence import Evidence, Part
 
@@ -65,8 +65,13 @@ CLAUSES: Final[tuple[Clause, ...]] = (
     Clause("blocks", "rule 10", "a block makes as many keys as its transitions allow",
            "blocks", key_blocks.blocks),
     Clause("tags", "rule 10", "a block has one tag", "messages", key_blocks.tags),
+    Clause("pads-once", "rule 10", "a set of pads signs one block", "blocks", key_blocks.pads_once),
+    Clause("given-once", "rule 11", "what one end gave has its mark at the other",
+           "keys", key_blocks.given_once),
     Clause("key-ids", "rule 10", "both stores hold the same ids in one order, in disjoint halves",
            "keys", key_blocks.key_ids),
+    Clause("key-stores", "rule 10", "each store holds what its end stored, and nobody changed it",
+           "rows", stores.key_stores),
     Clause("sealed-once", "rule 11", "a key seals one message, which travels as both ends have it",
            "messages", sealed.sealed_once),
     Clause("refused-at-zero", "rule 10", "where nothing is claimed there is no key",
@@ -75,7 +80,18 @@ CLAUSES: Final[tuple[Clause, ...]] = (
 
 
 OF_KEYS: Final = frozenset(
-    {"nonce-once", "copy-0-once", "counted", "blocks", "tags", "key-ids", "sealed-once"}
+    {
+        "nonce-once",
+        "copy-0-once",
+        "counted",
+        "blocks",
+        "tags",
+        "pads-once",
+        "given-once",
+        "key-ids",
+        "key-stores",
+        "sealed-once",
+    }
 )
 """Clauses of which a scenario that makes no keys knows nothing."""
 

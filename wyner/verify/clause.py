@@ -4,6 +4,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+from protocol.brief import Brief
 from wyner.verify.evidence import Evidence, Part
 
 EDGE: Final = 1e-9
@@ -72,12 +73,18 @@ class Clause:
     judge: Callable[[Evidence, Tally], Judging]
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+@dataclass(frozen=True, slots=True, repr=False)
+class Finding(Brief):
     """A clause and how it came out."""
 
     clause: Clause
     tally: Tally
+
+    def brief(self) -> dict[str, object]:
+        """What was looked at, how it came out, and the first place where it does not hold."""
+        t = self.tally
+        told = {"clause": self.clause.name, "result": self.result, self.clause.of: t.counted}
+        return told if t.first is None else told | {"first": t.first.text}
 
     @property
     def result(self) -> Literal["PASS", "FAIL", "SKIP"]:

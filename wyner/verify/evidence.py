@@ -243,7 +243,7 @@ def read_evidence(run_dir: Path) -> Evidence:
         run_dir=run_dir,
         scenario=scenario,
         rules=rules,
-        manifest=_manifest(run_dir / MANIFEST),
+        manifest=read_manifest(run_dir),
         plant=readers.get("plant"),
         controller=readers.get("controller"),
         plant_journal=journals["plant"],
@@ -252,7 +252,9 @@ def read_evidence(run_dir: Path) -> Evidence:
     )
 
 
-def _manifest(path: Path) -> dict[str, Any] | None:
+def read_manifest(run_dir: Path) -> dict[str, Any] | None:
+    """A run's manifest; None where there is none, empty where it is no JSON object."""
+    path = run_dir / MANIFEST
     if not path.is_file():
         return None
     try:

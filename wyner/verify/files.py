@@ -6,13 +6,21 @@ from typing import Any, Final
 
 from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
 from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, GUESSES, TAP_STATUS
-from wyner.verify.capture import CaptureLines
+from protocol.runtime.run_folder import (
+    ANALYSIS_GUESSES,
+    CAPTURE,
+    CONTROLLER_JOURNAL,
+    CONTROLLER_TRACE,
+    GUESSES,
+    PLANT_JOURNAL,
+    PLANT_TRACE,
+    TAP_STATUS,
+)
 from wyner.verify.clause import Judging, Tally, to_the_end
 from wyner.verify.evidence import Evidence
 from wyner.verify.journals import Kept
 from wyner.verify.records import Walked
-from wyner.verify.seal import broken
+from wyner.verify.seal import broken, went_on_in
 from wyner.verify.sides import Segments, SideReader
 
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
@@ -96,14 +104,37 @@ def whole(e: Evidence, tally: Tally) -> Judging:
         tally.count(not marks.problems, "", -1, -1, _first(marks))
     for name, reader in e.readers():
         journal = e.plant_journal if name == "plant" else e.controller_journal
-        if isinstance(journal, Kept):
+        path = e.run_dir / (PLANT_JOURNAL if name == "plant" else CONTROLLER_JOURNAL)
+        if reader.last_life and path.is_file() and _holds_nothing(journal):
+            text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
+            tally.count(False, "", -1, -1, f"{text} transitions")
+        elif isinstance(journal, Kept):
             text = _behind(reader, journal)
             tally.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
-    if e.wire is not None:
-        _as_the_tap_says(e, e.wire, tally)
+    _all_there(e, tally)
+    _as_the_tap_says(e, tally)
     for name, wrong in broken(e.run_dir, e.manifest):
         tally.count(not wrong, "", -1, -1, f"{name}: {wrong}")
     tally.note = f"{killed} lives without an end mark: killed, or still running"
+    if again := sorted(went_on_in(e.run_dir, e.manifest)):
+        tally.note += f"; started again since the seal: {', '.join(again)}"
+
+
+def _all_there(e: Evidence, tally: Tally) -> None:
+    """Who has saved a transition has traced it; what one end counted the other has, too."""
+    there = dict(e.readers())
+    for side, path, journal in (
+        ("plant", PLANT_TRACE, e.plant_journal),
+        ("controller", CONTROLLER_TRACE, e.controller_journal),
+    ):
+        if side in there:
+            continue
+        if isinstance(journal, Kept) and journal.transitions:
+            text = f"{path}: it is gone, and {side}'s journal counts {journal.transitions}"
+            tally.count(False, journal.session or "", -1, -1, f"{text} transitions")
+        elif e.manifest is not None and any(reader.last for reader in there.values()):
+            text = f"{path}: it is gone, and the manifest says that both ends ran here"
+            tally.count(False, "", -1, -1, text)
 
 
 def _first(marks: Segments) -> str:
@@ -134,6 +165,11 @@ def _segments_of(path: Path) -> Segments:
             marks.line(number, raw)
     marks.finish()
     return marks
+
+
+def _holds_nothing(journal: Kept | str | None) -> bool:
+    """Whether a journal that is there was never written in."""
+    return journal is None or (isinstance(journal, Kept) and journal.session is None)
 
 
 def _behind(reader: SideReader, journal: Kept) -> str:
@@ -170,7 +206,7 @@ def _elsewhere(reader: SideReader, journal: Kept) -> str:
     return ""
 
 
-def _as_the_tap_says(e: Evidence, wire: CaptureLines, tally: Tally) -> None:
+def _as_the_tap_says(e: Evidence, tally: Tally) -> None:
     """The capture has at least the messages that the tap had written by its last report."""
     path = e.run_dir / TAP_STATUS
     if not path.is_file():
@@ -179,7 +215,10 @@ def _as_the_tap_says(e: Evidence, wire: CaptureLines, tally: Tally) -> None:
     first, captured = told.get("first_part"), told.get("captured")
     if not isinstance(first, int) or not isinstance(captured, int):
         tally.count(False, "", -1, -1, f"{TAP_STATUS}: expected first_part and captured")
-    elif wire.dropped_parts <= first:
-        there = sum(count for part, count in wire.lines.items() if part >= first)
+    elif e.wire is None:
+        text = f"{CAPTURE}: it is gone, the tap had written {captured} messages"
+        tally.count(not captured, "", -1, -1, text)
+    elif e.wire.dropped_parts <= first:
+        there = sum(count for part, count in e.wire.lines.items() if part >= first)
         text = f"the capture has {there} messages, the tap had written {captured}"
         tally.count(there >= captured, "", -1, -1, text)

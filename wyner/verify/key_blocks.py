@@ -7,6 +7,7 @@ from typing import Final
 
 from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.blocks import Schedule
+from protocol.secret.ledger import spent_rows
 from protocol.secret.records import Side, StoreError
 from protocol.secret.store import KeyStore
 from wyner.verify.clause import Judging, Tally, need, to_the_end
@@ -72,7 +73,7 @@ def counted(e: Evidence, tally: Tally) -> Judging:
 
 
 @dataclass(slots=True)
-class _Block:
+class TracedBlock:
     """A block as one end's transitions make it."""
 
     transitions: int = 0
@@ -81,31 +82,41 @@ class _Block:
 
 
 @dataclass(slots=True)
-class _Blocks:
+class TracedBlocks:
     """The blocks of one end's trace, from its transitions, and those it says it stored."""
 
     schedule: Schedule
-    blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
+    blocks: dict[tuple[str, int], TracedBlock] = field(default_factory=dict)
     stored: dict[tuple[str, int], int] = field(default_factory=dict)
     last_k: dict[str, int] = field(default_factory=dict)
 
     def transition(self, t: TracedTransition) -> None:
+        """Count the next transition."""
         before = self.last_k.get(t.session, t.k)
         self.last_k[t.session] = t.k
         number = self.schedule.block_of(t.j)
         if number >= 0:
-            block = self.blocks.setdefault((t.session, number), _Block())
+            block = self.blocks.setdefault((t.session, number), TracedBlock())
             block.transitions += 1
             block.steps += t.k - before
             block.counted += self.schedule.assumption.counting(t.counts).bit_count()
 
-    def keys(self, at: tuple[str, int]) -> int | None:
-        """How many keys a block must have made; None where it is not whole."""
+    def whole(self, at: tuple[str, int]) -> TracedBlock | None:
+        """A block all of whose transitions were traced."""
         block = self.blocks.get(at)
-        if block is None or block.transitions != self.schedule.length(at[1]):
+        return block if block and block.transitions == self.schedule.length(at[1]) else None
+
+    def rows(self, block: TracedBlock) -> int:
+        """R of a block."""
+        return self.schedule.assumption.rows(block.transitions, block.steps, block.counted)
+
+    def keys(self, at: tuple[str, int], *, signed: bool) -> int | None:
+        """How many keys a block must have made; None where it is not whole."""
+        block = self.whole(at)
+        if block is None:
             return None
-        a = self.schedule.assumption
-        return max(0, a.rows(block.transitions, block.steps, block.counted) - 1)
+        rows = self.rows(block)
+        return max(0, rows - (spent_rows(rows) if signed else 1))
 
 
 def blocks(e: Evidence, tally: Tally) -> Judging:
@@ -113,7 +124,7 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
     if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
         return
     assert e.rules.schedule is not None
-    ends = {side: _Blocks(e.rules.schedule) for side, _ in e.readers()}
+    ends = {side: TracedBlocks(e.rules.schedule) for side, _ in e.readers()}
     readers = dict(e.readers())
     while (part := (yield)) is not None:
         for side, line in _lines(part):
@@ -121,12 +132,13 @@ def blocks(e: Evidence, tally: Tally) -> Judging:
                 ends[side].transition(line)
             else:
                 ends[side].stored[line.session, line.number] = line.keys
+    signed = {side for side, name in _notes(e, "secret").items() if name}
     for side, end in ends.items():
         cut = readers[side].cut
         for at, keys in end.stored.items():
             if cut and at[0] == cut.session and at[1] <= e.rules.schedule.block_of(cut.j + 1):
                 continue  # it began before what is left
-            expected = end.keys(at)
+            expected = end.keys(at, signed=side in signed)
             text = f"the {side} made {keys} keys of block {at[1]}, expected {expected}"
             # a block without a pad for its tag makes none
             tally.count(keys == expected or not keys, at[0], -1, -1, text)
@@ -166,6 +178,43 @@ def tags(e: Evidence, tally: Tally) -> Judging:
         if topic == "measurement" and other is not None and not signed:
             tally.count(tag == other, session, -1, -1, f"block {block}: the ends' tags differ")
     tally.note = "signed with a shared secret" if signed else "public"
+
+
+def pads_once(_e: Evidence, tally: Tally) -> Judging:
+    """A set of pads signs one block, at whichever end."""
+    owner: dict[str, tuple[str, int]] = {}
+    while (part := (yield)) is not None:
+        for side, line in _lines(part):
+            if not isinstance(line, BlockStoredLine) or not line.signed:
+                continue
+            at = line.session, line.number
+            first = owner.setdefault(line.signed, at)
+            text = f"the {side} signs block {at[1]} of session {at[0]} under {line.signed}, which "
+            text += f"signed block {first[1]} of session {first[0]}"
+            tally.count(first == at, line.session, -1, -1, text)
+    if not owner:
+        tally.skipped = "no block is signed"
+
+
+def given_once(e: Evidence, tally: Tally) -> Judging:
+    """What one end gave has its mark at the other, for the same use."""
+    yield from to_the_end()
+    with ExitStack() as stack:
+        stores = [open_store(e, side, name, tally, stack) for side, name in FILES]
+        if not all(stores):
+            tally.skipped = tally.skipped or "no key store at one of the ends"
+            return
+        uses = [store.uses() for store in stores if store is not None]
+        unknown = 0
+        for mine, theirs in (uses, uses[::-1]):
+            for name, (given, _) in mine.items():
+                mark = theirs.get(name, ("", ""))[1]
+                if given and mark:
+                    text = f"key {name} was given for {given!r}, and its mark is {mark!r}"
+                    tally.count(given == mark, "", -1, -1, text)
+                unknown += bool(given) and not mark
+    if unknown:
+        tally.note = f"{unknown} more have no mark: a key store was put back, or removed"
 
 
 def key_ids(e: Evidence, tally: Tally) -> Judging:
@@ -212,12 +261,12 @@ def refused_at_zero(e: Evidence, tally: Tally) -> Judging:
 def open_store(
     e: Evidence, side: Side, name: str, tally: Tally, stack: ExitStack
 ) -> KeyStore | None:
-    """A side's key store, if it is there; one that cannot be read fails the clause."""
+    """A copy of a side's key store, if it is there; one that cannot be read fails the clause."""
     path = e.run_dir / name
     if not path.is_file():
         return None
     try:
-        return stack.enter_context(KeyStore(path, side))
+        return stack.enter_context(KeyStore.copy_of(path, side))
     except StoreError as error:
         tally.fail("", -1, -1, str(error))
         return None

@@ -74,7 +74,7 @@ def switching(e: Evidence, tally: Tally) -> Judging:
             x, u, place = step.x_next, step.u, step.k + 1
     tally.note = f"{missed} missed, {e.scenario.link.fallback} as the fallback"
     if interrupted:
-        tally.note += f"; {interrupted} under way when the plant's process died"
+        tally.note += f"; {interrupted} under way when the plant's process died or a session ended"
 
 
 def reachable(e: Evidence, tally: Tally) -> Judging:

@@ -46,8 +46,8 @@ class TracedTransition:
 class MissedLine:
     """A step without a counted offer, as the plant's trace holds it.
 
-    An ``interrupted`` one was under way when the plant's process died; ``candidates`` and ``coin``
-    are of an offer that it had begun to apply.
+    An ``interrupted`` one was under way when the plant's process died or its session ended;
+    ``candidates`` and ``coin`` are of an offer that it had begun to apply.
     """
 
     event: Literal["missed", "interrupted"]
@@ -61,7 +61,7 @@ class MissedLine:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the plant's process died over it."""
+        """Whether the plant's process died over it, or its session ended."""
         return self.event == "interrupted"
 
 
@@ -102,12 +102,13 @@ class Refused:
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class BlockStoredLine:
-    """A key block is on disk; ``keys`` were made of it."""
+    """A key block is on disk; ``keys`` were made of it, ``signed`` names its tag's set of pads."""
 
     event: Literal["block"]
     session: str
     number: int
     keys: int
+    signed: str
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -118,6 +119,16 @@ class BlockJudgedLine:
     session: str
     number: int
     what: Literal["confirmed", "unequal"]
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AppearancesLine:
+    """How often a message of the side leaves from here on."""
+
+    event: Literal["appearances"]
+    session: str | None
+    k: int
+    times: int
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -139,6 +150,7 @@ EventLine = (
     | Refused
     | BlockStoredLine
     | BlockJudgedLine
+    | AppearancesLine
     | TimingLine
 )
 
@@ -153,6 +165,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "refused": TypeAdapter(Refused),
         "block": TypeAdapter(BlockStoredLine),
         "judged": TypeAdapter(BlockJudgedLine),
+        "appearances": TypeAdapter(AppearancesLine),
     },
     "controller": {
         "transition": TypeAdapter(TracedTransition),
@@ -161,6 +174,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "delivered": TypeAdapter(QueuedLine),
         "block": TypeAdapter(BlockStoredLine),
         "judged": TypeAdapter(BlockJudgedLine),
+        "appearances": TypeAdapter(AppearancesLine),
     },
 }
 """What each side may trace: the event, and the type of its line."""

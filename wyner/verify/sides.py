@@ -147,6 +147,8 @@ class SideReader:
     ----------
     gone : int
         Parts that are gone, the oldest.
+    last_life : int
+        Transitions that its last life has traced.
     cut : TracedTransition, optional
         The transition after which a cut trace is given out, once it was found.
     """
@@ -179,6 +181,7 @@ class SideReader:
         self._held: MissedLine | None = None
         self._reported: TracedTransition | None = None
         self.behind = 0
+        self.last_life = 0
         self._stale = False
 
     @property
@@ -235,6 +238,7 @@ class SideReader:
             elif kind == CONTINUED:
                 yield Break(ended)
                 self._broken, self._announce = True, self.side == "plant"
+                self.last_life = 0
             return
         self.marks.line(number, raw)
         if kind == "transition":
@@ -335,6 +339,7 @@ class SideReader:
         yield from self._flush(t.session, t.k)
         self._broken = False
         self.from_journal = not number
+        self.last_life += bool(number)
         self.last = t
         rules = self._rules
         if t.session not in self.transitions:

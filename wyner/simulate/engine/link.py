@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Counts, Symbols
+from protocol.brief import Brief
 from protocol.schemes.base import Carries
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.registry import make_scheme
@@ -16,8 +17,8 @@ from wyner.simulate.engine.draws import cipher_symbols, symbol_type
 from wyner.simulate.engine.loop import Runs
 
 
-@dataclass(frozen=True, eq=False)
-class LinkCounts:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinkCounts(Brief):
     """What each run's link did at each alpha; every array has shape (alphas, R).
 
     Parameters
@@ -36,6 +37,12 @@ class LinkCounts:
     agreements: Counts
     message_symbols: Counts
     mistaken: Counts
+
+    def brief(self) -> dict[str, object]:
+        """How many alphas and runs, and sums over them."""
+        alphas, runs = self.tested.shape
+        sums = ("tested", "agreements", "message_symbols", "mistaken")
+        return {"alphas": alphas, "runs": runs, **{n: int(getattr(self, n).sum()) for n in sums}}
 
 
 def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
@@ -69,8 +76,8 @@ def follow(runs: Runs, alphas: Sequence[float]) -> LinkCounts:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Transfer:
+@dataclass(frozen=True, eq=False, repr=False)
+class Transfer(Brief):
     """The link of each run, transition by transition; time first, runs last.
 
     Parameters
@@ -92,6 +99,16 @@ class Transfer:
     pad: Symbols
     message_symbol: Symbols
     p: NDArray[np.int64]
+
+    def brief(self) -> dict[str, object]:
+        """How many steps and runs, and what they carried."""
+        steps, runs = self.agreed.shape
+        return {
+            "steps": steps,
+            "runs": runs,
+            "agreements": int((self.agreed != NO_SYMBOL).sum()),
+            "message_symbols": int((self.message_symbol != NO_SYMBOL).sum()),
+        }
 
 
 def transfer(

@@ -16,6 +16,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge
 from protocol.arrays import Array, Symbols
+from protocol.brief import Brief
 from protocol.scenario import Scenario
 from protocol.vectors import Matrix
 from wyner.simulate.engine.draws import Draws, disturbances, symbol_type
@@ -31,8 +32,8 @@ class SimulationError(Exception):
     """A run that cannot go on; the message names run, step and reason."""
 
 
-@dataclass(frozen=True, eq=False)
-class Runs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Brief):
     """What a simulation keeps of every transition; time is the first axis, runs the last.
 
     Parameters
@@ -46,8 +47,8 @@ class Runs:
     symbol : integer array, shape (steps, R)
         The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
     largest : array, shape (steps, R)
-        The largest gauge: a transition is in Diff at alpha when ``symbol`` is not -1 and this is at
-        most alpha.
+        The largest gauge, of D_e over alpha: a transition is in Diff at alpha when ``symbol`` is
+        not -1 and this is at most alpha.
     state_cost, input_effort : array, shape (R,)
         Sums over steps of abs(x(k+1))^2 and abs(u(k))^2.
     x : array, shape (steps + 1, n, R), optional
@@ -67,6 +68,16 @@ class Runs:
     x: Array | None = None
     candidates: Array | None = None
     gauges: Array | None = None
+
+    def brief(self) -> dict[str, object]:
+        """Of which system, and how many."""
+        return {
+            "scenario": self.scenario.name,
+            "runs": len(self.runs),
+            "steps": self.steps,
+            "seed": self.seed,
+            "recorded": self.x is not None,
+        }
 
     @property
     def steps(self) -> int:
@@ -109,6 +120,9 @@ class _Loop:
         self.true_A, self.true_B = scenario.plant_model
         self.same_model = (self.true_A, self.true_B) == (self.A, self.B)
         self.gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
+        hers = scenario.secrecy.disturbance
+        self.reach = None if hers is None else Gauge.from_rows(*hers.rows())
+        self.possible = np.empty((self.M, len(runs)))
         self.draws = Draws(seed, runs, self.n)
         R = len(runs)
         self.x = np.repeat(np.array(scenario.initial_state)[:, None], R, axis=1)
@@ -149,12 +163,15 @@ class _Loop:
             np.add(out, d[i], out=out)
         for j in range(self.M):
             np.subtract(self.following, self.centres[j], out=self.difference)
-            self.measure(self.gauges[j])
+            self.measure(self.gauge, self.gauges[j])
+            if self.reach is not None:
+                np.subtract(self.following, self.centres[j], out=self.difference)
+                self.measure(self.reach, self.possible[j])
         self.x, self.following = self.following, self.x
 
-    def measure(self, out: Array) -> None:
+    def measure(self, gauge: Gauge, out: Array) -> None:
         """``out`` = g(difference)."""
-        widths = self.gauge.half_widths
+        widths = gauge.half_widths
         v = self.difference
         if widths is not None:
             np.abs(v, out=v)
@@ -164,22 +181,22 @@ class _Loop:
                 np.maximum(out, self.ratio, out=out)
             return
         out[:] = 0.0
-        for row, bound in zip(self.gauge.H, self.gauge.h, strict=True):
+        for row, bound in zip(gauge.H, gauge.h, strict=True):
             _weighted(row, list(v), self.ratio, self.spare)
             np.divide(self.ratio, bound, out=self.ratio)
             np.maximum(out, self.ratio, out=out)
 
     def verdict(self, symbol: Symbols, largest: Array) -> None:
         """The verdict's parts that do not depend on alpha."""
-        g = self.gauges
-        np.less_equal(g, INSIDE, out=self.inside)
+        hers = self.gauges if self.reach is None else self.possible
+        np.less_equal(self.gauges, INSIDE, out=self.inside)
         if self.M == 2:
-            np.maximum(g[0], g[1], out=largest)
+            np.maximum(hers[0], hers[1], out=largest)
             # One inside only: its index is the second's flag; otherwise -1.
             np.copyto(symbol, self.inside[1].view(np.int8))
             np.copyto(symbol, NO_SYMBOL, where=self.inside[0] == self.inside[1])
             return
-        np.max(g, axis=0, out=largest)
+        np.max(hers, axis=0, out=largest)
         symbol[:] = np.argmax(self.inside, axis=0)
         np.copyto(symbol, NO_SYMBOL, where=self.inside.sum(axis=0) != 1)
 

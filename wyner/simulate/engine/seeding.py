@@ -42,6 +42,8 @@ def _mix(x: Words, y: Words) -> Words:
 
 def _words(value: int) -> list[int]:
     """The number in 32-bit words, least significant first; at least one."""
+    if value < 0:
+        raise ValueError(f"seed: got {value}, expected 0 or more")
     out = [value & WORD]
     while value := value >> 32:
         out.append(value & WORD)

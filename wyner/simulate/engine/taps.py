@@ -23,7 +23,7 @@ class Heard:
     Parameters
     ----------
     agreements : int
-        Key symbols that were agreed.
+        Key symbols that were agreed; none for one who does not guess at them.
     right : int
         Of these, the ones that she guessed right at once.
     delivered : int
@@ -121,7 +121,7 @@ def listen(
                 guess = tap.observe(transition)
             except GuestError as error:
                 raise GuestError(f"eavesdropper {names[i]}: step {transition.k}: {error}") from None
-            right[i] += key != NO_SYMBOL and guess.best == key
+            right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
     symbols = link.message_symbol[:, place].tolist()
     messages = whole_messages(symbols, scenario.secrecy.candidates)
     agreements = sum(key != NO_SYMBOL for key in keys)
@@ -130,5 +130,5 @@ def listen(
         belief = tap.belief()
         read = sum(m in belief.whole for m in messages)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(Heard(agreements, hits, len(messages), read, *held))
+        out.append(Heard(agreements if tap.guesses else 0, hits, len(messages), read, *held))
     return out

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.studies.figures import idea, keys, loop, secrecy, signalling
+from wyner.studies.figures import idea, keys, loop, noise, secrecy, signalling
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
 
 __all__ = ["FIGURES", "FigureError", "draw"]
@@ -32,11 +32,14 @@ FIGURES: Final[dict[str, Kind]] = {
     "idea": Kind(idea.draw_idea, ("sets",), (9.0, 3.6)),
     "secrecy-alpha": Kind(secrecy.draw_alpha, ("secrecy-alpha",), (7.0, 3.8)),
     "secrecy-alpha-bits": Kind(secrecy.draw_alpha_bits, ("secrecy-alpha",), (7.0, 3.8)),
+    "secrecy-shape": Kind(secrecy.draw_shapes, ("secrecy-shape",), (6.4, 3.6)),
     "secrecy-learning": Kind(secrecy.draw_learning, ("secrecy-learning",), (7.0, 3.8)),
     "secrecy-view": Kind(secrecy.draw_views, ("secrecy-view",), (7.5, 4.2)),
     "signalling-rates": Kind(signalling.draw_rates, ("signalling-rates", "fig7-paper"), (7.4, 4.6)),
     "signalling-price": Kind(signalling.draw_price, ("signalling-price",), (8.0, 3.8)),
     "two-step": Kind(signalling.draw_codes, ("two-step",), (6.4, 3.8)),
+    "block-codes": Kind(signalling.draw_blocks, ("block-codes",), (6.8, 4.2)),
+    "noise-bound": Kind(noise.draw_bound, ("noise-bound",), (8.0, 4.0)),
     "key-controls": Kind(keys.draw_controls, ("key-controls",), (7.4, 4.6)),
 }
 """The figures, in the order of docs/experiments.md, docs/secrecy.md, docs/signalling.md

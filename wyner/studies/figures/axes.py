@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from protocol.arrays import Array
-from wyner.scoring.statistics import Interval
+from protocol.statistics import Interval
 
 
 def closed(points: Array) -> Array:
@@ -39,7 +39,7 @@ def draw_sets(axes: Axes, sets: Mapping[int, Array], x: Array | None = None) -> 
     axes.set_ylabel("$x_2$")
 
 
-def draw_agreement(axes: Axes, centres: Array, x_next: Array, D_c: Array, alpha: float) -> None:
+def draw_agreement(axes: Axes, centres: Array, x_next: Array, D_c: Array, D_e: Array) -> None:
     """Reach^c and Reach^e about each candidate's centre, and x(k+1).
 
     Parameters
@@ -47,16 +47,15 @@ def draw_agreement(axes: Axes, centres: Array, x_next: Array, D_c: Array, alpha:
     axes : Axes
     centres : array, shape (M, n)
     x_next : array, shape (n,)
-    D_c : array, shape (corners, n)
-    alpha : float
+    D_c, D_e : array, shape (corners, n)
     """
     if D_c.shape[1] < 2:
         raise ValueError("got 1 state, expected at least 2 to draw")
-    ring = _hull(D_c[:, :2])
+    rings = _hull(D_c[:, :2]), _hull(D_e[:, :2])
     for i, c in enumerate(centres):
         (line,) = axes.plot(c[0], c[1], marker="+", ms=8, ls="none")
-        for scale, style, who in ((1.0, "-", "c"), (alpha, "--", "e")):
-            at = c[:2] + scale * ring
+        for ring, style, who in zip(rings, ("-", "--"), "ce", strict=True):
+            at = c[:2] + ring
             label = f"Reach$^{who}(x, u_{i})$"
             axes.plot(at[:, 0], at[:, 1], style, color=line.get_color(), lw=1, label=label)
     axes.plot(x_next[0], x_next[1], "k*", ms=9, label="x(k+1)")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from wyner.scoring.statistics import wilson
+from protocol.statistics import wilson
 from wyner.studies.figures.style import COLOURS, plain_rows
 
 

@@ -8,7 +8,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wyner.scoring.statistics import Interval, normal_mean, wilson
+from protocol.statistics import Interval, normal_mean, wilson
 from wyner.studies.figures.style import COLOURS, MARKERS, FigureError, plain_rows
 from wyner.studies.grid import SweepError
 from wyner.studies.results import Summary, read_rows, summarise
@@ -178,12 +178,14 @@ def draw_disturbances(figure: Figure, data: Path) -> str:
         wrong = []
         for group in kinds.values():
             s = next(s for s in group if alpha_of(s) == alpha)
-            wrong.append(wilson(s.counts["mistaken"], s.counts["agreements"]).scaled(100))
+            wrong.append(_share(s.counts["mistaken"], s.counts["agreements"], s.runs))
         _bars(middle, y, wrong, place, f"α = {alpha:g}")
-    nearest = [wilson(taps[k]["nearest_right"], taps[k]["agreements"]).scaled(100) for k in kinds]
+    nearest = [
+        _share(taps[k]["nearest_right"], taps[k]["agreements"], taps[k]["runs"]) for k in kinds
+    ]
     _bars(right, y, nearest, 0, "key symbols, nearest-centre")
     sent = [(i, taps[k]) for i, k in enumerate(kinds) if taps[k]["delivered"]]
-    read = [wilson(r["read_by_list_decoder"], r["delivered"]).scaled(100) for _, r in sent]
+    read = [_share(r["read_by_list_decoder"], r["delivered"], r["runs"]) for _, r in sent]
     _bars(right, [i for i, _ in sent], read, 1, "messages, list-decoder")
     left.set_yticks(y, list(kinds))
     left.invert_yaxis()
@@ -196,10 +198,19 @@ def draw_disturbances(figure: Figure, data: Path) -> str:
     figure.suptitle("Other disturbances (law sustained)")
     first = next(iter(taps.values()))
     return note_of(points) + (
-        f".\nKeys and taps: 95 % Wilson intervals; taps: {first['runs']} runs of {first['steps']} "
-        f"steps, α = {first['alpha']:g}, seed {first['seed']}; where no message is shown, none was "
+        ".\nKeys and taps: 95 % Wilson intervals with runs as trials, since the steps of one "
+        f"depend; taps: {first['runs']} runs of {first['steps']} steps, "
+        f"α = {first['alpha']:g}, seed {first['seed']}; where no message is shown, none was "
         "whole by then"
     )
+
+
+def _share(right: int, of: int, runs: int) -> Interval:
+    """A share in per cent of sums over runs, with Wilson's interval for so many runs.
+
+    How runs differ is not in the data; at most they are all or nothing, and then a run is a trial.
+    """
+    return wilson(right / of * min(runs, of), min(runs, of)).scaled(100)
 
 
 def _bars(axes: Axes, y: Sequence[int], values: Sequence[Interval], place: int, label: str) -> None:

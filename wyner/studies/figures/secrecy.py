@@ -1,5 +1,6 @@
 """The figures of docs/secrecy.md, and the picture of a secrecy report."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,8 +8,9 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from wyner.scoring.report import Portion, Report
-from wyner.studies.figures.style import COLOURS, FigureError, drawing, save
+from protocol.statistics import Interval
+from wyner.scoring.report import Report
+from wyner.studies.figures.style import COLOURS, MARKERS, FigureError, drawing, plain_rows, save
 from wyner.studies.secrecy.tables import Row, read_rows, share_of
 
 MARKS: Final = {
@@ -51,15 +53,15 @@ def note_of(rows: Sequence[Row], text: str = "95 % bootstrap intervals over runs
 
 def shares_of(
     rows: Sequence[Row], tap: str, conditions: Sequence[str], right: str, of: str
-) -> list[Portion]:
+) -> list[Interval]:
     """What one eavesdropper got under each condition."""
     mine = [r for r in rows if r["tap"] == tap]
     return [share_of([r for r in mine if r["condition"] == c], right, of) for c in conditions]
 
 
-def heights(shares: Sequence[Portion]) -> tuple[list[float], list[list[float]]]:
+def heights(shares: Sequence[Interval]) -> tuple[list[float], list[list[float]]]:
     """Values, and how far their intervals reach below and above."""
-    values = [s.value or 0.0 for s in shares]
+    values = [s.value for s in shares]
     below = [max(v - s.low, 0.0) for v, s in zip(values, shares, strict=True)]
     above = [max(s.high - v, 0.0) for v, s in zip(values, shares, strict=True)]
     return values, [below, above]
@@ -86,7 +88,7 @@ def against_alpha(
 
 
 def draw_alpha(figure: Figure, data: Path) -> str:
-    """Key symbols right against alpha, per eavesdropper: the paper's claim beside the truth."""
+    """Key symbols right against alpha, per eavesdropper: the paper's rule beside the truth."""
     taps, what = ("set-membership", "nearest-centre"), "agreed key symbols guessed right"
     return against_alpha(figure, data, taps, "keys_right_reviewed", "keys", what)
 
@@ -141,17 +143,51 @@ def draw_learning(figure: Figure, data: Path) -> str:
 
 
 def draw_report(report: Report, path: Path) -> None:
-    """The bits that the paper claims, and what each eavesdropper leaves of them."""
+    """What counts as secret by the paper's rule, and what each one leaves of it at most."""
     with drawing((7.0, 3.6)) as figure:
         axes = figure.subplots()
-        names = ["paper claims", *(t.name for t in report.taps)]
-        values = [report.claimed_bits, *(t.left_bits or 0.0 for t in report.taps)]
+        names = ["by the paper's rule", *(t.name for t in report.taps)]
+        left = [t.left.high if t.left is not None else math.nan for t in report.taps]
+        values = [report.claimed_bits, *left]
         bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
         bars[0].set_hatch("//")
-        axes.bar_label(bars, [f" {value:.1f}" for value in values])
+        for place, value in enumerate(values):
+            told = "not scored" if math.isnan(value) else f"{value:.1f}"
+            axes.text(0.0 if math.isnan(value) else value, place, f" {told}", va="center")
         axes.invert_yaxis()
         axes.grid(visible=False)
-        axes.set_xlabel("secret bits")
-        axes.set_xlim(0, 1.15 * max([*values, 1.0]))
+        axes.set_xlabel("bits counted as secret, and bits left at most")
+        axes.set_xlim(0, 1.15 * max(1.0, *(value for value in values if not math.isnan(value))))
         axes.set_title(report.verdict(), fontsize=9, loc="left")
         save(figure, path)
+
+
+def draw_shapes(figure: Figure, data: Path) -> str:
+    """Keys named right against the shape of D_e, by tap."""
+    rows = plain_rows(data / "secrecy-shape.csv")
+    axes = figure.subplots()
+    for place, tap in enumerate(dict.fromkeys(r["tap"] for r in rows)):
+        mine = [r for r in rows if r["tap"] == tap]
+        axes.errorbar(
+            [r["width_1"] for r in mine],
+            [r["right"] for r in mine],
+            yerr=[
+                [r["right"] - r["right_low"] for r in mine],
+                [r["right_high"] - r["right"] for r in mine],
+            ],
+            marker=MARKERS[place],
+            color=COLOURS[place],
+            mfc="none" if place else None,
+            capsize=2,
+            label=tap,
+        )
+    axes.axhline(0.5, color="0.6", ls=":", lw=1)
+    axes.set_xlabel(r"half-width of $\mathcal{D}_e$ in $x_1$ ($x_2$: 0.96; $\mathcal{D}_c$: 0.12)")
+    axes.set_ylabel("agreed key symbols guessed right")
+    axes.set_title("A D_e of its own shape: who measures in it, and who learns a better one")
+    axes.legend(fontsize=7, loc="lower right")
+    r = rows[0]
+    return (
+        f"`packed`, two candidates, every transition agreed; {r['runs']} runs of {r['steps']} "
+        f"steps a point, seed {r['seed']}; 95 % normal intervals over runs"
+    )

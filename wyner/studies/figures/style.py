@@ -16,6 +16,7 @@ from wyner.studies.results import read_table
 STYLE: Final[dict[str, Any]] = {
     "svg.hashsalt": "wyner",
     "svg.fonttype": "path",
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.grid": True,

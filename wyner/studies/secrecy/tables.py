@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from wyner.scoring.report import Portion
+from protocol.statistics import Interval
+from wyner.scoring.report import over_runs, percent
 from wyner.scoring.score import Proportion
 from wyner.shipped import DATA
 from wyner.studies.grid import ROOT
@@ -36,16 +37,14 @@ def read_rows(study: str, data: Path = DATA) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def share_of(rows: Sequence[Row], right: str, of: str) -> Portion:
+def share_of(rows: Sequence[Row], right: str, of: str) -> Interval:
     """A share over runs with its interval."""
-    return Portion.over([Proportion(float(r[right]), int(r[of])) for r in rows])
+    return over_runs([Proportion(float(r[right]), int(r[of])) for r in rows])
 
 
-def exact_of(rows: Sequence[Row]) -> Portion:
+def exact_of(rows: Sequence[Row]) -> Interval:
     """Share of runs whose message was had whole and exact, of those in which the plant had it."""
-    return Portion.wilson(
-        [Proportion(float(r["messages_exact"]), int(r["messages"])) for r in rows]
-    )
+    return share_of(rows, "messages_exact", "messages")
 
 
 def table(study: str) -> list[tuple[str, ...]]:
@@ -63,10 +62,10 @@ def table(study: str) -> list[tuple[str, ...]]:
                 condition,
                 tap,
                 str(len(mine)),
-                share_of(mine, "keys_right_reviewed", "keys").text(),
-                share_of(mine, "early_right", "early_keys").text(),
-                share_of(mine, "bits_right", "bits").text(),
-                exact_of(mine).text(),
+                percent(share_of(mine, "keys_right_reviewed", "keys")),
+                percent(share_of(mine, "early_right", "early_keys")),
+                percent(share_of(mine, "bits_right", "bits")),
+                percent(exact_of(mine)),
                 str(peaks[len(peaks) // 2]) if peaks else "-",
             )
         )

@@ -8,9 +8,10 @@ other, and when each copy comes within alpha of every point within 1 of the othe
 eavesdropper cannot rule it out. Both depend on the difference of the shifts alone: a code is a
 clique.
 
-Shifts lie on a grid. The period lattices are those on the grid that a quarter turn leaves as they
-are, each searched exactly; and beside them every cyclic colouring of a lattice (2, e), (-e, 2).
-Other codes may be better.
+Shifts lie on a grid, of quarters and of thirds. The period lattices are those on the grid that a
+quarter turn leaves as they are, each searched exactly; and beside them every cyclic colouring of a
+lattice (2, e), (-e, 2). No code has more than alpha^2 keys (theorem 5 of docs/signalling.md): where
+that many were found, the search is at its end.
 """
 
 import math
@@ -21,14 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller_service.sets.clique import adjacency, largest_clique
+from wyner.studies.capacity.blocks import most_keys
 
 Integers = NDArray[np.int64]
 
 Periods = tuple[tuple[int, int], tuple[int, int]]
 """Two vectors that span a period lattice, in steps of the grid."""
 
-GRID = 4
-"""Steps of the grid in a half-length of D_c."""
+GRIDS = (4, 3)
+"""Steps in a half-length of D_c of the grids that are searched. Five keys just above alpha = 7/3
+have periods (14, 2) / 3 and (-2, 14) / 3, which no grid of quarters has."""
 
 BRANCHES = 20_000
 
@@ -55,11 +58,11 @@ class TwoStepCode:
 NO_CODE = TwoStepCode(1, (), ((0.0, 0.0),))
 
 
-def _code(periods: Periods, shifts: Integers) -> TwoStepCode:
+def _code(periods: Periods, shifts: Integers, grid: int) -> TwoStepCode:
     return TwoStepCode(
         len(shifts),
-        tuple((x / GRID, y / GRID) for x, y in periods),
-        tuple((float(x) / GRID, float(y) / GRID) for x, y in shifts),
+        tuple((x / grid, y / grid) for x, y in periods),
+        tuple((float(x) / grid, float(y) / grid) for x, y in shifts),
     )
 
 
@@ -79,21 +82,21 @@ def _distance(periods: Periods, points: Integers) -> Integers:
     return best
 
 
-def _window() -> Integers:
+def _window(grid: int) -> Integers:
     """Half-grid points of the square of side 2.
 
     A Chebyshev distance to grid points has its corners on the half grid, so that the farthest point
     of a square with corners on the grid is among them.
     """
-    side = np.arange(-2 * GRID, 2 * GRID + 1)
+    side = np.arange(-2 * grid, 2 * grid + 1)
     return np.stack(np.meshgrid(side, side, indexing="ij"), axis=2).reshape(-1, 2)
 
 
-def least_alpha(periods: Periods, shift: Integers) -> float:
+def least_alpha(periods: Periods, shift: Integers, grid: int) -> float:
     """From which alpha two keys that differ by a shift are together; infinite if not 2 apart."""
-    if _distance(periods, 2 * shift) < 2 * 2 * GRID:
+    if _distance(periods, 2 * shift) < 2 * 2 * grid:
         return math.inf
-    return float(_distance(periods, 2 * shift + _window()).max()) / (2 * GRID)
+    return float(_distance(periods, 2 * shift + _window(grid)).max()) / (2 * grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,8 @@ class _Torus:
     Parameters
     ----------
     a, b : int
+    grid : int
+        Steps in a half-length of D_c.
     shifts : array, shape (a^2 + b^2, 2)
         One representative each.
     alphas : array
@@ -111,16 +116,17 @@ class _Torus:
 
     a: int
     b: int
+    grid: int
     shifts: Integers
     alphas: NDArray[np.float64]
 
     @classmethod
-    def of(cls, a: int, b: int) -> "_Torus":
+    def of(cls, a: int, b: int, grid: int) -> "_Torus":
         common = math.gcd(a, b)
         axes = np.arange((a * a + b * b) // common), np.arange(common)
         shifts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=2).reshape(-1, 2)
         periods = ((a, b), (-b, a))
-        return cls(a, b, shifts, np.array([least_alpha(periods, v) for v in shifts]))
+        return cls(a, b, grid, shifts, np.array([least_alpha(periods, v, grid) for v in shifts]))
 
     def number(self, shifts: Integers) -> Integers:
         """The place of each shift's representative, shape (...)."""
@@ -142,18 +148,18 @@ def _bezout(p: int, q: int) -> tuple[int, int]:
     return y, x - (p // q) * y
 
 
-def _tori(largest: float) -> Iterator[_Torus]:
+def _tori(largest: float, grid: int) -> Iterator[_Torus]:
     """Every quarter-turn lattice with at most this area a period, and room for four keys."""
-    most = math.floor(largest * GRID * GRID)
+    most = math.floor(largest * grid * grid)
     for a in range(1, math.isqrt(most) + 1):
         for b in range(a):
-            if 16 * GRID * GRID <= a * a + b * b <= most:
-                yield _Torus.of(a, b)
+            if 16 * grid * grid <= a * a + b * b <= most:
+                yield _Torus.of(a, b, grid)
 
 
 def _search(torus: _Torus, alpha: float, at_least: int) -> TwoStepCode:
     """More than ``at_least`` keys on one period lattice, or no code."""
-    if len(torus.shifts) < 4 * GRID * GRID * (at_least + 1):  # squares of side 2 do not overlap
+    if len(torus.shifts) < 4 * torus.grid**2 * (at_least + 1):  # squares of side 2 do not overlap
         return NO_CODE
     allowed = torus.alphas <= alpha + 1e-12
     vertices = np.flatnonzero(allowed)
@@ -166,7 +172,7 @@ def _search(torus: _Torus, alpha: float, at_least: int) -> TwoStepCode:
     if not clique.vertices:
         return NO_CODE
     shifts = np.vstack([[[0, 0]], V[list(clique.vertices)]])
-    return _code(((torus.a, torus.b), (-torus.b, torus.a)), shifts)
+    return _code(((torus.a, torus.b), (-torus.b, torus.a)), shifts, torus.grid)
 
 
 def _reduced(p: tuple[int, int], q: tuple[int, int]) -> Periods:
@@ -181,10 +187,10 @@ def _reduced(p: tuple[int, int], q: tuple[int, int]) -> Periods:
     return (p, q) if p[0] * q[1] > p[1] * q[0] else (p, (-q[0], -q[1]))
 
 
-def colourings(most: int) -> Iterator[tuple[float, TwoStepCode]]:
+def colourings(most: int, grid: int) -> Iterator[tuple[float, TwoStepCode]]:
     """Every cyclic colouring i + k j mod q of a lattice (2, e), (-e, 2), with its least alpha."""
-    for e in range(2 * GRID):
-        first, second = (2 * GRID, e), (-e, 2 * GRID)
+    for e in range(2 * grid):
+        first, second = (2 * grid, e), (-e, 2 * grid)
         for q in range(2, most + 1):
             for k in range(q):
                 along = (second[0] - k * first[0], second[1] - k * first[1])
@@ -192,11 +198,11 @@ def colourings(most: int) -> Iterator[tuple[float, TwoStepCode]]:
                 shifts = np.array([(c * first[0], c * first[1]) for c in range(q)])
                 alpha = 0.0
                 for shift in shifts[1 : q // 2 + 1]:
-                    alpha = max(alpha, least_alpha(periods, shift))
+                    alpha = max(alpha, least_alpha(periods, shift, grid))
                     if alpha == math.inf:
                         break
                 else:
-                    yield alpha, _code(periods, shifts)
+                    yield alpha, _code(periods, shifts, grid)
 
 
 def best_codes(alphas: list[float]) -> list[TwoStepCode]:
@@ -207,10 +213,10 @@ def best_codes(alphas: list[float]) -> list[TwoStepCode]:
     alphas : list of float
         In ascending order; a code for one alpha serves every larger one.
     """
-    coloured = sorted(
-        colourings(math.floor((1 + max(alphas)) ** 2)), key=lambda item: (item[0], -item[1].keys)
-    )
-    tori = list(_tori((2 * max(alphas)) ** 2))
+    most = most_keys(max(alphas), 2)
+    coloured = [item for grid in GRIDS for item in colourings(most, grid)]
+    coloured.sort(key=lambda item: (item[0], -item[1].keys))
+    tori = [torus for grid in GRIDS for torus in _tori((2 * max(alphas)) ** 2, grid)]
     out = []
     best = NO_CODE
     for alpha in alphas:
@@ -218,6 +224,8 @@ def best_codes(alphas: list[float]) -> list[TwoStepCode]:
             if least <= alpha + 1e-12 and code.keys > best.keys:
                 best = code
         for torus in tori:
+            if best.keys >= most_keys(alpha, 2):
+                break
             best = max(best, _search(torus, alpha, best.keys), key=lambda code: code.keys)
         out.append(best)
     return out

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from controller_service.sets.alphabet import choose_alphabet, line_size
-from controller_service.sets.betting import (
-    DisturbanceLaw,
-    best_bet,
-    chances,
-)
 from controller_service.sets.separation import Separation
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE
 from protocol.scenario import ConvexSet, Disturbance
+from wyner.studies.capacity.betting import (
+    DisturbanceLaw,
+    best_bet,
+    chances,
+)
 
 B = np.array([[0.0246], [0.4877]])
 W = np.array([0.12, 0.12])

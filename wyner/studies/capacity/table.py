@@ -1,7 +1,9 @@
 """What a plant's inputs can carry by the paper's rule, over alpha: sizes, bounds and the price.
 
-All bits are claimed by the possibilistic rule of the paper. What an eavesdropper who compares
-distances leaves of them is nothing; see docs/signalling.md.
+All bits are claimed by the possibilistic rule of the paper, for keys that are functions of the
+applied input: without that condition the rule allows any number of keys at any alpha above 1
+(:mod:`wyner.studies.capacity.void`). What an eavesdropper who compares distances leaves of them is
+nothing; see docs/signalling.md.
 """
 
 import math
@@ -20,13 +22,13 @@ from controller_service.sets.alphabet import (
     largest_certain,
     line_offsets,
 )
-from controller_service.sets.betting import Bet, DisturbanceLaw, best_bet
 from controller_service.sets.polygon_alphabet import plane_bound
 from controller_service.sets.separation import AlphabetError, Separation
 from controller_service.sets.terminal import SynthesisError, feedback_gain
 from protocol.arrays import Array
 from protocol.convex import SetError
 from protocol.scenario import Scenario
+from wyner.studies.capacity.betting import Bet, DisturbanceLaw, best_bet
 
 
 @dataclass(frozen=True)
@@ -55,15 +57,17 @@ class CapacityRow:
     held : int
         Of these, what U and control's ceiling leave room for.
     bound : int
-        No alphabet is larger (m = 1: no keying of the applied input at all).
+        No alphabet is larger (m = 1: no key that is a function of the applied input has more
+        values).
     bet : Bet or None
         The best alphabet for the scenario's own law of d; one input and a box D_c only.
     erasures : float or None
         log2(ceil(alpha) - 1), the supremum of long alphabets that are certain but at their ends;
         one input only.
     volume : float
-        m log2(1 + alpha): no code of offsets fixed in advance carries more, over any number of
-        steps.
+        m log2(alpha): no code of offsets fixed in advance carries more, over any number of steps.
+    chained : float or None
+        What codes over ever more steps come to: log2(alpha) above 2, else 0; one input only.
     state_price, input_price : float
         What the alphabet of ``held`` candidates adds to the means of x'x and u'u.
     """
@@ -75,6 +79,7 @@ class CapacityRow:
     bet: Bet | None
     erasures: float | None
     volume: float
+    chained: float | None
     state_price: float | None
     input_price: float | None
 
@@ -138,6 +143,11 @@ def capacity(scenario: Scenario, alphas: Sequence[float]) -> Capacity:
     """
     D_c, U = scenario.defender.disturbance, scenario.control.inputs
     try:
+        if scenario.secrecy.disturbance is not None:
+            raise AlphabetError(
+                "secrecy.disturbance: expected none, as the table is over alpha with "
+                "D_e = alpha D_c"
+            )
         if scenario.m > 2:
             raise AlphabetError(f"plant.B: got {scenario.m} inputs, expected 1 or 2")
         sep = Separation.of(scenario.B, D_c)
@@ -196,7 +206,8 @@ def _row(
         bound=max(1, math.ceil(sep.omega(alpha) / sep.sigma())) if one else plane_bound(sep, alpha),
         bet=bet,
         erasures=math.log2(max(1, math.ceil(alpha) - 1)) if one else None,
-        volume=sep.inputs * math.log2(1 + alpha),
+        volume=sep.inputs * math.log2(alpha),
+        chained=(math.log2(alpha) if alpha > 2 else 0.0) if one else None,
         state_price=None if costs is None else costs[0],
         input_price=None if costs is None else costs[1],
     )

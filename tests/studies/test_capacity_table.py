@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from controller_service.sets.capacity import added, capacity, dither_price
 from controller_service.sets.terminal import feedback_gain
 from protocol.runtime.scenario_file import scenario_of
+from wyner.studies.capacity.table import added, capacity, dither_price
 
 
 def test_certain_sizes_of_the_papers_plant() -> None:

@@ -1,0 +1,365 @@
+"""Intervals, one for each way of looking, for the tap, the screens and the studies alike.
+
+What is drawn independently is a run: its steps depend on each other. So a share or a mean over runs
+has an interval over runs (:func:`share_over_runs`, :func:`mean_over_runs`), and fewer than
+:data:`FEWEST_RUNS` runs have none. What is looked at again and again, with a decision at each look,
+has a confidence sequence, which holds at all looks together (:func:`confidence_sequence` for a
+probability, :func:`mean_sequence` for a mean over runs). :func:`wilson` is for trials that are
+independent, such as one per run.
+
+Limits that are not known are NaN: :attr:`Interval.known` asks, :meth:`Interval.text` says so.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from math import inf, isfinite, isnan, lgamma, log, log2, nan, sqrt
+from statistics import NormalDist
+from typing import Final, NamedTuple
+
+CONFIDENCE: Final = 0.95
+FEWEST_RUNS: Final = 5
+"""Fewer runs than this have no interval over runs: too little is known of how runs differ."""
+
+RESAMPLES: Final = 10_000
+SEED: Final = 0
+
+
+class Interval(NamedTuple):
+    """An estimate with the limits of its confidence interval; ``math.nan`` where there is none.
+
+    It is always that one NaN, so that intervals without limits compare as equal.
+    """
+
+    value: float
+    low: float = nan
+    high: float = nan
+
+    @property
+    def known(self) -> bool:
+        """Whether it has limits."""
+        return not (isnan(self.low) or isnan(self.high))
+
+    @property
+    def width(self) -> float:
+        """Upper limit minus lower."""
+        return self.high - self.low
+
+    @property
+    def relative_width(self) -> float:
+        """Width over the estimate; infinite where the estimate is zero or has no limits."""
+        return self.width / abs(self.value) if self.value and self.known else inf
+
+    def scaled(self, factor: float) -> "Interval":
+        """Estimate and limits times a positive factor."""
+        return Interval(*(nan if isnan(x) else x * factor for x in self))
+
+    def complement(self) -> "Interval":
+        """One minus it: an error rate of a share."""
+        value, high, low = (nan if isnan(x) else 1 - x for x in self)
+        return Interval(value, low, high)
+
+    def as_json(self) -> dict[str, float | None]:
+        """``value``, ``low`` and ``high``, each None where it is not known."""
+        return {name: x if isfinite(x) else None for name, x in self._asdict().items()}
+
+    def text(self, form: str = ".3g", unit: str = "") -> str:
+        """As a table shows it: the estimate with its limits, or without any and a word why."""
+        if isnan(self.value):
+            return "-"
+        shown = f"{self.value:{form}}{unit}"
+        if not self.known:
+            return f"{shown} (no interval)"
+        return f"{shown} [{self.low:{form}}, {self.high:{form}}]"
+
+
+NOTHING: Final = Interval(nan)
+"""Of no trial."""
+
+
+def _checked(confidence: float) -> float:
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence: got {confidence}, expected between 0 and 1")
+    return confidence
+
+
+def wilson(successes: float, trials: int, confidence: float = CONFIDENCE) -> Interval:
+    """Wilson's score interval of a proportion (Wilson 1927), for independent trials.
+
+    Raises
+    ------
+    ValueError
+        When there is no trial, or more successes than trials.
+    """
+    if not 0 <= successes <= trials or trials < 1:
+        raise ValueError(f"got {successes} successes of {trials} trials, expected 0 to trials >= 1")
+    z = NormalDist().inv_cdf(0.5 + _checked(confidence) / 2)
+    p = successes / trials
+    scale = 1 + z * z / trials
+    centre = (p + z * z / (2 * trials)) / scale
+    half = z * sqrt((p * (1 - p) + z * z / (4 * trials)) / trials) / scale
+    low = 0.0 if successes == 0 else centre - half
+    high = 1.0 if successes == trials else centre + half
+    return Interval(p, low, high)
+
+
+# --- over runs ------------------------------------------------------------------------------------
+
+
+def _tail(runs: int, confidence: float) -> float:
+    """Share of the resamples beyond either limit.
+
+    The percentile interval of few runs is too narrow, by what a normal quantile lacks of Student's
+    and by the variance's divisor; its tails are taken so much smaller (Hesterberg 2015, "expanded
+    percentile").
+    """
+    from scipy.special import stdtrit
+
+    t = float(stdtrit(runs - 1, 0.5 + confidence / 2))
+    return NormalDist().cdf(-t * sqrt(runs / (runs - 1)))
+
+
+def mean_over_runs(
+    histogram: Mapping[int, int],
+    *,
+    confidence: float = CONFIDENCE,
+    resamples: int = RESAMPLES,
+    seed: int = SEED,
+) -> Interval:
+    """Mean of a count over runs, with its bootstrap interval (Efron 1979) over runs.
+
+    Fewer than :data:`FEWEST_RUNS` runs have no interval, nor have runs that all had the same count:
+    resampling them says nothing.
+
+    Parameters
+    ----------
+    histogram : mapping of int to int
+        How many runs had each value of the count: resampling runs is one multinomial draw.
+    confidence : float
+    resamples : int
+    seed : int
+        Of the resampling: the same histogram gives the same interval.
+
+    Raises
+    ------
+    ValueError
+        When there is no run.
+    """
+    import numpy as np
+
+    _checked(confidence)
+    values = np.array(sorted(histogram), dtype=float)
+    counts = np.array([histogram[v] for v in sorted(histogram)], dtype=np.int64)
+    runs = int(counts.sum())
+    if runs < 1 or (counts < 0).any():
+        raise ValueError(f"histogram: got {dict(histogram)}, expected at least one run")
+    value = float((values * counts).sum() / runs)
+    if runs < FEWEST_RUNS or (counts > 0).sum() < 2:
+        return Interval(value)
+    drawn = np.random.default_rng(seed).multinomial(runs, counts / runs, size=resamples)
+    means = (drawn * values).sum(axis=1) / runs
+    tail = _tail(runs, confidence)
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return Interval(value, float(low), float(high))
+
+
+def share_over_runs(
+    runs: Iterable[tuple[float, int]],
+    *,
+    confidence: float = CONFIDENCE,
+    resamples: int = RESAMPLES,
+    seed: int = SEED,
+) -> Interval:
+    """Share of successes in the trials of all runs, with its interval over runs.
+
+    Runs are resampled whole. Where each had one trial, or all had none or nothing but successes, it
+    is Wilson's interval with runs as the trials. Fewer than :data:`FEWEST_RUNS` runs that had any
+    trial have no interval.
+
+    Parameters
+    ----------
+    runs : iterable of (float, int)
+        Successes and trials of each run.
+    confidence : float
+    resamples : int
+    seed : int
+    """
+    import numpy as np
+
+    _checked(confidence)
+    alike = Counter((right, of) for right, of in runs if of)
+    count = alike.total()
+    if not count:
+        return NOTHING
+    kinds = sorted(alike)
+    right, of = (np.array(column, dtype=float) for column in zip(*kinds, strict=True))
+    counts = np.array([alike[kind] for kind in kinds])
+    value = float((counts @ right) / (counts @ of))
+    if count < FEWEST_RUNS:
+        return Interval(value)
+    if (of == 1).all() or value in (0.0, 1.0):
+        return wilson(float(counts @ (right / of)), count, confidence)
+    draw = np.random.default_rng(seed)
+    shares = np.empty(resamples)
+    most = max(1, 2_000_000 // len(kinds))  # drawn at once
+    for first in range(0, resamples, most):
+        size = min(most, resamples - first)
+        weights = draw.multinomial(count, counts / count, size=size)
+        shares[first : first + size] = (weights @ right) / (weights @ of)
+    tail = _tail(count, confidence)
+    low, high = np.quantile(shares, [tail, 1 - tail])
+    return Interval(value, float(low), float(high))
+
+
+def normal_mean(
+    total: float, squares: float, runs: int, confidence: float = CONFIDENCE
+) -> Interval:
+    """Mean over runs from the sums of values and of squares, with Student's interval.
+
+    Fewer than :data:`FEWEST_RUNS` runs have no interval.
+
+    Raises
+    ------
+    ValueError
+        When there is no run.
+    """
+    if runs < 1:
+        raise ValueError(f"runs: got {runs}, expected at least 1")
+    _checked(confidence)
+    mean = total / runs
+    if runs < FEWEST_RUNS:
+        return Interval(mean)
+    from scipy.special import stdtrit
+
+    variance = max(0.0, (squares - runs * mean * mean) / (runs - 1))
+    half = float(stdtrit(runs - 1, 0.5 + confidence / 2)) * sqrt(variance / runs)
+    return Interval(mean, mean - half, mean + half)
+
+
+# --- looked at again and again --------------------------------------------------------------------
+
+
+def log_evidence(successes: float, trials: int, p: float) -> float:
+    """Natural logarithm of the evidence that a probability is not ``p``.
+
+    The evidence is the likelihood of what was seen, averaged over all probabilities, over that
+    under ``p``. Under ``p`` it is a martingale that starts at 1, so with probability 1 - alpha it
+    never reaches 1 / alpha, however often one looks (Ville 1939; Robbins 1970). Where each trial's
+    probability given those before is ``p`` at most, the same holds of its looks at which the share
+    is above ``p``: the successes are then fewer than those of trials under ``p``.
+    """
+    failures = trials - successes
+    evidence = lgamma(successes + 1) + lgamma(failures + 1) - lgamma(trials + 2)
+    for count, chance in ((successes, p), (failures, 1 - p)):
+        if count:
+            evidence -= count * log(chance) if chance > 0 else -inf
+    return evidence
+
+
+def confidence_sequence(successes: float, trials: int, confidence: float = CONFIDENCE) -> Interval:
+    """Limits of a probability that hold at every look together, however often one looks.
+
+    The probabilities that :func:`log_evidence` does not speak against. A trial may also count as a
+    success in part, from 0 to 1: the evidence is then smaller, and the limits still hold.
+
+    Parameters
+    ----------
+    successes : float
+    trials : int
+        With none the limits are 0 and 1, and the value is NaN.
+    confidence : float
+        Probability that the limits hold at all looks.
+
+    Raises
+    ------
+    ValueError
+        When there are more successes than trials.
+    """
+    most = -log(1 - _checked(confidence))
+    if not 0 <= successes <= trials:
+        raise ValueError(f"got {successes} successes of {trials} trials, expected 0 to trials")
+    if not trials:
+        return Interval(nan, 0.0, 1.0)
+    share = successes / trials
+
+    def limit(end: float) -> float:
+        """Where the evidence reaches ``most``, between the share and an end of [0, 1]."""
+        if log_evidence(successes, trials, end) < most:
+            return end
+        inside, outside = share, end
+        for _ in range(60):
+            middle = (inside + outside) / 2
+            if log_evidence(successes, trials, middle) < most:
+                inside = middle
+            else:
+                outside = middle
+        return outside
+
+    return Interval(share, limit(0.0), limit(1.0))
+
+
+def better_than(chance: float, successes: float, trials: int, alpha: float) -> bool:
+    """Whether somebody is shown to succeed more often than by ``chance``.
+
+    Where she does not, this is ever true with probability ``alpha`` at most, however often one
+    looks.
+    """
+    if successes <= chance * trials:
+        return False
+    return log_evidence(successes, trials, chance) >= -log(alpha)
+
+
+def mean_sequence(histogram: Mapping[int, int], confidence: float = CONFIDENCE) -> Interval:
+    """Limits of a mean over runs that hold at every look together, as runs are added.
+
+    Robbins' normal mixture with the variance that was seen: asymptotic, as the bootstrap is
+    (Waudby-Smith, Arbour, Sinha, Kennedy and Ramdas 2024, Theorem 2.2). It is narrowest at about
+    :data:`_SHARPEST` runs. Fewer than :data:`FEWEST_RUNS` runs have no limits, nor have runs that
+    all had the same count.
+
+    Raises
+    ------
+    ValueError
+        When there is no run.
+    """
+    alpha = 1 - _checked(confidence)
+    runs = sum(histogram.values())
+    if runs < 1 or min(histogram.values()) < 0:
+        raise ValueError(f"histogram: got {dict(histogram)}, expected at least one run")
+    mean = sum(v * n for v, n in histogram.items()) / runs
+    variance = sum(n * (v - mean) ** 2 for v, n in histogram.items()) / max(runs - 1, 1)
+    if runs < FEWEST_RUNS or not variance:
+        return Interval(mean)
+    # rho^2 at which the limits are narrowest after that many runs
+    rho2 = (-2 * log(alpha) + log(-2 * log(alpha) + 1)) / _SHARPEST
+    spread = runs * rho2 + 1
+    half = sqrt(variance * 2 * spread / (runs * runs * rho2) * log(sqrt(spread) / alpha))
+    return Interval(mean, mean - half, mean + half)
+
+
+_SHARPEST: Final = 100
+
+
+# --- what guessing leaves -------------------------------------------------------------------------
+
+
+def bits_left(keys: int, size: int, guessed: Interval) -> Interval:
+    """Bits that one leaves of ``keys`` symbols whom she guesses right with that probability.
+
+    -log2 P_g each, with P_g never below 1 / size. The upper limit comes of the lower one of P_g:
+    whoever is not shown to be better than chance leaves all that there may be.
+
+    Parameters
+    ----------
+    keys : int
+    size : int
+        M.
+    guessed : Interval
+        P_g per symbol, with limits.
+    """
+
+    def left(probability: float) -> float:
+        if isnan(probability):
+            return nan
+        return keys * abs(log2(min(1.0, max(probability, 1.0 / size))))
+
+    return Interval(left(guessed.value), left(guessed.high), left(guessed.low))

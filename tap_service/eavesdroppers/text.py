@@ -1,0 +1,174 @@
+"""`text`: reads the message itself, by all that a frame and a language say of unreliable symbols.
+
+What was missed is inferred as exactly as the law allows (:mod:`tap_service.inference.front`), and
+nothing is decided step by step: each step keeps its probabilities, and a search over whole messages
+weighs them together with English, the frame's length, the silence after it and its check
+(:mod:`tap_service.inference.message_search`). She says how sure she is, and how many bits are left.
+She has to hear what came after before she can infer what was lost, so she reads all that she keeps
+anew each time she has heard twice as much as before, a quarter more while a message is open, and
+when it should be over.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar, Final
+
+from protocol.knowledge import Knowledge
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.eavesdroppers.list_decoder import nearest
+from tap_service.inference.english import AnyBytes, English, english
+from tap_service.inference.front import Inference, Inferred
+from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
+
+KEPT: Final = 4096
+"""Transitions that she keeps; at this many she lets the older half go."""
+
+FIRST: Final = 96
+"""Transitions before she reads for the first time."""
+
+GROWTH: Final = 2.0
+"""She reads anew when she has heard this many times as much."""
+
+SOON: Final = 8
+"""Transitions after the end of a message at which she reads it."""
+
+
+class Text(Eavesdropper):
+    """Reads whole messages, and says what is left of them.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    language : English or AnyBytes, optional
+        What she expects of a message; English by default.
+    live : bool
+        Whether she reads as she listens, or when she is asked alone.
+    """
+
+    name: ClassVar[str] = "text"
+    heavy: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        knowledge: Knowledge,
+        language: English | AnyBytes | None = None,
+        *,
+        live: bool = True,
+    ) -> None:
+        super().__init__(knowledge)
+        self._model = Model.of(knowledge, self.name)
+        self._even = even(self.size)
+        self._inference = Inference(knowledge)
+        self._reader = MessageReader(self.scheme, language or english(), certain=self.certain)
+        self._live = live
+        self._kept: list[Transition] = []
+        self._inferred = Inferred([], (0.0, 1.0))
+        self._thoughts: dict[tuple[str, int], Guess] = {}
+        self._symbols: dict[tuple[str, int], int] = {}
+        self._read: dict[tuple[str, int], Message] = {}
+        self._after: dict[str, int] = {}
+        self._open: list[Message] = []
+        self._count = 0
+        self._bits = 0.0  # left of the messages that she has read
+        self._solved_k = -1
+        self._heard = self._decoded = 0
+        self._next = FIRST
+
+    def observe(self, transition: Transition) -> Guess:
+        """Take the nearest candidate where the step was heard; what was lost must wait."""
+        t = transition
+        self._kept.append(t)
+        self._heard += 1
+        if self._live and self._heard >= self._next:
+            self.decode()
+        if len(self._kept) >= KEPT:
+            self._let_go(KEPT // 2)
+        if t.x is None or t.candidates is None or t.x_next is None:
+            return Guess(t.k, self._even, 0.5)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
+        agreed = 1.0 if self.certain else (0.5 if max(gauges) <= 1.0 else 0.0)
+        return Guess(t.k, nearest(gauges), agreed)
+
+    def decode(self) -> None:
+        """Infer and read all that is kept."""
+        if self._decoded == self._heard:
+            return
+        self._decoded = self._heard
+        more = min(int(self._heard * (GROWTH - 1)), KEPT // 2)
+        self._next = self._heard + max(more, 1)
+        self._inferred = self._inference.infer(self._kept)
+        steps, among = self._inferred.steps, self._inferred.among
+        self._open = []
+        settled = dict(self._after)
+        for message in self._reader.read(steps, among, self._after):
+            if message.whole and message.probability >= SURE:
+                self._take(message)
+            else:
+                self._open.append(message)
+                due = self._heard // 4
+                if not message.whole and message.due_k >= 0:
+                    due = min(due, message.due_k - self._kept[-1].k + SOON)
+                self._next = min(self._next, self._heard + max(due, SOON))
+        verdicts, _ = verdicts_of(steps, among, self.size, certain=self.certain)
+        for step, row in zip(steps, verdicts.tolist(), strict=True):
+            if step.transition.k > settled.get(step.transition.session, -1):
+                self._think(step.transition.session, step.transition.k, row)
+        for stretch in self._reader.stretches:
+            for i, row in enumerate(stretch.verdicts.tolist()):
+                self._think(stretch.session, stretch.k + i, row)
+            likeliest = stretch.symbols.argmax(axis=1)
+            for i, symbol in enumerate(likeliest.tolist()):
+                at = (stretch.session, stretch.k + i)
+                self._symbols.pop(at, None)
+                if symbol:
+                    self._symbols[at] = symbol - 1
+
+    def _think(self, session: str, k: int, verdict: Sequence[float]) -> None:
+        """Note what she thinks of a step, given its verdict's probabilities."""
+        agreed = sum(verdict[1:])
+        share = [p / agreed for p in verdict[1:]] if agreed > 0 else self._even
+        self._thoughts[session, k] = Guess(k, tuple(share), min(agreed, 1.0), session)
+
+    def _take(self, message: Message) -> None:
+        """Count a message as read."""
+        self._read[message.session, message.k] = message
+        self._after[message.session] = message.k
+        self._count += 1
+        self._bits += message.bits_left
+        if self._solved_k < 0:
+            self._solved_k = self._kept[-1].k
+        while len(self._read) > KEPT_MESSAGES:
+            del self._read[next(iter(self._read))]
+
+    def _let_go(self, count: int) -> None:
+        """Her last thoughts on the oldest."""
+        self.decode()
+        for t in self._kept[:count]:
+            guess = self._thoughts.pop((t.session, t.k), None)
+            self.settled.append(guess or Guess(t.k, self._even, 0.5, t.session))
+        self._kept = self._kept[count:]
+
+    def review(self) -> Sequence[Guess]:
+        """What she takes each step for, with what came after it and the messages carried."""
+        self.decode()
+        return [self._thoughts[t.session, t.k] for t in self._kept]
+
+    def belief(self) -> Belief:
+        """The newest message, how sure she is of it, and what is left of all."""
+        read = tuple(self._read.values())
+        newest = (*read, *self._open)[-1:]
+        session = self._kept[-1].session if self._kept else ""
+        symbols = sorted((k, s) for (at, k), s in self._symbols.items() if at == session)
+        return Belief(
+            message=newest[0].payload if newest else b"",
+            whole=tuple(m.payload for m in read),
+            whole_count=self._count,
+            confidence=newest[0].probability if newest else 0.0,
+            candidates_left=newest[0].rivals if newest else 0,
+            solved_k=self._solved_k,
+            symbols=tuple(symbols[-KEPT_SYMBOLS:]),
+            A=self._model.A,
+            B=self._model.B,
+            bits_left=self._bits + sum(m.bits_left for m in self._open) if newest else None,
+        )

@@ -1,0 +1,119 @@
+"""Keys and message symbols step by step, once the messages are known or taken for known.
+
+Forwards and backwards over the steps, with how much of the messages was carried so far.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from protocol.arrays import Array, Integers
+from protocol.schemes.framing import IDLE
+from protocol.schemes.table import StateTable
+from tap_service.inference.lattice import BEGINS
+
+MOST: Final = 12_000_000
+"""Steps times states times symbols at most; with more, nothing is aligned."""
+
+TINY: Final = 1e-300
+
+
+def align(
+    table: StateTable,
+    verdicts: Array,
+    ciphers: Integers,
+    entry: Array,
+    stream: Array,
+    waits: Integers,
+) -> tuple[Array, Array] | None:
+    """Posteriors of every step's verdict and symbol, or None where there is too much.
+
+    Parameters
+    ----------
+    table : StateTable
+    verdicts : array, shape (K, E, 1 + M)
+        Of each step in each state of the scheme, without the messages.
+    ciphers : integer array, shape (K,)
+        -1 where one was missed.
+    entry : array, shape (E,)
+        Probability of the scheme's state before the first step.
+    stream : array, shape (P, M)
+        Probability of each symbol of the messages, one after the other.
+    waits : integer array
+        Places in the stream, 0 to P, before which idle symbols may be carried.
+
+    Returns
+    -------
+    verdicts : array, shape (K, 1 + M)
+    symbols : array, shape (K, 1 + M)
+        Of the message symbol carried: none, 0, 1, ...
+    """
+    K, M, E, P = len(verdicts), verdicts.shape[2] - 1, len(entry), len(stream)
+    if K * E * (P + 1) > MOST:
+        return None
+    idles = np.zeros(P + 1)
+    idles[waits] = 1 - BEGINS
+    begins = np.ones(P)
+    begins[waits[waits < P]] = BEGINS
+    pads = table.pad[:E]
+    after = np.array(
+        [[int(table.following(np.array([e]), np.array([v]))[0]) for v in range(-1, M)]
+         for e in range(E)]
+    )  # fmt: skip
+    carried = [begins * stream[:, m] * M for m in range(M)]
+    whole = begins * stream.sum(axis=1)
+
+    def moved(f: Array, e: int, k: int) -> Array:
+        """Weights by what was carried, after step k in state e."""
+        if pads[e] < 0:
+            return f
+        c = int(ciphers[k])
+        g = np.zeros_like(f)
+        if c < 0:
+            g[1:] = f[:-1] * whole
+            return np.asarray(g + f * idles)
+        m = (c - int(pads[e])) % M
+        g[1:] = f[:-1] * carried[m]
+        return np.asarray(g + f * idles * M) if m == IDLE else g
+
+    F = np.zeros((K + 1, E, P + 1))
+    F[0, :, 0] = entry
+    for k in range(K):
+        for e in range(E):
+            if not F[k, e].any():
+                continue
+            g = moved(F[k, e], e, k)
+            for v in range(M + 1):
+                F[k + 1, after[e, v]] += verdicts[k, e, v] * g
+        F[k + 1] /= max(F[k + 1].max(), TINY)
+    back = np.ones((E, P + 1))
+    out, symbols = np.zeros((K, M + 1)), np.zeros((K, M + 1))
+    for k in range(K - 1, -1, -1):
+        mixed = np.einsum("ev,evp->ep", verdicts[k], back[after])
+        before = np.zeros_like(back)
+        for e in range(E):
+            g = moved(F[k, e], e, k)
+            gain = verdicts[k, e] * (back[after[e]] @ g)
+            out[k] += gain
+            if pads[e] < 0:
+                symbols[k, 0] += gain.sum()
+                before[e] = mixed[e]
+                continue
+            c = int(ciphers[k])
+            if c >= 0:
+                m = (c - int(pads[e])) % M
+                symbols[k, 1 + m] += gain.sum()
+                before[e, :-1] = carried[m] * mixed[e, 1:]
+                before[e] += idles * M * mixed[e] * (m == IDLE)
+            else:
+                step = F[k, e, :-1] * begins * mixed[e, 1:]
+                symbols[k, 1:] += step @ stream
+                symbols[k, 1 + IDLE] += float((F[k, e] * idles * mixed[e]).sum())
+                before[e, :-1] = whole * mixed[e, 1:]
+                before[e] += idles * mixed[e]
+        back = before / max(before.max(), TINY)
+        out[k] /= max(out[k].sum(), TINY)
+        symbols[k] /= max(symbols[k].sum(), TINY)
+    if not (out.sum(axis=1) > 0.5).all():
+        return None
+    return out, symbols

@@ -1,0 +1,212 @@
+"""Which way of inferring what was missed suits what was heard, and the scales that it needs.
+
+A planar plant with one input: by exact proposals (:mod:`tap_service.inference.line_smoother`), with
+the law as the policy gives it or as it is learned. Any other: by the law's pieces
+(:mod:`tap_service.inference.gap_smoother`), or by the policy where one direction alone is heard.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from protocol.arrays import Array
+from protocol.knowledge import Knowledge
+from tap_service.capture.transcript import Transition, steps_in_a_row
+from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.line_smoother import LineSmoother
+from tap_service.inference.offers_reader import OffersReader
+from tap_service.inference.planar_law import PlanarLaw, learned_law, matching
+from tap_service.inference.policy import KnownLaw
+
+ENOUGH: Final = 16
+"""Steps heard whole from which the disturbance is measured."""
+
+EXPLAINED: Final = 1e-3
+"""Over the spread of the answers: within this the law explains an offer."""
+
+MOST: Final = 0.6
+"""Share of the offers that a law must explain."""
+
+SLACK: Final = 0.02
+"""Over the width: how far a disturbance may be outside where the width is looked for."""
+
+STRAY: Final = -7.0
+"""Log density of a step that a width does not explain."""
+
+TRIAL: Final = 120
+"""Steps on which scales are tried."""
+
+FEW: Final = 120
+"""Particles while scales are tried."""
+
+
+@dataclass(frozen=True)
+class Inferred:
+    """The steps as inferred.
+
+    Parameters
+    ----------
+    steps : list of InferredStep
+    among : tuple of float
+        t_c from and to, in units of D_e.
+    """
+
+    steps: list[InferredStep]
+    among: tuple[float, float]
+
+
+class Inference:
+    """Infers transitions.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        With a model.
+    """
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        k = knowledge
+        assert k.disturbance_H is not None
+        assert k.disturbance_h is not None
+        self._A, self._B = np.array(k.A), np.array(k.B)
+        self._shape = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
+        # rounding to a step is an error spread evenly over it
+        self._noise = float(np.hypot(k.noise, k.quantise / np.sqrt(12.0)))
+        self._certain = k.policy is not None and k.policy.certain
+        self._planar = PlanarLaw.of(k)
+        self._law = KnownLaw.of(k)
+
+    def infer(self, transitions: Sequence[Transition]) -> Inferred:
+        """Infer the transcript that is kept, in one call."""
+        runs = [_joined(run) for run in steps_in_a_row(transitions)]
+        kept = [t for run in runs for t in run]
+        law = None if self._planar is None else self._fitted(self._planar, kept)
+        if law is not None:
+            return self._by_lines(law, runs, kept)
+        if self._law is not None and all(t.x is None for t in kept):
+            reader = OffersReader(self._A, self._B, self._shape, self._law, self._noise)
+            return Inferred(reader.infer(kept), reader.width or _among(reader.support))
+        smoother = GapSmoother(self._A, self._B, self._shape, self._noise, samples=96)
+        return Inferred(smoother.infer(kept), _among(smoother.support))
+
+    # --- the law ----------------------------------------------------------------------------------
+
+    def _fitted(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
+        """The law of the right width, or a learned one; None where none explains the offers."""
+        offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
+        if not offers:
+            return self._by_states(law, kept) if law.known else None
+        law = matching(law, offers)
+        pairs = [t for t in kept if t.x is not None and t.candidates is not None]
+        if len(pairs) < ENOUGH:
+            return law if law.known and law.gap else None
+        x = np.array([t.x for t in pairs])
+        u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
+        spread = max(float(u.std()), 1e-9)
+        if not law.gap:
+            law = law.fitted(x, u)
+        slopes = np.abs(law.free).sum(axis=1).max()
+        room = EXPLAINED * spread + 3 * self._noise * (1 + slopes)
+        tried = [law] if law.known else []
+        if not self._noise and (not tried or (law.explains(x, u) <= room).mean() < 0.95):
+            tried.append(learned_law(law, x, u))
+        shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
+        if not shares or max(shares) < MOST:
+            return None
+        return tried[int(np.argmax(shares))]
+
+    def _by_states(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
+        """The likeliest width, where states alone were heard: the least that explains most."""
+        pairs = [t for t in kept if t.x is not None and t.x_next is not None]
+        if len(pairs) < ENOUGH:
+            return None
+        x, after = np.array([t.x for t in pairs]), np.array([t.x_next for t in pairs])
+        moved = after - x @ self._A.T
+
+        def nearest(width: float) -> Array:
+            u = law.of_width(width).offers(x)
+            d = moved[:, None] - u[:, :, None] * self._B[:, 0]
+            out: Array = np.maximum((d @ self._shape.T).max(axis=2), 0.0).min(axis=1)
+            return out
+
+        def likelihood(width: float) -> float:
+            inside = nearest(width) <= width * (1 + SLACK) + self._noise * np.abs(self._shape).max()
+            return float(np.where(inside, -2 * np.log(width), STRAY).mean())
+
+        def left(width: float) -> float:
+            return float(np.quantile(nearest(width), 0.75))
+
+        best = max(np.geomspace(1 / 64, 1.0, 417).tolist(), key=likelihood)
+        near = best * np.geomspace(0.94, 1.06, 121)
+        return law.of_width(min(float(min(near.tolist(), key=left)), 1.0))
+
+    # --- by lines ---------------------------------------------------------------------------------
+
+    def _by_lines(
+        self, law: PlanarLaw, runs: Sequence[list[Transition]], kept: Sequence[Transition]
+    ) -> Inferred:
+        offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
+        spread = float(np.std([law.solved(offer) for offer in offers])) if offers else 0.0
+        support = self._support(law, kept)
+        longest = max(runs, key=len)
+
+        def smoother(scale: float, particles: int | None = None) -> LineSmoother:
+            more = {} if particles is None else {"particles": particles}
+            return LineSmoother(
+                self._A, self._B, self._shape, law, scale * support, self._noise, spread, **more
+            )
+
+        scale = 1.0
+        if not self._measured(kept) and len(longest) > ENOUGH:
+            trial = longest[:TRIAL]
+            scale = max((1.0, 0.85, 0.7, 0.55, 0.4), key=lambda s: smoother(s, FEW).evidence(trial))
+        line = smoother(scale)
+        steps = [step for run in runs for step in line.infer(run)]
+        if self._certain:
+            return Inferred(steps, (0.0, 1.0))
+        exact = law.scaled and law.known and not self._noise
+        if law.scaled and law.known:
+            room = 1.0005 if exact else 1.06
+            return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
+        return Inferred(steps, _among(float(support.max())))
+
+    def _measured(self, kept: Sequence[Transition]) -> bool:
+        return not self._noise and sum(t.whole for t in kept) >= ENOUGH
+
+    def _support(self, law: PlanarLaw, kept: Sequence[Transition]) -> Array:
+        """The disturbance's support: ``shape @ d`` at most."""
+        if not self._measured(kept):
+            return np.full(len(self._shape), law.width)
+        whole = [t for t in kept if t.whole]
+        x, after = np.array([t.x for t in whole]), np.array([t.x_next for t in whole])
+        u = np.array([t.candidates for t in whole])
+        d = (after - x @ self._A.T)[:, None] - u @ self._B.T
+        products = d @ self._shape.T
+        nearest = products[np.arange(len(whole)), products.max(axis=2).argmin(axis=1)]
+        found: Array = nearest.max(axis=0) * (1 + 2 / len(whole))
+        # what is even over a symmetric set reaches as far the other way
+        for i, row in enumerate(self._shape):
+            opposite = np.flatnonzero(np.abs(self._shape + row).max(axis=1) < 1e-12)
+            for j in opposite:
+                found[i] = max(found[i], found[j])
+        return np.maximum(found, 1e-9)
+
+
+def _among(support: float) -> tuple[float, float]:
+    """Thresholds of a defender, by the gauge of the largest disturbance."""
+    return 0.95 * support, min(3.0 * support, 1.0)
+
+
+def _joined(run: list[Transition]) -> list[Transition]:
+    """A state that was heard after one step is the state before the next."""
+    out = run[:1] + [
+        t if t.x is not None or before.x_next is None else replace(t, x=before.x_next)
+        for before, t in pairwise(run)
+    ]
+    return [
+        t if t.x_next is not None or after.x is None else replace(t, x_next=after.x)
+        for t, after in pairwise(out)
+    ] + out[-1:]

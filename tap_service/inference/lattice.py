@@ -1,0 +1,182 @@
+"""Where in the transcript each message symbol may have been carried, and what it may have been.
+
+A node is a step and the scheme's state before it. From node to node one message symbol is carried:
+the band of this lattice says with what probability, for every symbol. Everything is a ratio to
+random symbols, so that a stretch of which nothing is said counts one. A verdict may depend on
+the scheme's state, and so on the verdict before where the state holds its key, and on nothing else.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from protocol.arrays import Array, Integers
+from protocol.schemes.framing import IDLE, START
+from protocol.schemes.table import StateTable
+
+LONGEST_WAIT: Final = 96
+"""Steps from one message symbol to the next that are followed."""
+
+FORGOTTEN: Final = 1e-9
+"""Probability of a longer wait that is not followed."""
+
+BEGINS: Final = 0.03
+"""Probability that a symbol between two messages begins one."""
+
+ENDS: Final = 0.004
+"""Probability that a symbol within a message that is not looked at is its last."""
+
+TINY: Final = 1e-300
+
+
+class Lattice:
+    """The steps of one stretch of a session.
+
+    Parameters
+    ----------
+    table : StateTable
+    verdicts : array, shape (K, E, 1 + M)
+        Probability of each step's verdict (none, symbol 0, 1, ...) in each state of the scheme.
+    ciphers : integer array, shape (K,)
+        The ciphertext symbols, -1 where one was missed.
+    entry : array, shape (states,)
+        Probability of the scheme's state before the first step.
+
+    Attributes
+    ----------
+    steps : int
+        K.
+    states : int
+        E, states of the scheme.
+    wait : int
+        G, steps within which the next symbol is carried.
+    band : array, shape (M, K, E, G, E)
+        From node (k, e) to node (k + 1 + g, f), carrying symbol m.
+    left : array, shape (K + 1, E)
+        That no further symbol is carried.
+    rate : float
+        Symbols carried a step.
+    """
+
+    def __init__(self, table: StateTable, verdicts: Array, ciphers: Integers, entry: Array) -> None:
+        self.steps, self.size = len(verdicts), verdicts.shape[2] - 1
+        self.entry = entry
+        self.states = E = len(entry)
+        K, M = self.steps, self.size
+        emit = np.ones((M, K, E))  # of symbol m at step k in state e
+        pads = table.pad[:E]
+        for e in np.flatnonzero(pads >= 0):
+            heard = ciphers >= 0
+            carried = (ciphers - pads[e]) % M
+            for m in range(M):
+                emit[m, heard, e] = M * (carried[heard] == m)
+        following = np.array(
+            [[int(table.following(np.array([e]), np.array([v]))[0]) for v in range(-1, M)]
+             for e in range(E)]
+        )  # fmt: skip
+        carries = pads >= 0
+        now = np.zeros((K, E, E))  # begun in (k, e), now in f after g steps, nothing carried
+        now[:, np.arange(E), np.arange(E)] = 1.0
+        self.left = np.zeros((K + 1, E))
+        self.left[K] = 1.0
+        parts = []
+        for g in range(min(LONGEST_WAIT, K)):
+            count = K - g
+            part = np.zeros((M, K, E, E))
+            after = np.zeros((K, E, E))
+            for f in range(E):
+                if not now[:count, :, f].any():
+                    continue
+                for v in range(M + 1):
+                    p = now[:count, :, f] * verdicts[g:, f, v, None]
+                    to = following[f, v]
+                    if carries[f]:
+                        part[:, :count, :, to] += p[None] * emit[:, g:, f, None]
+                    else:
+                        after[:count, :, to] += p
+            parts.append(part)
+            self.left[count - 1] = after[count - 1].sum(axis=1)
+            after[count - 1] = 0.0
+            now = after
+            if now.max() < FORGOTTEN:
+                break
+        self.wait = len(parts)
+        self.band = np.stack(parts, axis=3)
+        self.uniform = self.band.mean(axis=0)
+        waits = self.uniform.sum(axis=(0, 1, 3))
+        self.rate = float(waits.sum() / max(waits @ np.arange(1, self.wait + 1), TINY))
+
+    # --- sweeps -----------------------------------------------------------------------------------
+
+    def idle_until(self, begin: Array) -> Array:
+        """Log weight that all symbols are idle from ``begin``, shape (K + 1, E), up to each node.
+
+        ``begin`` holds log weights too.
+        """
+        kernel = (1 - BEGINS) * self.band[IDLE]
+        out = begin.copy()
+        for k in range(self.steps):
+            level = float(out[k].max())
+            if level == -np.inf:
+                continue
+            reach = min(self.wait, self.steps - k)
+            w = np.einsum("e,egf->gf", np.exp(out[k] - level), kernel[k][:, :reach])
+            to = slice(k + 1, k + 1 + reach)
+            out[to] = np.logaddexp(out[to], _log(w) + level)
+        return out
+
+    def outside(self) -> Array:
+        """Log weight of all that follows each node where no message is under way there.
+
+        Shape (K + 1, E).
+        """
+        K = self.steps
+        both = np.zeros((2, K + 1, self.states))  # outside a message, inside one
+        kernel = np.stack([(1 - BEGINS) * self.band[IDLE], BEGINS * self.band[START]])
+        for k in range(K - 1, -1, -1):
+            reach = min(self.wait, K - k)
+            part = both[:, k + 1 : k + 1 + reach]
+            level = max(float(part.max()), 0.0)
+            o, i = np.exp(part - level)
+            end = self.left[k] * np.exp(-level)
+            idle, start = kernel[:, k, :, :reach]
+            out = np.einsum("egf,gf->e", idle, o) + np.einsum("egf,gf->e", start, i) + end
+            inside = np.einsum("egf,gf->e", self.uniform[k][:, :reach], (1 - ENDS) * i + ENDS * o)
+            both[0, k], both[1, k] = _log(out) + level, _log(inside + end) + level
+        weights: Array = both[0]
+        return weights
+
+    def ahead(self, outside: Array, symbols: int) -> Array:
+        """Log weight of all that follows where ``symbols`` of any kind end the message.
+
+        Shape (symbols + 1, K + 1, E).
+        """
+        out = np.empty((symbols + 1, self.steps + 1, self.states))
+        out[0] = outside
+        for r in range(1, symbols + 1):
+            level = max(float(out[r - 1].max()), 0.0)
+            values = np.exp(out[r - 1] - level)
+            now = self.left * np.exp(-level)
+            for g in range(self.wait):
+                rows = self.steps - g
+                now[:rows] += np.einsum("kef,kf->ke", self.uniform[:rows, :, g], values[1 + g :])
+            out[r] = _log(now) + level
+        return out
+
+    def window(self, low: int, count: int) -> Array:
+        """The band from ``count`` steps on from ``low`` as matrices, one a symbol.
+
+        Shape (M, count E, (count + G) E): to nodes from step ``low`` + 1 on.
+        """
+        E, M = self.states, self.size
+        out = np.zeros((M, count, E, count + self.wait, E))
+        for i in range(count):
+            if low + i < self.steps:
+                out[:, i, :, i : i + self.wait] = self.band[:, low + i]
+        return out.reshape(M, count * E, (count + self.wait) * E)
+
+
+def _log(values: Array) -> Array:
+    """The logarithm, of nothing too."""
+    out: Array = np.log(np.maximum(values, TINY))
+    return out

@@ -1,0 +1,375 @@
+"""The message itself: a beam search over its symbols, with a model of its language and its check.
+
+A hypothesis is a beginning of a frame. Its weight is the probability of its text, times how well
+its symbols fit the transcript (:mod:`tap_service.inference.lattice`), times what the rest of the
+transcript says where the rest of the frame may be anything and silence follows. So beginnings of
+frames of all lengths can be compared. What is dropped on the way is accounted for: it lowers what
+she claims for what she found.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.arrays import Array, Flags, Indices
+from protocol.schemes.framing import (
+    CHECK_BYTES,
+    LENGTH_BYTES,
+    START,
+    block_bytes,
+    digits_of,
+    frame_length,
+)
+from tap_service.inference.english import AnyBytes, English
+from tap_service.inference.lattice import BEGINS, Lattice
+from tap_service.inference.message_beam import FAR, NEGLIGIBLE, Beam, Growth, Plan, finite
+from tap_service.inference.message_graph import DRAWN, ROOM, Graph, judge
+
+BEAM: Final = 3000
+"""Hypotheses kept from symbol to symbol."""
+
+LENGTHS: Final = 48
+"""Lengths of the payload that are followed."""
+
+LONGEST: Final = 1024
+"""Bytes of a payload at most."""
+
+SHORT_SHARE: Final = 0.9
+"""Probability of a message shorter than 256 bytes."""
+
+KEPT: Final = 200
+"""Messages that are given back."""
+
+FEWEST: Final = 200
+"""Messages drawn of a length at least."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found of one frame.
+
+    Parameters
+    ----------
+    payloads : tuple of bytes
+        The likeliest messages, best first.
+    weights : array
+        Their log weights, the check included: ratios to random symbols.
+    plain : float
+        Log weight of all messages on the list before their checks were looked at.
+    kept : float
+        Share of the weight that was not dropped on the way.
+    surprise : float
+        Entropy of the list before the checks, in bits.
+    ends : array, shape (K + 1, E)
+        Log weight that the best one ends at each node.
+    any : float
+        Log weight of messages of any bytes whatever.
+    under_way : bytes
+        The likeliest beginning of a message that the transcript does not hold to its end.
+    open : float
+        Log weight of all such beginnings.
+    missing : int
+        Steps in which the likeliest of them should be over; -1 where there is none.
+    """
+
+    payloads: tuple[bytes, ...]
+    weights: Array
+    plain: float
+    kept: float
+    surprise: float
+    ends: Array
+    any: float
+    under_way: bytes
+    open: float
+    missing: int
+
+
+class Opened:
+    """What is known of messages that the transcript does not hold to their end."""
+
+    def __init__(self) -> None:
+        self.best = self.total = -np.inf
+        self.text = b""
+        self.missing = -1
+
+
+class Ended:
+    """Messages that came to their end."""
+
+    def __init__(self) -> None:
+        self.list: list[tuple[float, float, bytes, Array, int]] = []
+        self.plain: dict[bytes, float] = {}
+        self.total = self.listed = -np.inf
+
+    def add(self, text: bytes, score: float, plain: float, alpha: Array, low: int) -> None:
+        """Add one with its log weights, its check's included and not, and where it ends."""
+        self.list.append((score, plain, text, alpha, low))
+
+
+class MessageSearch:
+    """Searches one frame in a lattice.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    language : English or AnyBytes
+    beam : int
+    """
+
+    def __init__(self, lattice: Lattice, language: English | AnyBytes, beam: int = BEAM) -> None:
+        self._lattice, self._language, self.beam = lattice, language, beam
+        self._size = lattice.size
+        self._header = digits_of(LENGTH_BYTES, self._size)
+        self._single = block_bytes(self._size) == 1
+        self._digits = digits_of(1, self._size)
+        self._outside = lattice.outside()
+        self._longest = LONGEST
+        symbols = frame_length(self._longest, self._size)
+        self._ahead = lattice.ahead(self._outside, min(symbols, lattice.steps))
+
+    def _after(self, symbols: Indices) -> Array:
+        """`Lattice.ahead` of numbers of symbols; more than the steps never end."""
+        return self._ahead[np.minimum(symbols, len(self._ahead) - 1)]
+
+    # --- where and how long -----------------------------------------------------------------------
+
+    def starts(self, begin: Array) -> Array:
+        """Log weight that a frame's start symbol was carried right before each node."""
+        idle = self._lattice.idle_until(begin)
+        level = float(idle.max())
+        out = np.full_like(idle, -np.inf)
+        if level == -np.inf:
+            return out
+        values = np.exp(idle - level)
+        band = self._lattice.band[START]
+        for g in range(self._lattice.wait):
+            rows = self._lattice.steps - g
+            w = np.einsum("ke,kef->kf", values[:rows], band[:rows, :, g])
+            with np.errstate(divide="ignore"):
+                out[1 + g :] = np.logaddexp(out[1 + g :], np.log(w) + level)
+        return out + float(np.log(BEGINS))
+
+    def _lengths(self, start: Array) -> tuple[NDArray[np.intp], Array, Array, int] | None:
+        """Likely lengths: they, their alphas and levels, and the first step of the window.
+
+        None where the transcript holds no length.
+        """
+        lengths = np.arange(1, self._longest + 1)
+        total = np.array([frame_length(int(n), self._size) - 1 for n in lengths])
+        prior = np.where(
+            lengths < 256, np.log(SHORT_SHARE / 255), np.log((1 - SHORT_SHARE) / 65280)
+        )
+        best = np.full(start.shape, -np.inf)
+        for n, p in zip(total, prior, strict=True):
+            best = np.logaddexp(best, start + self._after(n) + p)
+        near = np.flatnonzero((best > best.max() - FAR).any(axis=1))
+        low, high = int(near[0]), int(near[-1])
+        alpha = np.exp(start[low : high + 1] - start[low : high + 1].max())
+        level: Array = np.asarray(prior, dtype=np.float64) + float(start[low : high + 1].max())
+        alphas = np.tile(alpha.reshape(1, -1), (len(lengths), 1))
+        digits = np.array(
+            [[n // self._size ** (self._header - 1 - j) % self._size for j in range(self._header)]
+             for n in lengths.tolist()]
+        )  # fmt: skip
+        for j in range(self._header):
+            matrices = self._lattice.window(low, alphas.shape[1] // self._lattice.states)
+            alphas = np.stack([a @ matrices[d] for a, d in zip(alphas, digits[:, j], strict=True)])
+            low += 1
+            left = total - 1 - j
+            score = self._weights(alphas, level, left, low)
+            if not np.isfinite(score.max()):
+                return None
+            near = np.flatnonzero(score > score.max() - FAR)
+            if len(near) > LENGTHS and j == self._header - 1:
+                near = np.sort(np.argsort(-score)[:LENGTHS])
+            lengths, total, digits = lengths[near], total[near], digits[near]
+            alphas, level, score = alphas[near], level[near], score[near]
+            alphas, low = self._trimmed(alphas, level, total - 1 - j, low, score)
+        return lengths, alphas, level, low
+
+    def _rows(self, left: Indices, low: int, count: int) -> Array:
+        """Log weight ahead of the nodes of a window, a row for each of ``left``."""
+        out = np.full((len(left), count, self._lattice.states), -np.inf)
+        have = min(count, self._lattice.steps + 1 - low)
+        if have > 0:
+            out[:, :have] = self._after(left)[:, low : low + have]
+        return out.reshape(len(left), count * self._lattice.states)
+
+    def _weights(self, alphas: Array, level: Array, left: Indices, low: int) -> Array:
+        ahead = self._rows(left, low, alphas.shape[1] // self._lattice.states)
+        top = finite(ahead.max(axis=1, keepdims=True))
+        with np.errstate(divide="ignore"):
+            out: Array = np.log((alphas * np.exp(ahead - top)).sum(axis=1)) + level + top[:, 0]
+        return out
+
+    def _trimmed(
+        self, alphas: Array, level: Array, left: Indices, low: int, score: Array
+    ) -> tuple[Array, int]:
+        """Leave the nodes at both ends out that hardly count."""
+        E = self._lattice.states
+        count = alphas.shape[1] // E
+        ahead = self._rows(left, low, count)
+        with np.errstate(divide="ignore"):
+            share = np.log(alphas) + (level - score.max())[:, None] + ahead
+        weight = np.exp(share - finite(share.max())).sum(axis=0).reshape(count, E).sum(axis=1)
+        used = np.flatnonzero(weight > NEGLIGIBLE * weight.sum())
+        first, last = int(used[0]), int(used[-1])
+        return alphas[:, first * E : (last + 1) * E], low + first
+
+    # --- the payload ------------------------------------------------------------------------------
+
+    def find(self, begin: Array, beam: int | None = None) -> Found | None:
+        """Search the frame that comes next after ``begin``, log weights of nodes."""
+        self.beam = beam or self.beam
+        start = self.starts(begin)
+        if not np.isfinite(start).any():
+            return None
+        begun = self._lengths(start)
+        if begun is None:
+            return None
+        lengths, alphas, level, low = begun
+        growth = Growth(self._lattice, self._language, lengths, self.beam)
+        plan = growth.plan
+        dtype = np.int64 if self._single else object
+        hypotheses = Beam(len(lengths), alphas.shape[1], int(lengths.max()) + CHECK_BYTES, dtype)
+        hypotheses.length = np.arange(len(lengths))
+        hypotheses.alpha, hypotheses.level = alphas, level
+        hypotheses.score = self._weights(alphas, level, plan.total, low)
+        likely = hypotheses.score.copy()
+        growth.expect(hypotheses, np.arange(len(lengths)))
+        kept, opened, ended = 0.0, Opened(), Ended()
+        graph = Graph()
+        graph.begin(hypotheses)
+        for j in range(int(plan.total.max())):
+            self._open(opened, hypotheses, plan.total[hypotheses.length] - j, low)
+            count = hypotheses.alpha.shape[1] // self._lattice.states + self._lattice.wait
+            ahead = self._rows(np.maximum(plan.total - 1 - j, 0), low + 1, count)
+            moved = growth.symbol(hypotheses, ahead, j, low)
+            if moved is None:
+                break
+            low, share = moved
+            kept += float(np.log(share))
+            sizes = lengths[hypotheses.length]
+            if not self._single:
+                over = self._over(ended, hypotheses, sizes, plan.total[hypotheses.length], j, low)
+            elif (j + 1) % self._digits:
+                continue
+            else:
+                graph.merge(hypotheses)
+                over = hypotheses.count == lengths[hypotheses.length]
+                if over.any():
+                    self._drawn(ended, graph, hypotheses, over, low)
+            if over.all():
+                break
+            if over.any():
+                hypotheses.take(np.flatnonzero(~over))
+        return self._found(ended, kept, opened, float(np.logaddexp.reduce(likely)))
+
+    def _over(
+        self, ended: "Ended", beam: Beam, sizes: Indices, totals: Indices, j: int, low: int
+    ) -> Flags:
+        """Take the hypotheses that have their check too, followed one by one; which they are."""
+        scores = beam.score.tolist()
+        for row in np.flatnonzero(beam.count >= sizes).tolist():
+            text = beam.text[row, : sizes[row]].tobytes()
+            ended.plain.setdefault(text, scores[row])
+        over: Flags = totals == j + 1
+        for row in np.flatnonzero(over).tolist():
+            text = beam.text[row, : sizes[row]].tobytes()
+            ended.add(text, scores[row], ended.plain[text], beam.alpha[row].copy(), low)
+        ended.total = float(np.logaddexp.reduce([ended.total, *(e[1] for e in ended.list)]))
+        return over
+
+    def _drawn(self, ended: "Ended", graph: Graph, beam: Beam, over: Flags, low: int) -> None:
+        """Draw messages that are over but for their check, and judge them by it."""
+        rows = np.flatnonzero(over)
+        ended.total = float(np.logaddexp.reduce([ended.total, *beam.score[rows]]))
+        share = np.exp(np.logaddexp.reduce(beam.score[rows]) - np.logaddexp.reduce(beam.score))
+        count = max(int(share * min(DRAWN, ROOM // beam.alpha.shape[1])), FEWEST)
+        rng = np.random.default_rng(0)
+        texts, plain, nodes = graph.draw(rows, beam.score[rows], rng, count)
+        gain, alpha, low = judge(
+            self._lattice, texts, beam.alpha[nodes], low, self._ahead, self._digits
+        )
+        for i in np.argsort(-(plain + gain))[:KEPT].tolist():
+            ended.add(texts[i].tobytes(), float(plain[i] + gain[i]), float(plain[i]), alpha[i], low)
+        ended.listed = float(np.logaddexp.reduce([ended.listed, *plain]))
+
+    def _open(self, opened: "Opened", beam: Beam, missing: Indices, low: int) -> None:
+        """Count the hypotheses of which the transcript holds no further symbol."""
+        E = self._lattice.states
+        left = np.zeros((beam.alpha.shape[1] // E, E))
+        have = self._lattice.left[low : low + len(left)]
+        left[: len(have)] = have
+        if not left.any():
+            return
+        with np.errstate(divide="ignore"):
+            weight = beam.level + beam.said + np.log(beam.alpha @ left.ravel())
+        row = int(weight.argmax())
+        if weight[row] > opened.best:
+            opened.best = float(weight[row])
+            opened.text = beam.text[row, : beam.count[row]].tobytes()
+            opened.missing = int(missing[row] / self._lattice.rate)
+        opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
+
+    def _found(self, ended: "Ended", kept: float, opened: "Opened", likely: float) -> Found:
+        """What a search gives back, with ``kept`` the log of what was not dropped."""
+        ends = np.full((self._lattice.steps + 1, self._lattice.states), -np.inf)
+        found = sorted(ended.list, key=lambda e: -e[0])[:KEPT]
+        surprise = 0.0
+        if found:
+            p = np.exp(np.array([e[1] for e in found]) - ended.total)
+            rest = max(1 - float(p.sum()), 1e-300)
+            surprise = float(-(p * np.log2(np.maximum(p, 1e-300))).sum())
+            # what is not on the list is at best as likely as the least likely that is
+            surprise -= rest * float(np.log2(max(p.min(), 1e-300)))
+            _, _, _, alpha, at = found[0]
+            nodes = alpha.reshape(-1, self._lattice.states)[: self._lattice.steps + 1 - at]
+            with np.errstate(divide="ignore"):
+                ends[at : at + len(nodes)] = np.log(nodes)
+        listed = ended.listed if self._single else ended.total
+        return Found(
+            tuple(e[2] for e in found),
+            np.array([e[0] for e in found]),
+            ended.total - kept,
+            float(np.exp(min(listed - ended.total, 0.0) + kept)) if found else 0.0,
+            surprise - kept / float(np.log(2)),
+            ends,
+            likely,
+            opened.text,
+            opened.total,
+            opened.missing,
+        )
+
+    def drawn(self, begin: Array, rng: np.random.Generator, count: int = 24) -> float:
+        """Entropy in bits of a message of any bytes, with its check.
+
+        By messages drawn from all that are possible, of the likeliest length.
+        """
+        start = self.starts(begin)
+        begun = self._lengths(start)
+        assert begun is not None  # found before
+        lengths, alphas, level, low = begun
+        plan = Plan(lengths.tolist(), self._size)
+        best = int(self._weights(alphas, level, plan.total, low).argmax())
+        alpha, E = np.tile(alphas[best], (count, 1)), self._lattice.states
+        total = int(plan.total[best])
+        said = np.zeros((total, count))
+        for j in range(total):
+            matrices = self._lattice.window(low, alpha.shape[1] // E)
+            low += 1
+            ahead = self._rows(np.array([total - 1 - j]), low, matrices.shape[2] // E)[0]
+            fits = alpha @ (matrices @ np.exp(ahead - finite(ahead.max()))).T
+            if not (fits.sum(axis=1) > 0).all():
+                return float(8 * (lengths[best] + CHECK_BYTES))
+            share = fits.cumsum(axis=1)
+            symbol = (share < rng.random((count, 1)) * share[:, -1:]).sum(axis=1)
+            said[j] = -np.log2(fits[np.arange(count), symbol] / share[:, -1])
+            alpha = np.stack([a @ matrices[m] for a, m in zip(alpha, symbol, strict=True)])
+            alpha /= alpha.max(axis=1, keepdims=True)
+            alpha, low = self._trimmed(
+                alpha, np.zeros(count), np.full(count, total - 1 - j), low, np.zeros(count)
+            )
+        return float(said.sum(axis=0).mean())

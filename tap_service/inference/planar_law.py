@@ -1,0 +1,256 @@
+"""The law of a planar plant with one input, to the last digit: free parts, and what clips them.
+
+Every program answers u = clip(F x, low(x), high(x)), where the bounds are the facets of the set
+that the next state must be in. They are computed from the policy (:meth:`PlanarLaw.of`), up to the
+width of D_c; or they are learned from offers whose state was heard (:func:`learned_law`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import scipy.linalg
+
+from protocol.arrays import Array, Flags
+from protocol.knowledge import Knowledge
+from tap_service.inference.law_pieces import LawPieces
+from tap_service.inference.policy import KnownLaw, corners_of
+
+MOST_TERMS: Final = 200
+"""Images of the disturbance summed at most."""
+
+LEFT: Final = 1e-3
+"""Share of the disturbance within which the image after the last one summed must lie."""
+
+PARALLEL: Final = 1e-9
+"""A facet whose normal meets B by less than this share bounds no input."""
+
+CLIPPED: Final = 1e-7
+"""Over the spread of the inputs: beyond this from its free part an input was clipped."""
+
+ENOUGH: Final = 24
+"""Pairs of a state and its offer from which facets are learned."""
+
+
+@dataclass(frozen=True)
+class PlanarLaw:
+    """What is offered in which state.
+
+    Parameters
+    ----------
+    free : array, shape (V, 2)
+        F of each program.
+    high, low : array, shapes (J, 3) and (L, 3)
+        Facets: u <= (>=) slope x + offset, the offset for D_c as large as D_e.
+    gap : float
+        Distance of neighbouring candidates, for D_c as large as D_e, where they stand at fixed
+        offsets about one program's answer; 0 where each program makes one.
+    width : float
+        D_c over D_e; 1 where the offsets are the true ones.
+    size : int
+        M.
+    scaled : bool
+        Whether offsets scale with D_c, so that ``width`` is to be found.
+    """
+
+    free: Array
+    high: Array
+    low: Array
+    gap: float
+    size: int
+    width: float = 1.0
+    scaled: bool = True
+
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> "PlanarLaw | None":
+        """The law that the policy gives, or None where it does not say enough."""
+        k, known = knowledge, KnownLaw.of(knowledge)
+        if known is None or k.policy is None or known.together is not None:
+            return None
+        if k.disturbance_H is None or k.disturbance_h is None or known.free.shape[1:] != (1, 2):
+            return None
+        A, B = np.array(k.A), np.array(k.B)
+        H, h = np.array(k.disturbance_H), np.array(k.disturbance_h)
+        V = corners_of(H, h)
+        if len(V) < 3:
+            return None
+        gap = 0.0
+        if known.shared:
+            if k.policy.spacing is None:
+                return None
+            gap = k.policy.spacing / float(((H / h[:, None]) @ B[:, 0]).max())
+            ends = 0.5 * gap * (k.candidates - 1) * B[:, 0]
+            V = np.vstack([V + ends, V - ends])
+            across = np.array([[-B[1, 0], B[0, 0]]])
+            H = np.vstack([H, across, -across])
+            h = (V @ H.T).max(axis=0)
+        K = _gain(k, A, B)
+        facets = None if K is None else _facets(A, B, K, V, H, h)
+        empty = np.empty((0, 3))
+        high, low = facets or (empty, empty)
+        return cls(known.free[:, 0], high, low, gap, k.candidates)
+
+    @property
+    def known(self) -> bool:
+        """Whether there are facets."""
+        return bool(len(self.high) and len(self.low))
+
+    @property
+    def programs(self) -> int:
+        """V, the programs solved for an offer."""
+        return len(self.free)
+
+    def of_width(self, width: float) -> "PlanarLaw":
+        """The same for another width of D_c."""
+        return replace(self, width=width)
+
+    def answers(self, x: Array) -> Array:
+        """The programs' answers in states ``x``, shape (S, 2); returns shape (S, V)."""
+        u: Array = x @ self.free.T
+        if len(self.high):
+            most = (x @ self.high[:, :2].T + self.width * self.high[:, 2]).min(axis=1)
+            u = np.asarray(np.minimum(u, most[:, None]))
+        if len(self.low):
+            least = (x @ self.low[:, :2].T + self.width * self.low[:, 2]).max(axis=1)
+            u = np.asarray(np.maximum(u, least[:, None]))
+        return u
+
+    def holds(self, x: Array) -> Flags:
+        """Whether the facets leave an input in states ``x``, shape (S, 2)."""
+        if not self.known:
+            return np.ones(len(x), dtype=bool)
+        most = (x @ self.high[:, :2].T + self.width * self.high[:, 2]).min(axis=1)
+        least = (x @ self.low[:, :2].T + self.width * self.low[:, 2]).max(axis=1)
+        out: Flags = least <= most + CLIPPED
+        return out
+
+    def offsets(self) -> Array:
+        """The candidates about the one answer, shape (M,)."""
+        places: Array = np.arange(self.size, dtype=np.float64) - 0.5 * (self.size - 1)
+        return places * (self.gap * self.width)
+
+    def offers(self, x: Array) -> Array:
+        """The candidates in states ``x``, shape (S, M)."""
+        u = self.answers(x)
+        return np.asarray(u + self.offsets()) if self.gap else u
+
+    def solved(self, offer: Array) -> Array:
+        """The programs' answers in an offer, shape (M, 1); returns shape (V,)."""
+        if not self.gap:
+            return np.asarray(offer[:, 0])
+        return np.array([offer[:, 0].mean()])
+
+    def lines(self, program: int) -> Array:
+        """Pieces of a program: u = slope x + offset, shape (P, 3); the free one first."""
+        free = np.append(self.free[program], 0.0)[None]
+        out = np.vstack([free, self.high, self.low])
+        out[1:, 2] *= self.width
+        return out
+
+    def explains(self, x: Array, u: Array) -> Array:
+        """By how much the law misses answers ``u``, shape (S, V), in states ``x``."""
+        missed: Array = np.abs(self.answers(x) - u).max(axis=1)
+        return missed
+
+    def fitted(self, x: Array, u: Array) -> "PlanarLaw":
+        """The width under which the law explains answers ``u`` in states ``x`` best."""
+        if not self.scaled or not self.known:
+            return self
+
+        def off(width: float) -> float:
+            return float(np.median(self.of_width(width).explains(x, u)))
+
+        width, ratio = 1 / 8, 8.0
+        while ratio > 1 + 1e-4:
+            widths = width * np.geomspace(1 / ratio, ratio, 81)
+            width = min(float(min(widths.tolist(), key=off)), 1.0)
+            ratio = ratio ** (1 / 20)
+        facets = np.vstack([self.high, self.low])
+        found = (u[:, :1] - x @ facets[:, :2].T) / facets[:, 2]
+        near = found[np.abs(found / width - 1) < 3e-4]
+        return self.of_width(float(np.median(near)) if len(near) > 3 else width)
+
+
+def learned_law(law: PlanarLaw, x: Array, u: Array) -> PlanarLaw:
+    """The law with facets learned from exact pairs, those below mirrored to those above.
+
+    Parameters
+    ----------
+    law : PlanarLaw
+        Whose free parts and offsets are known.
+    x : array, shape (N, 2)
+    u : array, shape (N, V)
+        The programs' answers.
+    """
+    spread = max(float(u.std()), 1e-9)
+    points, values = [], []
+    for free, answers in zip(law.free, u.T, strict=True):
+        above = answers - x @ free
+        for side in (-1, 1):  # clipped from above, and from below
+            clipped = side * above > CLIPPED * spread
+            points.append(-side * x[clipped])
+            values.append(-side * answers[clipped])
+    p, v = np.concatenate(points), np.concatenate(values)
+    empty = np.empty((0, 3))
+    if len(p) < ENOUGH:
+        return replace(law, high=empty, low=empty, width=1.0, scaled=False)
+    (pieces,) = LawPieces(p, v[:, None, None]).pieces
+    low = pieces * np.array([1.0, 1.0, -1.0])
+    return replace(law, high=pieces, low=low, width=1.0, scaled=False)
+
+
+def _gain(k: Knowledge, A: Array, B: Array) -> Array | None:
+    assert k.policy is not None
+    if k.policy.gain is not None:
+        return np.array(k.policy.gain)
+    weights = k.policy.regulator
+    if weights is None:
+        return None
+    Q, R = np.diag(weights.next_state), np.diag(weights.input)
+    try:
+        P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return np.asarray(-np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A))
+
+
+def _facets(
+    A: Array, B: Array, K: Array, V: Array, H: Array, h: Array
+) -> tuple[Array, Array] | None:
+    """Bounds of u by the facets of T_0 ~ D, D with corners ``V`` and rows ``H``, ``h``.
+
+    T_0 is the outer approximation of Rakovic et al. (2005).
+    """
+    closed = A + B @ K
+    powers = [np.eye(2)]
+    while True:
+        image = closed @ powers[-1]
+        left = float(((V @ image.T @ H.T) / h).max())
+        if left <= LEFT:
+            break
+        if len(powers) == MOST_TERMS:
+            return None
+        powers.append(image)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    normals: Array = np.concatenate([H @ turn @ p.T for p in powers]) @ turn.T
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals[lengths > 0] / lengths[lengths > 0, None]
+    normals = np.unique(np.vstack([normals, -normals]).round(12), axis=0)
+    support = sum((V @ p.T @ normals.T).max(axis=0) for p in powers) / (1 - left)
+    offsets = support - (V @ normals.T).max(axis=0)
+    across = normals @ B[:, 0]
+    out = []
+    for side in (1, -1):
+        bounding = side * across > PARALLEL * float(np.linalg.norm(B))
+        by = across[bounding, None]
+        out.append(np.hstack([-(normals[bounding] @ A) / by, offsets[bounding, None] / by]))
+    return out[0], out[1]
+
+
+def matching(law: PlanarLaw, offers: Sequence[Array]) -> PlanarLaw:
+    """The law of that width at which the candidates stand as far apart as they were offered."""
+    if not law.gap or not offers:
+        return law
+    gaps = [np.diff(np.sort(offer[:, 0])).mean() for offer in offers]
+    return law.of_width(min(float(np.median(gaps)) / law.gap, 1.0))

@@ -1,0 +1,111 @@
+"""A message that leaves more often than was claimed counts for no key; one that does not, does."""
+
+from dataclasses import replace
+
+import pytest
+
+from protocol.messages import Measurement, Message, Offer
+from protocol.secret.blocks import schedule_of
+from protocol.secret.bound import Assumption
+from tests.support.keyed_link import SIDES, Side, World
+from tests.support.line_plant import line_rules
+
+CLAIM = Assumption(0.7, appearances=2)
+
+
+class Watched(World):
+    """A world that notes which copies its ends send first, by side."""
+
+    def __init__(self) -> None:
+        self.sent: dict[Side, list[int]] = {side: [] for side in SIDES}
+        rules = line_rules(alpha=4.0, largest_input=1e9)
+        super().__init__(replace(rules, schedule=schedule_of(CLAIM)), period_s=0.3)
+
+    def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
+        if kind in (Measurement, Offer):
+            message = kind.model_validate_json(payload)
+            assert isinstance(message, Measurement | Offer)
+            self.sent[side].append(message.copy_number)
+        super().published(side, kind, payload)
+
+    def appear(self, side: Side, count: int) -> None:
+        self.carry_out(side, self.ends[side].appear(count))
+
+    def keys(self) -> tuple[int, int]:
+        plant, controller = (self.stores[side].available() for side in ("plant", "controller"))
+        return plant, controller
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) -> None:
+    world = Watched()
+    for one in SIDES:
+        world.appear(one, 2)
+    world.well(300)
+    before = world.keys()
+    assert min(before) > 0
+
+    world.appear(side, 3)
+    world.sent[side].clear()
+    world.well(300)  # several blocks
+    crowded = world.keys()
+    assert set(world.sent[side]) == {1}
+    world.well(300)
+    assert world.keys() == crowded
+    assert "leaves 3 times, and keys.appearances = 2" in told(world, side)
+
+    world.appear(side, 2)
+    world.well(900)
+    assert min(world.keys()) > min(crowded)
+    assert "appearances" not in told(world, side)
+    world.agree()
+    world.close()
+
+
+def told(world: World, side: Side) -> str:
+    end = world.ends[side]
+    receiver = getattr(end, "sender", None) or getattr(end, "plant").receiver  # noqa: B009
+    stopped: str = receiver.keying.told("")["keys_stopped"]
+    return stopped
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> None:
+    world = Watched()
+    end = world.ends[side]
+    lines = [[notice.text for notice in end.appear(count).notices] for count in (1, 2, 3, 4, 2, 1)]
+    assert lines == [
+        [],
+        [],
+        ["keys stop: a message leaves 3 times, and keys.appearances = 2 was stated"],
+        [],
+        ["keys go on: a message leaves 2 times again"],
+        [],
+    ]
+    (event,) = end.appear(2).events
+    assert event.as_event()["times"] == 2
+    world.close()
+
+
+def test_a_process_that_dies_while_messages_leave_too_often_sends_no_copy_0() -> None:
+    world = Watched()
+    for side in SIDES:
+        world.appear(side, 3)
+    for side in SIDES:
+        world.well(20, victim=side, before="publishing")
+        world.appear(side, 3)
+    world.sent["plant"].clear()
+    world.sent["controller"].clear()
+    world.well(50)
+    assert set(world.sent["plant"]) == set(world.sent["controller"]) == {1}
+    assert world.keys() == (0, 0)
+    world.close()
+
+
+def test_a_claim_for_two_appearances_is_the_square_of_one_for_each() -> None:
+    twice = Assumption(0.3, appearances=2)
+    assert twice.eps_copy == pytest.approx(0.09)
+    assert [twice.misses(n) for n in (64, 512)] == [Assumption(0.09).misses(n) for n in (64, 512)]
+    assert twice.sentence() == (
+        "secret only from a tap that misses 30 % of the 2 appearances of first copies or more"
+    )

@@ -1,0 +1,199 @@
+"""A D_e of its own shape in the loop: engine, scalar loop, law and taps."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.alphabet import choose_alphabet, largest_certain
+from controller_service.sets.separation import AlphabetError, Separation
+from plant_service.adapters.registry import open_plant
+from protocol.agreement import NO_SYMBOL
+from protocol.link.session import rules_of
+from protocol.scenario import ConvexSet, Scenario
+from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers.fitted_box import KEPT, FittedBox, fitted_widths
+from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
+from wyner.simulate.engine.link import Transfer
+from wyner.simulate.engine.taps import transcript
+from wyner.simulate.single import simulate_plant
+from wyner.studies.signalling import changed
+
+MESSAGE = b"We sail at dawn."
+
+
+def shaped(widths: tuple[float, float], spacing: float = 2.0, size: int = 2) -> Scenario:
+    return changed(
+        "packed",
+        secrecy={"alpha": 1.0, "candidates": size, "disturbance": {"half_widths": list(widths)}},
+        control={"alphabet": {"spacing": spacing}},
+    )
+
+
+@cache
+def played(
+    widths: tuple[float, float], spacing: float = 2.0, size: int = 2, steps: int = 600
+) -> tuple[Scenario, Runs, Transfer]:
+    scenario = shaped(widths, spacing, size)
+    law = make_law(scenario, cached_design(scenario))
+    runs = simulate_runs(scenario, law, seed=7, runs=range(3), steps=steps, record=True)
+    return scenario, runs, transfer(runs, payloads=[MESSAGE])
+
+
+def rights(
+    name: str, case: tuple[Scenario, Runs, Transfer], place: int
+) -> tuple[float, list[bytes]]:
+    """Share of the key symbols that she names in the end, and her whole messages."""
+    scenario, runs, link = case
+    told = scenario.oracle_knowledge() if name == "oracle" else scenario.knowledge()
+    tap = named(name)(told)
+    live = [tap.observe(t).best for t in transcript(runs, link, place)]
+    best = {**dict(enumerate(live)), **{g.k: g.best for g in (*tap.settled, *tap.review())}}
+    keys = link.agreed[:, place]
+    steps = np.flatnonzero(keys != NO_SYMBOL)
+    assert len(steps) > 0.9 * len(keys)
+    share = float(np.mean([best[k] == keys[k] for k in steps.tolist()]))
+    return share, list(tap.belief().whole)
+
+
+@pytest.mark.parametrize(
+    ("widths", "spacing", "nearest"),
+    [((0.96, 0.96), 2.0, 1.0), ((0.24, 0.96), 2.0, 0.80), ((0.13, 0.96), 1.9999, 0.66)],
+)
+def test_the_nearest_in_her_shape_is_the_key_only_where_it_is_that_of_d_c(
+    widths: tuple[float, float], spacing: float, nearest: float
+) -> None:
+    case = played(widths, spacing)
+    shares = [rights("nearest-centre", case, place)[0] for place in range(3)]
+    assert np.mean(shares) == pytest.approx(nearest, abs=0.04)
+    for place in range(3):
+        share, whole = rights("fitted-box", case, place)
+        assert share == 1.0
+        assert MESSAGE in whole
+        assert rights("oracle", case, place) == (1.0, [MESSAGE])
+
+
+@pytest.mark.slow
+def test_one_who_never_used_d_e_is_not_misled_by_it() -> None:
+    case = played((0.24, 0.96))
+    assert rights("learning", case, 0)[0] > 0.995
+
+
+def test_four_candidates_too() -> None:
+    case = played((0.24, 0.96), 2.0, 4)
+    assert rights("nearest-centre", case, 0)[0] < 0.8
+    assert rights("fitted-box", case, 0) == (1.0, [MESSAGE])
+
+
+def test_what_she_found_is_the_box_of_d() -> None:
+    scenario, runs, link = played((0.24, 0.96))
+    tap = FittedBox(scenario.knowledge())
+    for t in transcript(runs, link, 0):
+        tap.observe(t)
+    tap.review()
+    assert np.array(tap.gauge.h) == pytest.approx(0.1, abs=0.012)
+
+
+def test_a_long_run_keeps_a_bounded_past_and_loses_no_guess() -> None:
+    scenario, runs, link = played((0.24, 0.96), steps=KEPT + 300)
+    tap = FittedBox(scenario.knowledge())
+    for t in transcript(runs, link, 0):
+        tap.observe(t)
+    steps = [g.k for g in (*tap.settled, *tap.review())]
+    assert steps == list(range(KEPT + 300))
+
+
+def test_steps_that_were_missed_are_guessed_evenly() -> None:
+    scenario, runs, link = played((0.24, 0.96))
+    tap = FittedBox(scenario.knowledge())
+    for t in transcript(runs, link, 0):
+        lost = t.k % 5 == 0
+        heard = t if not lost else type(t)(t.session, t.k, t.x, None, None, t.x_next)
+        assert (tap.observe(heard).symbol == (0.5, 0.5)) or not lost
+    best = {g.k: g for g in tap.review()}
+    keys = link.agreed[:, 0]
+    assert all(best[k].best == keys[k] for k in range(600) if k % 5 and keys[k] != NO_SYMBOL)
+    assert best[5].symbol == (0.5, 0.5)
+
+
+def test_a_fit_of_noise_alone_is_not_trusted_to_be_smaller_than_the_noise() -> None:
+    """Candidates that lead to one place tell nothing, and fit whatever they are."""
+    rng = np.random.default_rng(1)
+    d = rng.uniform(-1, 1, (200, 1, 2))
+    along = np.concatenate([d, -d], axis=2).repeat(2, axis=1)
+    assert fitted_widths(along) == pytest.approx(np.abs(along).max(axis=(0, 1)), rel=0.05)
+
+
+def test_the_scalar_loop_and_the_engine_are_one() -> None:
+    scenario = shaped((0.24, 0.96), 2.0, 4)
+    law = make_law(scenario, cached_design(scenario))
+    engine = simulate_runs(scenario, law, seed=3, runs=range(2), steps=80, record=True)
+    scalar = simulate_plant(
+        scenario, law, lambda: open_plant(scenario), seed=3, runs=range(2), steps=80
+    )
+    assert (engine.symbol == scalar.symbol).all()
+    assert (engine.largest == scalar.largest).all()
+    agreed = follow(engine, [1.0]).agreements
+    assert (agreed == follow(scalar, [1.0]).agreements).all()
+    # and the engine's verdicts are the rule's
+    judge = rules_of(scenario).judge
+    assert engine.x is not None
+    assert engine.candidates is not None
+    for k in range(80):
+        verdict = judge(
+            tuple(engine.x[k, :, 0].tolist()),
+            tuple(tuple(u) for u in engine.candidates[k, :, :, 0].tolist()),
+            (),
+            tuple(engine.x[k + 1, :, 0].tolist()),
+        )
+        possible = engine.largest[k, 0] <= 1.0
+        assert verdict.symbol == (engine.symbol[k, 0] if possible else NO_SYMBOL)
+
+
+# --- the alphabet --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("widths", [(0.24, 0.96), (0.13, 0.96), (0.96, 0.3), (0.5, 1.3)])
+def test_the_largest_alphabet_is_certain_at_every_corner_and_one_more_is_not(
+    widths: tuple[float, float],
+) -> None:
+    B, D_c = ((0.0246,), (0.4877,)), ConvexSet(half_widths=(0.12, 0.12))
+    hers = ConvexSet(half_widths=widths)
+    most = largest_certain(Separation.of(B, D_c, hers), 1.0)
+    corners = 0.12 * np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
+
+    def certain(offsets: np.ndarray) -> bool:
+        push = (offsets[:, None] - offsets[None]) @ np.array(B).T
+        v = np.abs(push[:, :, None] + corners)
+        off = ~np.eye(len(offsets), dtype=bool)
+        return bool((v <= np.array(widths)).all()) and bool((v[off] > 0.12).any(axis=2).all())
+
+    U = ConvexSet(half_widths=(6.0,))
+    chosen = choose_alphabet(B, D_c, U, alpha=1.0, size=most, shape=hers)
+    assert certain(chosen.offsets)
+    step = 0.24 / 0.4877 * (1 + 1e-6)
+    assert not certain(np.arange(most + 1)[:, None] * step)
+    with pytest.raises(AlphabetError, match=rf"got {most + 1}, expected at most {most}"):
+        choose_alphabet(B, D_c, U, alpha=1.0, size=most + 1, shape=hers)
+
+
+def test_d_c_as_its_own_shape_has_the_same_alphabet() -> None:
+    B, D_c = ((0.0246,), (0.4877,)), ConvexSet(half_widths=(0.12, 0.12))
+    for alpha in (1.0, 3.0, 3.01, 7.01, 8.0):
+        plain = largest_certain(Separation.of(B, D_c), alpha)
+        assert largest_certain(Separation.of(B, D_c, D_c), alpha) == plain
+
+
+def test_two_inputs_of_a_shape_of_its_own() -> None:
+    B = ((0.4, 0.02), (0.01, 0.3))
+    D_c, hers = ConvexSet(half_widths=(0.03, 0.03)), ConvexSet(half_widths=(0.3, 0.12))
+    U = ConvexSet(half_widths=(3.0, 3.0))
+    most = largest_certain(Separation.of(B, D_c, hers), 1.0)
+    assert most >= 6
+    offsets = choose_alphabet(B, D_c, U, alpha=1.0, size=most, shape=hers).offsets
+    corners = 0.03 * np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
+    v = np.abs(((offsets[:, None] - offsets[None]) @ np.array(B).T)[:, :, None] + corners)
+    off = ~np.eye(most, dtype=bool)
+    assert (v <= np.array([0.3, 0.12])).all()
+    assert (v[off] > 0.03).any(axis=2).all()

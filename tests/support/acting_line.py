@@ -1,0 +1,135 @@
+"""The plant on a line as a device: actuated, read, and there when the process is not."""
+
+from collections.abc import Callable
+
+from plant_service.adapters.operated import Operated
+from plant_service.driven import DrivenEndpoint, DrivenPlant
+from plant_service.plant import Move
+from protocol.agreement import Gauge
+from protocol.link.events import Applied, Event, Interrupted, Missed
+from protocol.link.fallback import Fallback
+from protocol.link.pacing import Pacing
+from protocol.link.perform import CrashPoint
+from protocol.link.receiver import Receiver
+from protocol.link.records import ReceiverRecord
+from protocol.link.session import Rules
+from protocol.runtime.memory_journal import MemoryPlantJournal
+from protocol.secret.nonces import NonceSource, fresh_nonce
+from protocol.vectors import Vector
+
+
+class LineDevice(Operated):
+    """x+ = x + u + d, with ``u`` as it was actuated last; nothing of it dies with a process.
+
+    Who looks after deaths sets ``passes``, which is asked before it is actuated or read.
+    """
+
+    passes: Callable[[CrashPoint], None]
+
+    def __init__(self) -> None:
+        self.x = 0.0
+        self.u: float | None = None  # unknown until it was actuated
+        self.d = 0.0
+        self.over: float | None = None  # the input of the step that was read last
+        self.connected = 0
+
+    @property
+    def device(self) -> bool:
+        return True
+
+    def start(self, seed: int | None = None) -> Vector:
+        """Connect: a step has gone by meanwhile."""
+        self.connected += 1
+        return self._moved()
+
+    def apply(self, u: Vector, d: Vector | None = None) -> Vector:
+        self.passes("acting")
+        (self.u,) = u
+        return u
+
+    def sample(self, d: Vector | None = None) -> Vector:
+        self.passes("acting")
+        return self._moved()
+
+    def _moved(self) -> Vector:
+        self.over = self.u
+        self.x += (self.u or 0.0) + self.d
+        return (self.x,)
+
+    def safe(self, why: str = "") -> None:
+        raise AssertionError(why)
+
+    def close(self) -> str:
+        raise AssertionError("nobody closes it")
+
+    def look(self, event: Event, *, alive: bool) -> None:
+        """A step that is traced was made by the device as the trace says.
+
+        ``alive``: by this process, which knows what it had applied.
+        """
+        if not isinstance(event, Applied | Missed | Interrupted):
+            return
+        t = event.transition if isinstance(event, Applied) else event
+        if alive and self.over is not None:
+            assert t.x_next == (self.x,), "a step led elsewhere than its trace says"
+            assert event.u == (self.over,), "a step had another input than its trace says"
+
+
+class ActingLine(DrivenPlant):
+    """The real order of a step, on the line; ``coin`` and ``d`` are the next step's."""
+
+    def __init__(self, receiver: Receiver, device: LineDevice) -> None:
+        self.receiver = receiver
+        self.operated = device
+        self.coin = 0
+        self._size = receiver.rules.size
+        self._fallback = Fallback("hold", Gauge(half_widths=(1e9,)))
+        self._enters = "none"
+
+    @property
+    def _device(self) -> LineDevice:
+        assert isinstance(self.operated, LineDevice)
+        return self.operated
+
+    @property
+    def d(self) -> float:
+        return self._device.d
+
+    @d.setter
+    def d(self, d: float) -> None:
+        self._device.d = d
+
+    def toss(self) -> int:
+        return self.coin
+
+
+def acting_plant(
+    rules: Rules,
+    journal: MemoryPlantJournal,
+    device: LineDevice,
+    new_id: Callable[[], str],
+    instance: str,
+    now: float,
+    step_s: float | None,
+    nonces: NonceSource = fresh_nonce,
+    repeats: int = 4,
+) -> tuple[DrivenEndpoint, ActingLine]:
+    """A plant's endpoint as its journal has it, and what it acts on."""
+    record, step = journal.load(), journal.step()
+    x = device.start()
+    first = record or ReceiverRecord(session=new_id(), k=0, x=x, u=(0.0,))
+    said = None if step is None else step.measurement
+    raws = journal.raws(first.session)
+    receiver = Receiver(rules, instance, first, journal.chunks(), raws, said, nonces)
+    plant = ActingLine(receiver, device)
+    endpoint = DrivenEndpoint(
+        plant,
+        Pacing(step_s, repeats, now),
+        new_id,
+        now,
+        pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),
+        begun=journal.begun(),
+        back=None if record is None else x,
+        fresh=record is None,
+    )
+    return endpoint, plant

@@ -1,0 +1,65 @@
+"""Two key stores whose ends ask each other what may be given, without services or buses."""
+
+from collections.abc import Callable, Sequence
+
+from protocol.link.asking import Asker
+from protocol.messages import KeyAnswer
+from protocol.secret import ledger
+from protocol.secret.giving import Giver, pending
+from protocol.secret.records import WHOLE, Key, Share
+from protocol.secret.sealed_book import SealedBook, SealedText
+from protocol.secret.store import KeyStore
+
+
+def agree(*stores: KeyStore) -> None:
+    """Each of two ends asks what it has to ask, and the other one answers."""
+    ends = [Asker(SealedBook(store)) for store in stores]
+    for asker, partner in (ends, ends[::-1]):
+        for kind, request in asker.wake(0.0):
+            for _, answer in partner.receive(kind, request).publish:
+                asker.receive(KeyAnswer, answer)
+
+
+def sealed_by(book: SealedBook, plant: KeyStore) -> SealedText | None:
+    """The oldest message of a controller's book once the plant was asked for its keys."""
+    if (text := book.next()) is None:
+        agree(book.store, plant)
+        text = book.next()
+    return text
+
+
+def consent(store: KeyStore) -> None:
+    """A partner that marks whatever it is asked for."""
+    for use, what, _ in pending(store):
+        (ledger.answered if what == "pads" else _answered)(store, use, ())
+
+
+def _answered(store: KeyStore, use: str, refused: tuple[str, ...]) -> None:
+    SealedBook(store).answered(use, refused)
+
+
+def looking(store: KeyStore, partner: KeyStore | None) -> Callable[[], None]:
+    """What a giver does while it waits."""
+    return (lambda: consent(store)) if partner is None else (lambda: agree(store, partner))
+
+
+def deliver(
+    store: KeyStore,
+    number: int = 1,
+    who: str = "",
+    share: Share = WHOLE,
+    partner: KeyStore | None = None,
+) -> tuple[Key, ...]:
+    """Keys of a store's own half; ``partner`` marks them, or one that marks everything."""
+    return Giver(store, look=looking(store, partner)).deliver(number, who, share)
+
+
+def deliver_named(
+    store: KeyStore,
+    ids: Sequence[str],
+    who: str = "",
+    share: Share = WHOLE,
+    partner: KeyStore | None = None,
+) -> tuple[Key, ...]:
+    """Keys of the partner's half by their ids."""
+    return Giver(store, look=looking(store, partner)).deliver_named(ids, who, share)

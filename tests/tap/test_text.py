@@ -1,0 +1,268 @@
+"""`text`: lattice and alignment against brute force, the search for any M, and what she claims."""
+
+import itertools
+import lzma
+import random
+
+import numpy as np
+import pytest
+
+from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array, Integers
+from protocol.schemes.base import encrypt
+from protocol.schemes.framing import encode_frame
+from protocol.schemes.registry import make_scheme
+from protocol.schemes.table import StateTable
+from tap_service.capture.channel import View
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.text import Text
+from tap_service.inference.alignment import align
+from tap_service.inference.english import TEXT, AnyBytes, Contexts, english, log2_probability
+from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.lattice import BEGINS, Lattice
+from tap_service.inference.message_reader import MessageReader
+from wyner.scoring.score import score
+from wyner.studies.secrecy.runs import SENTENCES as SHORT
+from wyner.studies.secrecy.runs import simulate
+from wyner.studies.secrecy.sentences import SENTENCES
+from wyner.studies.secrecy.study import heard_by, said_about
+
+
+def closed(name: str, size: int) -> tuple[StateTable, int]:
+    table, states = StateTable(make_scheme(name, size)), 1
+    while True:
+        most = max(
+            int(table.following(np.array([e]), np.array([v]))[0])
+            for e in range(states)
+            for v in range(-1, size)
+        )
+        if most < states:
+            return table, states
+        states = most + 1
+
+
+def drawn(steps: int, size: int, seed: int) -> tuple[Array, Integers]:
+    rng = np.random.default_rng(seed)
+    verdicts = rng.dirichlet(np.ones(size + 1), steps)
+    ciphers = rng.integers(-1, size, steps)
+    return verdicts, ciphers
+
+
+def in_states(verdicts: Array, states: int) -> Array:
+    return np.repeat(verdicts[:, None], states, axis=1)
+
+
+def weights_of(
+    table: StateTable, verdicts: Array, ciphers: Integers, carried: int
+) -> dict[tuple[int, ...], float]:
+    """Of all streams of ``carried`` symbols by every sequence of verdicts, over random symbols."""
+    size = verdicts.shape[1] - 1
+    out: dict[tuple[int, ...], float] = {}
+    for path in itertools.product(range(-1, size), repeat=len(verdicts)):
+        p, state, symbols = 1.0, 0, []
+        for k, verdict in enumerate(path):
+            p *= verdicts[k, verdict + 1]
+            pad = int(table.pad[state])
+            if pad != NO_SYMBOL:
+                known = range(size) if ciphers[k] < 0 else [(int(ciphers[k]) - pad) % size]
+                symbols.append(known)
+            state = int(table.following(np.array([state]), np.array([verdict]))[0])
+        if len(symbols) == carried:
+            heard = sum(len(known) == 1 for known in symbols)
+            for stream in itertools.product(*symbols):
+                out[stream] = out.get(stream, 0.0) + p * size**heard
+    return out
+
+
+@pytest.mark.parametrize(("name", "size"), [("switched", 2), ("pipelined", 2), ("switched", 3)])
+def test_the_lattice_weighs_streams_as_all_sequences_of_verdicts_do(name: str, size: int) -> None:
+    table, states = closed(name, size)
+    verdicts, ciphers = drawn(5, size, seed=size)
+    entry = np.eye(states)[0]
+    lattice = Lattice(table, in_states(verdicts, states), ciphers, entry)
+    for carried in (0, 1, 2):
+        for stream, weight in weights_of(table, verdicts, ciphers, carried).items():
+            nodes = np.zeros((lattice.steps + 1, states))
+            nodes[0] = entry
+            for symbol in stream:
+                after = np.zeros_like(nodes)
+                for k in range(lattice.steps):
+                    for g in range(min(lattice.wait, lattice.steps - k)):
+                        after[k + 1 + g] += nodes[k] @ lattice.band[symbol, k, :, g]
+                nodes = after
+            assert (nodes * lattice.left).sum() == pytest.approx(weight)
+
+
+def test_ahead_and_outside_count_everything_that_may_follow() -> None:
+    table, states = closed("switched", 2)
+    verdicts, ciphers = drawn(6, 2, seed=5)
+    lattice = Lattice(table, in_states(verdicts, states), ciphers, np.eye(states)[0])
+    ahead = lattice.ahead(np.zeros((lattice.steps + 1, states)), 3)
+    assert np.exp(ahead[3][0, 0]) == pytest.approx(1.0)  # any symbols, then anything: no news
+    idle = np.exp(lattice.idle_until(np.log(np.eye(1, 7 * states)[0].reshape(7, states) + 1e-300)))
+    total = sum(
+        weight * (1 - BEGINS) ** len(stream)
+        for n in range(7)
+        for stream, weight in weights_of(table, verdicts, ciphers, n).items()
+        if not any(stream)
+    )
+    assert (idle * lattice.left).sum() == pytest.approx(total)
+
+
+@pytest.mark.parametrize("name", ["switched", "pipelined"])
+def test_alignment_is_bayes_rule(name: str) -> None:
+    """A message of two symbols, silence before and after: against every sequence of verdicts."""
+    table, states = closed(name, 2)
+    verdicts, ciphers = drawn(6, 2, seed=3)
+    stream = np.array([[0.0, 1.0], [0.3, 0.7]])
+    aligned = align(
+        table, in_states(verdicts, states), ciphers, np.eye(states)[0], stream, np.array([0, 2])
+    )
+    assert aligned is not None
+    truth = np.zeros((6, 3))
+    for path in itertools.product(range(-1, 2), repeat=6):
+        state, f = 0, {0: 1.0}
+        p = float(np.prod([verdicts[k, v + 1] for k, v in enumerate(path)]))
+        for k, verdict in enumerate(path):
+            pad = int(table.pad[state])
+            state = int(table.following(np.array([state]), np.array([verdict]))[0])
+            if pad == NO_SYMBOL:
+                continue
+            g: dict[int, float] = {}
+            for place, weight in f.items():
+                for m in range(2):
+                    fits = 1.0 if ciphers[k] < 0 else 2.0 * ((ciphers[k] - pad) % 2 == m)
+                    if place in (0, 2) and m == 0:
+                        g[place] = g.get(place, 0.0) + weight * fits * (1 - BEGINS)
+                    if place < 2:
+                        begun = BEGINS if place == 0 else 1.0
+                        more = weight * fits * begun * stream[place, m]
+                        g[place + 1] = g.get(place + 1, 0.0) + more
+            f = g
+        for k, verdict in enumerate(path):
+            truth[k, verdict + 1] += p * sum(f.values())
+    truth /= truth.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(aligned[0], truth, atol=1e-9)
+
+
+def stretch(
+    payload: bytes, size: int, scheme: str, seed: int, *, missed: float, agree: float
+) -> list[InferredStep]:
+    """A message between silence, every verdict known, some ciphertext symbols missed."""
+    rng = random.Random(seed)
+    machine = make_scheme(scheme, size)
+    state, stream = machine.initial, [0] * 9 + list(encode_frame(payload, size))
+    steps, sent = [], 0
+    for k in range(100_000):
+        pad = machine.pad(state)
+        cipher = rng.randrange(size)
+        if pad != NO_SYMBOL:
+            cipher = encrypt(stream[sent] if sent < len(stream) else 0, pad, size)
+            sent += 1
+        key = rng.randrange(size)
+        agreed = rng.random() < agree
+        state, _ = machine.advance(state, key if agreed else NO_SYMBOL)
+        gauges = np.full(size, 0.5)
+        gauges[key] = 0.05 if agreed else 0.4  # t_c is 0.2
+        heard = None if rng.random() < missed else cipher
+        t = Transition("s", k, (0.0,), None, heard, (0.0,), start=k == 0)
+        steps.append(InferredStep(t, gauges[None]))
+        if sent > len(stream) + 12:
+            return steps
+    raise AssertionError("the message never ends")
+
+
+@pytest.mark.parametrize(
+    ("size", "scheme", "agree"),
+    [(2, "switched", 0.6), (2, "pipelined", 0.5), (3, "pipelined", 1.0), (4, "switched", 0.8),
+     (5, "pipelined", 1.0), (16, "pipelined", 1.0)],
+)  # fmt: skip
+def test_a_message_in_any_alphabet_is_read_through_missed_symbols(
+    size: int, scheme: str, agree: float
+) -> None:
+    payload = b"Send the spare keys by noon"
+    reader = MessageReader(make_scheme(scheme, size), english(), certain=agree == 1.0, beam=400)
+    steps = stretch(payload, size, scheme, 1, missed=0.1, agree=agree)
+    (message,) = reader.read(steps, (0.19, 0.21), {})
+    assert (message.payload, message.whole) == (payload, True)
+    assert message.probability > 0.9
+    assert message.bits_left < 1
+
+
+def test_random_bytes_are_reported_as_such() -> None:
+    """A tenth of the symbols missed: two bits each less what the check says, and no claim."""
+    payload = random.Random(1).randbytes(20)
+    steps = stretch(payload, 4, "pipelined", 2, missed=0.3, agree=1.0)
+    frame = steps[10 : 10 + len(encode_frame(payload, 4))]
+    missed = sum(s.transition.cipher is None for s in frame)
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    messages = reader.read(steps, (0.0, 1.0), {})
+    assert all(m.probability < 0.5 for m in messages)
+    floor = 2 * missed - 32
+    assert abs(sum(m.bits_left for m in messages) - floor) < 12
+
+
+def test_two_messages_and_one_under_way() -> None:
+    first, second = b"The first one was short", b"and the second came later"
+    steps = stretch(first, 4, "pipelined", 3, missed=0.1, agree=1.0)
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    part = steps[: len(steps) - 70]
+    (under_way,) = reader.read(part, (0.0, 1.0), {})
+    assert not under_way.whole
+    assert first.startswith(under_way.payload[:5])
+    assert 0 < under_way.due_k - part[-1].transition.k < 80
+    del second
+
+
+def test_no_message_is_none() -> None:
+    steps = stretch(b"x", 4, "pipelined", 4, missed=0.2, agree=1.0)[:9]
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
+    assert reader.read(steps, (0.0, 1.0), {}) == []
+
+
+# --- English ------------------------------------------------------------------------------------
+
+
+def test_probabilities_of_the_next_byte_sum_to_one() -> None:
+    at = Contexts.start(2)
+    for byte in b"The quick brown fox's 3 jumps.":
+        rows, which = english().next(at)
+        np.testing.assert_allclose(rows[which].sum(axis=1), 1.0)
+        at = at.after(np.array([byte, 200]))
+    assert AnyBytes().next(at)[0].sum() == pytest.approx(1.0)
+
+
+def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() -> None:
+    bits = [-log2_probability(english(), s.encode()) / len(s) for s in SENTENCES]
+    assert np.mean(bits) < 3.2
+    assert -log2_probability(english(), b"xq zvw jjk qpf") / 14 > 5
+    text = lzma.decompress(TEXT.read_bytes()).decode().lower()
+    assert [s for s in (*SENTENCES, *SHORT) if s.lower().rstrip(".") in text] == []
+
+
+# --- whole runs ---------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_she_reads_a_sentence_of_which_a_third_was_missed() -> None:
+    payload = b"Nobody may enter the control room without a red badge"
+    run = simulate(320, 3, name="packed", payloads=[payload])
+    view = View(seed=3, loss=0.3)
+    tap = Text(view.told(run.scenario.knowledge()))
+    said = said_about(tap, heard_by(run, view))
+    assert said.belief.whole == (payload,)
+    assert said.belief.confidence > 0.9
+    assert said.belief.bits_left is not None
+    assert said.belief.bits_left < 1
+    scored = score(run.truth, said)
+    assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
+    assert 0 < said.belief.solved_k < 319  # live, before the end
+
+
+@pytest.mark.slow
+def test_she_reads_a_sustained_message_whose_timing_is_unsure() -> None:
+    run = simulate(1000, 1)
+    view = View(seed=1, loss=0.1)
+    tap = Text(view.told(run.scenario.knowledge()), live=False)
+    said = said_about(tap, heard_by(run, view))
+    assert run.payloads[0] in said.belief.whole

@@ -1,0 +1,227 @@
+"""``wyner bound``: bits that any tap leaves who watches the machine through noise."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from protocol.runtime.errors import DONE, Failure, UsageError, needs
+
+if TYPE_CHECKING:
+    from protocol.scenario import Scenario
+    from wyner.studies.noise.loop import LinearLoop
+
+RATIOS: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
+"""Noise over the smallest half-width of D_c, where none is named."""
+
+CLAIM: Final = (
+    "a claim, as every statement of what she hears is: that her noise is at least this, white and "
+    "Gaussian, is stated and audited, never proved"
+)
+LOOP: Final = (
+    "for the linear law u = K x + p of the scenario's regulator, started in its invariant set, and "
+    "not for the programs of the law 'packed'"
+)
+MOST_BLOCKS: Final = 4096
+DRAWS: Final = 2000
+SEED: Final = 7
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "For SCENARIO and each noise: the bits of a coin that any tap leaves who watches the "
+        "states through that noise and hears no offer, whatever she knows and computes; and the "
+        "length of the key that a 2-universal hash makes of the coins."
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "--noise",
+        metavar="S,S,...",
+        help="standard deviations on every number she reads (default: 0.5 to 4 half-widths of D_c)",
+    )
+    parser.add_argument(
+        "--watch", metavar="I,I,...", help="the states that she sees, from 1 on (default: all)"
+    )
+    parser.add_argument(
+        "--offers",
+        choices=("none", "noisy", "clear"),
+        default="none",
+        help="what she hears of them (default: none); clear leaves 0 bits",
+    )
+    parser.add_argument("--coins", type=int, default=1000, metavar="N", help="coins of one key")
+    parser.add_argument(
+        "--eps", type=float, default=1e-12, metavar="E", help="distance of the key from uniform"
+    )
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="beside it what a tap leaves who weighs every sequence of a block (seconds)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--figure", metavar="FILE", help="draw it too, as FILE.svg or FILE.png")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the table."""
+    from protocol.runtime.scenario_file import scenario_of
+    from wyner.studies.noise.loop import BoundError, LinearLoop
+
+    if args.figure and Path(args.figure).suffix not in (".svg", ".png"):
+        raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
+    if not 1 <= args.coins <= 10_000_000:
+        raise UsageError(f"--coins: got {args.coins}, expected 1 to 10000000")
+    if not 0 < args.eps < 1:
+        raise UsageError(f"--eps: got {args.eps:g}, expected between 0 and 1")
+    scenario = scenario_of(args.scenario)
+    states = _states(args.watch, scenario.n)
+    try:
+        loop = LinearLoop.of(scenario)
+    except BoundError as error:
+        raise UsageError(f"{args.scenario}: {error}") from None
+    if args.measure and (args.offers != "none" or states):
+        raise UsageError("--measure: expected all states and no offers")
+    noises = _noises(args.noise, loop.half_width)
+    result = describe(scenario, loop, noises, args, states)
+    print(json.dumps(result) if args.json else render(result))
+    if args.figure:
+        _draw(args.figure, result)
+    return DONE
+
+
+def _noises(text: str | None, half_width: float) -> list[float]:
+    if text is None:
+        return [r * half_width for r in RATIOS]
+    try:
+        noises = sorted({float(part) for part in text.split(",")})
+    except ValueError:
+        noises = []
+    if not noises or not all(0 <= s <= 1e9 for s in noises):
+        raise UsageError(f"--noise: got {text!r}, expected numbers of 0 or more, as in 0.06,0.12")
+    return noises
+
+
+def _states(text: str | None, n: int) -> tuple[int, ...]:
+    if text is None:
+        return ()
+    parts = text.split(",")
+    if not all(part.strip().isdecimal() and 1 <= int(part) <= n for part in parts):
+        raise UsageError(f"--watch: got {text!r}, expected states from 1 to {n}, as in 1,2")
+    return tuple(sorted({int(part) - 1 for part in parts}))
+
+
+def describe(
+    scenario: "Scenario",
+    loop: "LinearLoop",
+    noises: list[float],
+    args: argparse.Namespace,
+    states: tuple[int, ...],
+) -> dict[str, Any]:
+    """The table as one object for machines."""
+    import math
+
+    import numpy as np
+
+    from wyner.studies.noise.taps import block_left
+
+    M = len(loop.offsets)
+    active = loop.used > 1
+    why = ""
+    if active:
+        why = (
+            f"control.inputs: the linear law may need {loop.used:.3g} times U: where a constraint "
+            "is active the response is not linear, and nothing is left for certain"
+        )
+    elif args.offers == "clear":
+        why = "offers in clear carry K x, and so every coin: nothing is left"
+    rows = []
+    for noise in noises:
+        coin = loop.coin(noise, args.offers, states)
+        row: dict[str, Any] = {
+            "noise": noise,
+            "ratio": noise / loop.half_width,
+            "gain": 1 / coin.deviation if coin.deviation else None,
+            "guess": 1.0 if active else coin.guess,
+            "bits_per_coin": 0.0 if active else coin.bits,
+            "key_bits": 0 if active else coin.key_bits(args.coins, args.eps),
+            "measured": None,
+        }
+        if args.measure and not active and noise > 0:
+            coins = max(1, int(math.log(MOST_BLOCKS, M) + 1e-9))
+            widths = np.array(scenario.plant.disturbance.half_widths)
+            left = block_left(loop, widths, noise, coins, DRAWS, SEED, told=False)
+            half = 1.96 * left.bits_error
+            row["measured"] = {
+                "bits_per_coin": left.bits,
+                "interval_95": [left.bits - half, left.bits + half],
+                "coins": coins,
+                "blocks": DRAWS,
+                "seed": SEED,
+            }
+        rows.append(row)
+    return {
+        "scenario": scenario.name,
+        "claimed_bits": math.log2(M),
+        "candidates": M,
+        "claim": CLAIM,
+        "loop": LOOP,
+        "nothing_because": why or None,
+        "most_of_U": loop.used,
+        "offers": args.offers,
+        "watched": [i + 1 for i in states] or list(range(1, len(loop.A) + 1)),
+        "coins": args.coins,
+        "eps": args.eps,
+        "rows": rows,
+    }
+
+
+def render(r: dict[str, Any]) -> str:
+    """The object in lines for people."""
+    watched = ", ".join(f"x{i}" for i in r["watched"])
+    lines = [
+        f"{r['scenario']}: {r['candidates']} candidates, {r['claimed_bits']:.3g} bits a step "
+        "claimed by the paper's rule",
+        f"left by any tap who watches {watched} through noise; offers: {r['offers']}",
+        r["loop"],
+        r["claim"],
+    ]
+    if r["nothing_because"]:
+        lines.append(f"0 bits: {r['nothing_because']}")
+    measured = any(row["measured"] for row in r["rows"])
+    head = f"{'noise':>9} {'/ D_c':>6} {'gain':>8} {'P_g':>7} {'bit/coin':>9} {'key, bit':>9}"
+    lines.append(head + ("  measured, bit/coin" if measured else ""))
+    for row in r["rows"]:
+        gain = "-" if row["gain"] is None else f"{row['gain']:.3f}"
+        line = (
+            f"{row['noise']:>9.4g} {row['ratio']:>6.3g} {gain:>8} {row['guess']:>7.4f} "
+            f"{row['bits_per_coin']:>9.3f} {row['key_bits']:>9}"
+        )
+        if row["measured"]:
+            low, high = row["measured"]["interval_95"]
+            line += f"  {row['measured']['bits_per_coin']:.3f} [{low:.3f}, {high:.3f}]"
+        lines.append(line)
+    lines.append(
+        f"key: of {r['coins']} coins, within {r['eps']:g} of uniform (sum of absolute differences)"
+    )
+    if measured:
+        one = next(row["measured"] for row in r["rows"] if row["measured"])
+        lines.append(
+            f"measured: a tap who knows model, law and the deviation of d, blocks of "
+            f"{one['coins']} coins, {one['blocks']} blocks, seed {one['seed']}, 95 % intervals"
+        )
+    return "\n".join(lines)
+
+
+def _draw(name: str, result: dict[str, Any]) -> None:
+    try:
+        from wyner.studies.figures.noise import draw_table
+        from wyner.studies.figures.style import drawing, save
+    except ImportError:
+        raise UsageError(needs("--figure", "matplotlib")) from None
+    with drawing((7.0, 4.2)) as figure:
+        draw_table(figure, result)
+        try:
+            save(figure, Path(name))
+        except OSError as error:
+            raise Failure(f"{name}: cannot be written: {error.strerror}") from None
+    print(name)

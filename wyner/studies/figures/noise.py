@@ -1,0 +1,91 @@
+"""Figures of what is left of the coins to a tap who watches through noise."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from wyner.studies.figures.style import COLOURS, MARKERS, plain_rows
+
+
+def draw_table(figure: Figure, table: dict[str, Any]) -> None:
+    """What `wyner bound` prints: the proof below, a measured tap above, the claim flat."""
+    axes = figure.subplots()
+    rows = table["rows"]
+    ratios = [row["ratio"] for row in rows]
+    axes.axhline(table["claimed_bits"], color="0.4", ls="--", lw=1, label="claimed by the rule")
+    taps = [row for row in rows if row["measured"]]
+    if taps:
+        bits = [row["measured"]["bits_per_coin"] for row in taps]
+        ends = [row["measured"]["interval_95"] for row in taps]
+        axes.errorbar(
+            [row["ratio"] for row in taps],
+            bits,
+            yerr=[
+                [b - low for b, (low, _) in zip(bits, ends, strict=True)],
+                [high - b for b, (_, high) in zip(bits, ends, strict=True)],
+            ],
+            fmt=MARKERS[1],
+            color=COLOURS[1],
+            capsize=2,
+            label="a tap who weighs every sequence, measured",
+        )
+    axes.plot(
+        ratios, [row["bits_per_coin"] for row in rows], color=COLOURS[0], label="any tap, proved"
+    )
+    axes.set_xlabel("her noise over the half-width of $\\mathcal{D}_c$")
+    axes.set_ylabel("bits left of a coin")
+    axes.set_title(f"{table['scenario']}: what any tap leaves; offers: {table['offers']}")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=7, loc="lower right")
+
+
+def draw_bound(figure: Figure, data: Path) -> str:
+    """Bits left of a coin against her noise: bound, taps and claim; and the law as a lever."""
+    rows = plain_rows(data / "noise-bound.csv")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    mine = [r for r in rows if r["part"] == "noise"]
+    proved = [r for r in mine if r["tap"] == "any, proved"]
+    left.axhline(proved[0]["claimed"], color="0.4", ls="--", lw=1, label="claimed by the rule")
+    for place, tap in enumerate(dict.fromkeys(r["tap"] for r in mine)):
+        own = [r for r in mine if r["tap"] == tap]
+        x, y = [r["ratio"] for r in own], [r["bits"] for r in own]
+        if tap == "any, proved":
+            left.plot(x, y, color=COLOURS[0], label="any tap, proved")
+            left.fill_between(x, y, color=COLOURS[0], alpha=0.12, lw=0)
+            continue
+        left.errorbar(
+            x,
+            y,
+            yerr=[1.96 * r["error"] for r in own],
+            fmt=MARKERS[place],
+            color=COLOURS[place],
+            mfc="none",
+            capsize=2,
+            label=tap,
+        )
+    left.set_xlabel("her noise over the half-width of $\\mathcal{D}_c$")
+    left.set_ylabel("bits left of a coin")
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=7, loc="lower right")
+    lever = [r for r in rows if r["part"] == "law"]
+    right.semilogx([r["weight"] for r in lever], [r["bits"] for r in lever], "o-", color=COLOURS[0])
+    for r in lever:
+        right.annotate(
+            f"{r['gain']:.3g}",
+            (r["weight"], r["bits"]),
+            textcoords="offset points",
+            xytext=(3, 4),
+            fontsize=6.5,
+        )
+    right.set_xlabel("weight of the input (beside: gain g)")
+    right.set_ylabel("bits left at least, noise 1 half-width")
+    right.set_ylim(bottom=0)
+    figure.suptitle("Watched through noise: the proof below, taps above, the claim flat")
+    blocks = next(r for r in mine if r["tap"] == "told every d")
+    heard = next(r for r in mine if r["tap"] == "smoother")
+    return (
+        f"The paper's plant, u = K x + p. {blocks['runs']} blocks of {blocks['steps']} coins; "
+        f"smoother: {heard['runs']} runs of {heard['steps']} steps; seed {heard['seed']}; "
+        "95 % normal intervals"
+    )

@@ -1,0 +1,1 @@
+"""What any tap leaves of the coins, who watches the machine through noise: a bound, and taps."""
