@@ -36,7 +36,9 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "protocol/schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "protocol/link": (
         *_files("link", "tallies refusals keying events model fallback pacing sealing timers"),
-        *_files("link", "transcripts meeting predictions perform session_machine appearances"),
+        *_files(
+            "link", "transcripts meeting predictions perform session_machine appearances last_keys"
+        ),
         "tests/secret/test_keyed_link.py",
         "tests/simulate/test_network.py",
     ),

@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 
-from protocol.runtime.processor_time import used_s
+from protocol.runtime.processor_time import used_by_s
 
 ARGUMENTS: Final = (
     "-q",
@@ -231,7 +231,7 @@ def waited_for(child: int) -> int | None:
         time.sleep(nap)
         waited, nap = waited + nap, min(0.02, nap * 1.5)
         if waited - looked >= LOOK_S:
-            now = used_s()
+            now = used_by_s(child)
             waited, looked = (0.0, 0.0) if now > used else (waited, waited)
             used = now
     return None

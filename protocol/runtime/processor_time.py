@@ -5,6 +5,7 @@ import os
 import resource
 import struct
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -61,23 +62,42 @@ class Meter:
 
 def used_s() -> float:
     """Seconds of processor time of all that comes from this process, but for its own."""
+    mine = os.getpid()
+    stats = _stats()
+    running = _family(mine, stats) - {mine}
+    gone = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return _seconds(running, stats) + gone.ru_utime + gone.ru_stime
+
+
+def used_by_s(child: int) -> float:
+    """Seconds of processor time of one process and of all that comes from it."""
+    stats = _stats()
+    return _seconds(_family(child, stats), stats)
+
+
+def _stats() -> dict[int, tuple[int, int]]:
+    """Of each process its parent and its clock ticks, those of its ended children among them."""
     stats: dict[int, tuple[int, int]] = {}
     for process in processes():
         with suppress(OSError):
             told = (process / "stat").read_bytes().decode(errors="replace")
             fields = told.rpartition(")")[2].split()
             stats[int(process.name)] = int(fields[1]), sum(map(int, fields[11:15]))
-    mine, ticks = {os.getpid()}, 0
-    found = True
-    while found:
-        found = False
-        for pid, (parent, used) in list(stats.items()):
-            if parent in mine and pid not in mine:
-                mine.add(pid)
-                ticks += used
-                found = True
-    gone = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return ticks / os.sysconf("SC_CLK_TCK") + gone.ru_utime + gone.ru_stime
+    return stats
+
+
+def _family(ancestor: int, stats: Mapping[int, tuple[int, int]]) -> set[int]:
+    family = {ancestor}
+    known = 0
+    while known < len(family):
+        known = len(family)
+        family |= {pid for pid, (parent, _) in stats.items() if parent in family}
+    return family
+
+
+def _seconds(family: set[int], stats: Mapping[int, tuple[int, int]]) -> float:
+    ticks = sum(stats[pid][1] for pid in family if pid in stats)
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def processes() -> list[Path]:
