@@ -85,7 +85,7 @@ coverage: $(STAMPS)/dev
 	$(BIN)/coverage erase
 	@$(BIN)/coverage run -m pytest -n auto --dist loadfile --no-loadscope-reorder; tests=$$?; \
 	$(BIN)/coverage combine --quiet; \
-	for room in protocol/schemes protocol/link protocol/secret protocol/runtime protocol/scenario \
+	for room in protocol/schemes protocol/link protocol/secret runtime protocol/scenario \
 	  controller_service plant_service tap_service wyner; do \
 	  printf '%s %s %%\n' $$room $$($(BIN)/coverage report --format=total --precision=1 --include "$$room/*"); done; \
 	$(BIN)/coverage report --format=total --include "protocol/*" --fail-under 95 && exit $$tests

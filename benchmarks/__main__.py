@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 from benchmarks import record
-from protocol.runtime.command import Parser, carry_out, entered
-from protocol.runtime.errors import DONE, FAILED, UsageError
+from runtime.command import Parser, carry_out, entered
+from runtime.errors import DONE, FAILED, UsageError
 
 
 class Benchmark(NamedTuple):

@@ -10,12 +10,12 @@ from multiprocessing.connection import Connection
 from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
-from protocol.runtime.bus import ChannelClosed
-from protocol.runtime.collection import freeze_startup
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.errors import Failure
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.bus import ChannelClosed
+from runtime.collection import freeze_startup
+from runtime.endpoints import free_endpoints
+from runtime.errors import Failure
+from runtime.zenoh_bus import ZenohBus
 
 WARM_UP: Final = 0.1
 """Round trips that are made before the others are counted, as a part of them."""
@@ -117,7 +117,7 @@ def bare_round(measurement: bytes, offer: bytes, trips: int, way: str) -> float:
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a process fails, or the listener does not hear what passes.
     """
     context = multiprocessing.get_context("spawn")

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.timing import HEARS, SIDES, TimingPorts, open_end
-from protocol.link.perform import perform
 from protocol.messages import FIELD
-from protocol.runtime.run_folder import CAPTURE, SCENARIO
-from protocol.shipped import SCENARIOS
+from runtime.perform import perform
+from runtime.run_folder import CAPTURE, SCENARIO
+from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import Limits, RotatingLog
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ PARTS: Final = {
 
 def shipped(name: str) -> Scenario:
     """A shipped scenario."""
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
 
     return scenario_of(name)
 

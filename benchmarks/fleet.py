@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.loop import EAVESDROPPERS, ServiceProcess
-from protocol.files import write_atomically
 from protocol.messages import LATENCY_BOUNDS_S
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.errors import Failure
-from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
+from runtime.endpoints import free_endpoints
+from runtime.errors import Failure
+from runtime.files import write_atomically
+from runtime.run_folder import PLANT_STATUS, PLANT_TRACE
 
 SETTLE_S: Final = 3.0
 """From when every loop has moved to the beginning of the window."""

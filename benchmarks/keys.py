@@ -22,13 +22,13 @@ import numpy as np
 
 from benchmarks.loop import PATIENCE_S, STEP_LIMIT_S, WARM_UP, running
 from protocol.messages import Measurement, Offer
-from protocol.runtime.errors import Failure
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
+from runtime.errors import Failure
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE
 from wyner.studies.fit.toml import as_toml
 
-SCENARIO: Final = Path(__file__).resolve().parent.parent / "wyner" / "scenarios" / "keys.toml"
+SCENARIO: Final = Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "keys.toml"
 CASES: Final = ("off", "on", "distilling")
 PACES: Final = ("fast", "x50")
 """Lock-step, where the cores are full, and 500 steps a second, where they are not."""
@@ -79,7 +79,7 @@ def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a service fails, or the capture does not show the steps.
     """
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
@@ -185,7 +185,7 @@ def measure(
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a process fails.
     """
     say = progress or (lambda _line: None)

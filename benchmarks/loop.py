@@ -22,14 +22,16 @@ from typing import Any, Final
 
 from benchmarks.bare import bare_round
 from protocol.messages import Measurement, Offer
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.errors import Failure
-from protocol.runtime.run_folder import CAPTURE
+from runtime.endpoints import free_endpoints
+from runtime.errors import Failure
+from runtime.run_folder import CAPTURE
 
 TARGET_RATIO: Final = 0.65
 """Control steps a second should be at least this part of the bare round trips a second."""
 
-SCENARIO: Final = Path(__file__).resolve().parent.parent / "wyner" / "scenarios" / "sustained.toml"
+SCENARIO: Final = (
+    Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "sustained.toml"
+)
 EAVESDROPPERS: Final = "set-membership,nearest-centre"
 MESSAGE: Final = "The quick brown fox jumps over the lazy dog, and nobody else may know."
 
@@ -173,7 +175,7 @@ def loop_round(scenario: Path, steps: int) -> LoopRound:
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a service fails, or the capture does not show the steps.
     """
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
@@ -248,7 +250,7 @@ def measure(
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a process fails.
     protocol.scenario.ScenarioError
         When the scenario cannot be used.

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from protocol.link.endpoint import Append, Outgoing
-from protocol.runtime.host import FIELD
+from runtime.host import FIELD
 
 if TYPE_CHECKING:
     from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
     from protocol.messages import Message, Status
-    from protocol.runtime.ports import Files
     from protocol.scenario import Scenario
     from protocol.secret.tasks import Task
+    from runtime.ports import Files
 
 T = TypeVar("T")
 
@@ -79,7 +79,7 @@ def measure_parts(
     protocol.scenario.ScenarioError
         When the scenario cannot be used.
     """
-    from protocol.scenario import load_scenario
+    from runtime.scenario_file import load_scenario
 
     scenario = load_scenario(scenario_file)
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
@@ -133,20 +133,20 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from controller_service.laws.registry import cached_design, make_law
     from plant_service.from_journal import plant_endpoint
     from protocol.link.pacing import Pacing
-    from protocol.link.perform import perform
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
-    from protocol.runtime.ids import new_id
-    from protocol.runtime.journal import ControllerJournal, PlantJournal
-    from protocol.runtime.ports import Files
-    from protocol.runtime.run_folder import (
+    from protocol.streams import CIPHER, COIN, noise, symbols
+    from runtime.ids import new_id
+    from runtime.journal import ControllerJournal, PlantJournal
+    from runtime.perform import perform
+    from runtime.ports import Files
+    from runtime.run_folder import (
         CONTROLLER_JOURNAL,
         CONTROLLER_TRACE,
         PLANT_JOURNAL,
         PLANT_TRACE,
     )
-    from protocol.runtime.trace import TraceWriter
-    from protocol.streams import CIPHER, COIN, noise, symbols
+    from runtime.trace import TraceWriter
 
     watch = Stopwatch()
     law = make_law(scenario, cached_design(scenario))
@@ -212,9 +212,9 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.service import ControllerConfig, ControllerService
     from plant_service.service import PlantConfig, PlantService
-    from protocol.runtime.logs import logger
-    from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-    from protocol.runtime.pace import Pace
+    from runtime.logs import logger
+    from runtime.memory_bus import MemoryBus, MemoryHub
+    from runtime.pace import Pace
 
     logs = [logger(name) for name in ("plant", "controller")]
     levels = [log.level for log in logs]

@@ -17,7 +17,7 @@ from benchmarks.fleet import (
     wait_until_all_run,
     write_fleet,
 )
-from protocol.runtime.errors import Failure
+from runtime.errors import Failure
 
 SETTLE_S: Final = 3.0
 RECOVER_S: Final = 5.0

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from benchmarks.fleet import quantile_ms
 from benchmarks.loop import SCENARIO, ServiceProcess, running
-from protocol.runtime.run_folder import PLANT_STATUS, PLANT_TRACE
-from protocol.runtime.trace import TraceReader
-from protocol.scenario import load_scenario
+from runtime.run_folder import PLANT_STATUS, PLANT_TRACE
+from runtime.scenario_file import load_scenario
+from runtime.trace import TraceReader
 
 STEPS: Final = 10_000
 """Steps in which a rate must not miss any."""
@@ -61,7 +61,7 @@ def run_at(
 
     Raises
     ------
-    protocol.runtime.errors.Failure
+    runtime.errors.Failure
         When a service fails.
     """
     factor = rate_hz * load_scenario(scenario).plant.period_s

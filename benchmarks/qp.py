@@ -63,7 +63,7 @@ def measure(
         the 99th percentile (microseconds a program), the largest violation, the share of answers
         with one above 1e-6, the share unsolved, and its median over ours (``ratio``).
     """
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
 
     say = progress or (lambda _line: None)
     result: dict[str, Any] = {"seed": SEED, "plants": {}}

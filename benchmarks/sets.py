@@ -107,7 +107,7 @@ def measure(
         When the scenario is of another kind.
     """
     if scenario is None:
-        from protocol.runtime.scenario_file import scenario_of
+        from runtime.scenario_file import scenario_of
 
         scenario = scenario_of("paper")
     say = progress or (lambda _line: None)

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
     from protocol.messages import Message, Status
-    from protocol.runtime.ports import Files
     from protocol.secret.tasks import Done, Task
+    from runtime.ports import Files
 
 SIDES: Final = ("controller", "plant")
 HEARS: "Final[dict[str, tuple[type[Message], ...]]]" = {
@@ -143,7 +143,7 @@ class TimingPorts:
 
     def keep(self, task: "Task") -> None:
         """Make and store keys, which the services leave to a process of its own."""
-        from protocol.secret.keeper import work
+        from runtime.keys.keeper import work
 
         assert self.keeper is not None
         self.kept.append(work(self.keeper, task))
@@ -181,7 +181,7 @@ class LivingEnd:
     """One end as the services open it; ``life`` grows with it, or is lived again."""
 
     def __init__(self, side: str, scenario: str, folder: Path, life: Life, *, again: bool) -> None:
-        from protocol.link.perform import perform
+        from runtime.perform import perform
 
         self.life = life
         self._again = iter(life.drawn) if again else None
@@ -251,10 +251,10 @@ def open_end(
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
     from plant_service.endpoint import PlantEndpoint
-    from protocol.runtime.pace import Pace
     from protocol.scenario import parse_scenario
-    from protocol.shipped import SCENARIOS
     from protocol.streams import noise
+    from runtime.pace import Pace
+    from runtime.shipped import SCENARIOS
 
     text = (SCENARIOS / f"{name}.toml").read_text().replace(*TWO_STATES)
     scenario = parse_scenario(tomllib.loads(text), name)

@@ -4,16 +4,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocol.runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
-from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.options import (
+from runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.errors import DONE, UsageError
+from runtime.options import (
     add_message_arguments,
     at_least,
     checked,
     message_of,
     run_dir_of,
 )
-from protocol.runtime.parts import Bounds
+from runtime.parts import Bounds
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
     from controller_service.service import ControllerConfig, ControllerService, run_controllers
-    from protocol.runtime.scenario_file import keep_scenario, scenario_of
-    from protocol.shipped import scenario_file_of
+    from runtime.scenario_file import keep_scenario, scenario_of
+    from runtime.shipped import scenario_file_of
 
     at_least("--seed", args.seed, 0)
     bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)

@@ -27,10 +27,10 @@ from protocol.messages import (
     SendReply,
     Status,
 )
-from protocol.runtime.errors import USAGE
-from protocol.runtime.ids import proquint
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.tasks import Done
+from runtime.errors import USAGE
+from runtime.ids import proquint
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""

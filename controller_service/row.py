@@ -1,7 +1,7 @@
 """The controller among the services."""
 
-from protocol.runtime.health import look_at_status
-from protocol.runtime.services import (
+from runtime.health import look_at_status
+from runtime.services import (
     CONTROLLER_FIELD,
     CONTROLLER_OPS,
     PLANT_FIELD,

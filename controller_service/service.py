@@ -10,35 +10,35 @@ from controller_service.endpoint import ControllerEndpoint
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.pacing import STATUS_S
-from protocol.link.sealing import SealingEnd
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
-from protocol.runtime.bus import Bus
-from protocol.runtime.end_service import EndConfig, EndService
-from protocol.runtime.errors import UsageError
-from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
-from protocol.runtime.fleet import Fleet, FleetLoop
-from protocol.runtime.fleet_host import run_fleet
-from protocol.runtime.ids import new_id, proquint
-from protocol.runtime.journal import ControllerJournal
-from protocol.runtime.journal_files import JournalError
-from protocol.runtime.key_opening import open_keeper, refusal
-from protocol.runtime.logs import logger
-from protocol.runtime.model import load_model
-from protocol.runtime.parts import Bounds
-from protocol.runtime.ports import Files
-from protocol.runtime.run_folder import (
+from protocol.scenario import Scenario
+from protocol.streams import CIPHER, symbols
+from runtime.bus import Bus
+from runtime.end_service import EndConfig, EndService
+from runtime.errors import UsageError
+from runtime.fleet import STATUS_S as FLEET_STATUS_S
+from runtime.fleet import Fleet, FleetLoop
+from runtime.fleet_host import run_fleet
+from runtime.ids import new_id, proquint
+from runtime.journal import ControllerJournal
+from runtime.journal_files import JournalError
+from runtime.key_opening import open_keeper, refusal
+from runtime.keys.sealed_book import SealedBook
+from runtime.keys.sealing import SealingEnd
+from runtime.logs import logger
+from runtime.model import load_model
+from runtime.parts import Bounds
+from runtime.ports import Files
+from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
 )
-from protocol.runtime.scenario_file import keep_scenario, scenario_of
-from protocol.runtime.trace import TraceWriter
-from protocol.runtime.user_code import UserCodeError
-from protocol.scenario import Scenario
-from protocol.secret.sealed_book import SealedBook
-from protocol.streams import CIPHER, symbols
+from runtime.scenario_file import keep_scenario, scenario_of
+from runtime.trace import TraceWriter
+from runtime.user_code import UserCodeError
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import sys
 
-from protocol.runtime.command import serve
+from runtime.command import serve
 
 if __name__ == "__main__":
     sys.exit(serve("plant"))

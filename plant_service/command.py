@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
-from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.options import at_least, checked, pace_of, run_dir_of
-from protocol.runtime.parts import Bounds
-from protocol.runtime.run_folder import PLANT_SAFE
+from runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.errors import DONE, UsageError
+from runtime.options import at_least, checked, pace_of, run_dir_of
+from runtime.parts import Bounds
+from runtime.run_folder import PLANT_SAFE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
     from plant_service.service import PlantConfig, PlantService, run_plants
-    from protocol.runtime.scenario_file import keep_scenario, scenario_of
-    from protocol.shipped import scenario_file_of
+    from runtime.scenario_file import keep_scenario, scenario_of
+    from runtime.shipped import scenario_file_of
 
     at_least("--steps", args.steps, 1)
     at_least("--seed", args.seed, 0)

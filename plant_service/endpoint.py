@@ -38,10 +38,10 @@ from protocol.messages import (
     PlantModel,
     PlantStatus,
 )
-from protocol.runtime.errors import DONE, USAGE
-from protocol.runtime.ids import proquint
 from protocol.schemes.framing import Frame
 from protocol.secret.tasks import Done
+from runtime.errors import DONE, USAGE
+from runtime.ids import proquint
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""

@@ -13,12 +13,12 @@ from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.records import BegunStep, ReceiverRecord
-from protocol.runtime.errors import UsageError
-from protocol.runtime.journal import ReceiverStep
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
+from runtime.errors import UsageError
+from runtime.journal import ReceiverStep
 
 
 class PlantDisk(Protocol):

@@ -17,11 +17,11 @@ from protocol.link.receiver import Receiver, ReceiverEffects
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
-from protocol.runtime.errors import Failure
 from protocol.scenario import Scenario
 from protocol.secret.nonces import Raw
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
+from runtime.errors import Failure
 
 
 class PlantStep(NamedTuple):

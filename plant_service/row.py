@@ -1,7 +1,7 @@
 """The plant among the services."""
 
-from protocol.runtime.health import look_at_status
-from protocol.runtime.services import PLANT_FIELD, PLANT_OPS, Ends, Service, register
+from runtime.health import look_at_status
+from runtime.services import PLANT_FIELD, PLANT_OPS, Ends, Service, register
 
 register(
     Service(

@@ -12,34 +12,34 @@ from plant_service.adapters.registry import is_model
 from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
 from plant_service.status import PlantTelemetry
-from protocol.files import write_atomically
 from protocol.link.pacing import STATUS_S, Pacing
-from protocol.link.sealing import OpeningEnd
-from protocol.runtime.bus import Bus
-from protocol.runtime.end_service import EndConfig, EndService
-from protocol.runtime.errors import UsageError
-from protocol.runtime.fleet import SLOTS, Fleet, FleetLoop
-from protocol.runtime.fleet import STATUS_S as FLEET_STATUS_S
-from protocol.runtime.fleet_host import run_fleet
-from protocol.runtime.ids import new_id, proquint
-from protocol.runtime.journal import PlantJournal
-from protocol.runtime.journal_files import JournalError
-from protocol.runtime.key_opening import open_keeper, refusal
-from protocol.runtime.logs import logger
-from protocol.runtime.pace import Pace
-from protocol.runtime.parts import Bounds
-from protocol.runtime.ports import Files
-from protocol.runtime.run_folder import (
+from protocol.streams import COIN, noise, symbols
+from protocol.text import readable
+from runtime.bus import Bus
+from runtime.end_service import EndConfig, EndService
+from runtime.errors import UsageError
+from runtime.files import write_atomically
+from runtime.fleet import SLOTS, Fleet, FleetLoop
+from runtime.fleet import STATUS_S as FLEET_STATUS_S
+from runtime.fleet_host import run_fleet
+from runtime.ids import new_id, proquint
+from runtime.journal import PlantJournal
+from runtime.journal_files import JournalError
+from runtime.key_opening import open_keeper, refusal
+from runtime.keys.sealing import OpeningEnd
+from runtime.logs import logger
+from runtime.pace import Pace
+from runtime.parts import Bounds
+from runtime.ports import Files
+from runtime.run_folder import (
     PLANT_JOURNAL,
     PLANT_KEYS,
     PLANT_SAFE,
     PLANT_STATUS,
     PLANT_TRACE,
 )
-from protocol.runtime.scenario_file import keep_scenario, scenario_of
-from protocol.runtime.trace import TraceWriter
-from protocol.streams import COIN, noise, symbols
-from protocol.text import readable
+from runtime.scenario_file import keep_scenario, scenario_of
+from runtime.trace import TraceWriter
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ def _starts_a_program() -> bool:
 
 
 if _starts_a_program():
-    # Loading takes a while. Until `protocol.runtime.command.entered` looks after signals there is
+    # Loading takes a while. Until `runtime.command.entered` looks after signals there is
     # nothing to give back, and Ctrl-C ends the process without a traceback of an import.
     import _signal  # type: ignore[import-not-found]
 

@@ -5,7 +5,6 @@ where they belong: the disturbance of step k is draw k, the coin and the random 
 transition j are draws j. Every kind takes the same number of draws whatever the automaton's state.
 """
 
-import os
 import secrets
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -64,7 +63,7 @@ class SystemSymbols:
     def symbol(self, transition: int, size: int) -> int:  # noqa: ARG002
         """A fresh uniform symbol in range(size)."""
         if 256 % size == 0:  # one byte is exactly uniform; randbelow draws until it has a fit
-            return os.urandom(1)[0] % size
+            return secrets.token_bytes(1)[0] % size
         return secrets.randbelow(size)
 
 
@@ -87,5 +86,5 @@ def symbols(seed: int | None, stream: int) -> SymbolSource:
 def noise(seed: int | None, width: int) -> Stream:
     """Uniform numbers for the simulated disturbance; not secret, so a random seed will do."""
     return Stream(
-        int.from_bytes(os.urandom(16)) if seed is None else seed, DISTURBANCE, width=width
+        int.from_bytes(secrets.token_bytes(16)) if seed is None else seed, DISTURBANCE, width=width
     )

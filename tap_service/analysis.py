@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
+from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
@@ -116,7 +116,7 @@ def analyse(assignment: Assignment, pipe: Connection) -> None:
 
 def _analyse(assignment: Assignment, pipe: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
-    from protocol.runtime.logs import RateLimitedLog, logger
+    from runtime.logs import RateLimitedLog, logger
 
     complaints = RateLimitedLog(logger("tap.analysis"))
     log = RotatingLog(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
-    from protocol.runtime.fleet import FleetLoop
+    from runtime.fleet import FleetLoop
     from tap_service.capture.channel import View
 
 KNOBS = ("view", "loss", "noise", "quantise", "delay", "model_error")
@@ -61,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
-    from protocol.runtime.bus_options import add_endpoint_arguments, add_metrics_argument
-    from protocol.runtime.options import (
+    from runtime.bus_options import add_endpoint_arguments, add_metrics_argument
+    from runtime.options import (
         add_bounds_arguments,
         add_check_argument,
         add_fleet_arguments,
@@ -111,7 +111,7 @@ def find_each(names: Iterable[str], find: Callable[[str], object], where: str = 
     UsageError
         With one line for each that ``find`` has not; ``where`` tells where the names stand.
     """
-    from protocol.runtime.errors import UsageError
+    from runtime.errors import UsageError
     from tap_service.eavesdroppers import KnowledgeError
 
     problems = []
@@ -132,7 +132,7 @@ def view_of(args: argparse.Namespace, defaults: Mapping[str, object]) -> "View":
     UsageError
         With one line for each wrong value.
     """
-    from protocol.runtime.options import checked
+    from runtime.options import checked
     from tap_service.capture.channel import View
 
     values = dict(defaults, seed=args.seed)
@@ -152,7 +152,7 @@ def read_knowledge(path: str) -> "Knowledge":
     from pydantic import ValidationError
 
     from protocol.knowledge import Knowledge
-    from protocol.runtime.errors import UsageError
+    from runtime.errors import UsageError
 
     try:
         text = Path(path).read_bytes()
@@ -197,10 +197,10 @@ def run_told(
     """
     from pathlib import Path
 
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.bus_options import endpoints_of, fleet_of, loop_of, noted
-    from protocol.runtime.errors import DONE, UsageError
-    from protocol.runtime.options import alone_in, checked, run_dir_of
+    from runtime.bus import TransportError
+    from runtime.bus_options import endpoints_of, fleet_of, loop_of, noted
+    from runtime.errors import DONE, UsageError
+    from runtime.options import alone_in, checked, run_dir_of
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from protocol.runtime.endpoints import Endpoints
 from protocol.topics import DEFAULT_LOOP
+from runtime.endpoints import Endpoints
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError

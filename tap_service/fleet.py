@@ -12,20 +12,20 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
-from protocol.runtime.collection import freeze_startup
-from protocol.runtime.errors import DONE, Failure, UsageError
-from protocol.runtime.fleet import Fleet, FleetLoop
-from protocol.runtime.logs import logger
-from protocol.runtime.rates import Throttle
-from protocol.runtime.signals import stop_on_signals
 from protocol.topics import every_loop
+from runtime.collection import freeze_startup
+from runtime.errors import DONE, Failure, UsageError
+from runtime.fleet import Fleet, FleetLoop
+from runtime.logs import logger
+from runtime.rates import Throttle
+from runtime.signals import stop_on_signals
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import NICENESS, Note, TapService
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
-    from protocol.runtime.endpoints import Endpoints
+    from runtime.bus import Bus
+    from runtime.endpoints import Endpoints
 
 TELL_S: Final = 2.0
 """Between two statuses of one loop's tap, and between two writings of its beliefs."""
@@ -165,10 +165,10 @@ def run_taps(
 
     Raises
     ------
-    protocol.runtime.bus.TransportError
+    runtime.bus.TransportError
         When a bus cannot be opened.
     """
-    from protocol.runtime.zenoh_bus import open_bus
+    from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())

@@ -1,4 +1,4 @@
-"""A user's eavesdropper in a process of her own (:mod:`protocol.runtime.guest`).
+"""A user's eavesdropper in a process of her own (:mod:`runtime.guest`).
 
 She stops herself alone: whatever she does is told by a line in her status, and the tap goes on.
 """
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from protocol.runtime.guest import START_S, GuestError, borrowed, give_back, serve
+from runtime.guest import START_S, GuestError, borrowed, give_back, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from protocol.runtime.errors import Failure
-from protocol.runtime.services import (
+from runtime.errors import Failure
+from runtime.services import (
     CONTROLLER_FIELD,
     PLANT_FIELD,
     TAP_INTEL,

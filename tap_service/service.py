@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from protocol.files import StatusFile
 from protocol.messages import FIELD, FieldMessage, TapStatus
-from protocol.runtime.collection import freeze_startup
-from protocol.runtime.errors import DONE
-from protocol.runtime.inbox import Inbox
-from protocol.runtime.logs import RateLimitedLog, logger
-from protocol.runtime.rates import Throttle
-from protocol.runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
-from protocol.runtime.signals import stop_on_signals
 from protocol.topics import key_of
+from runtime.collection import freeze_startup
+from runtime.errors import DONE
+from runtime.files import StatusFile
+from runtime.inbox import Inbox
+from runtime.logs import RateLimitedLog, logger
+from runtime.rates import Throttle
+from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
+from runtime.signals import stop_on_signals
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
@@ -43,7 +43,7 @@ from tap_service.status import (
 )
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
+    from runtime.bus import Bus
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -79,10 +79,10 @@ def run_tap(config: TapConfig, note: Note) -> int:
     ------
     KnowledgeError
         When an eavesdropper cannot be made.
-    protocol.runtime.bus.TransportError
+    runtime.bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
-    from protocol.runtime.zenoh_bus import open_bus
+    from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())

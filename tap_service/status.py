@@ -14,8 +14,8 @@ from pydantic_core import to_json
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
-from protocol.runtime.guest import GuestError
 from protocol.text import printable, readable
+from runtime.guest import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 

@@ -9,8 +9,8 @@ from hypothesis import settings
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import synthesise
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
+from runtime.scenario_file import scenario_of
 
 # A busy machine is no failure: examples have no time limit, a test has pytest's.
 settings.register_profile("wyner", deadline=None, print_blob=True)

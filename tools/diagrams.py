@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.messages import FIELD, INTEL, OPS, Message
-from protocol.runtime.errors import DONE, USAGE
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
+from runtime.errors import DONE, USAGE
+from runtime.files import PUBLIC_FILE, write_atomically
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 

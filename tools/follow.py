@@ -287,7 +287,7 @@ class Run:
         RuntimeError
             When it has it not in time.
         """
-        from protocol.runtime.run_folder import PLANT_TRACE
+        from runtime.run_folder import PLANT_TRACE
 
         common = ["--scenario", self.scenario, "--run-dir", str(self.folder / "run")]
         services = [
@@ -309,7 +309,7 @@ class Run:
 
     def parts(self) -> list[Part]:
         """The four activities."""
-        from protocol.runtime.run_folder import PLANT_TRACE
+        from runtime.run_folder import PLANT_TRACE
 
         lines = (self.folder / "run" / PLANT_TRACE).read_text().splitlines()
         last, k = -1, -1

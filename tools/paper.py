@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.errors import needs
+from runtime.errors import needs
 from wyner.scoring.report import percent
 from wyner.shipped import DATA
 from wyner.studies.secrecy.tables import exact_of, read_rows, share_of

@@ -14,7 +14,7 @@ from typing import Final
 from pydantic_core import to_json
 
 from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
-from protocol.runtime.jsonl import read_lines
+from runtime.jsonl import read_lines
 from wyner.dashboard.model import Arrival, Board, reduce_all
 from wyner.dashboard.screenshot import to_svg
 from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
@@ -100,7 +100,7 @@ def _is_agreement(arrival: Arrival) -> bool:
 
 def record(until_k: int) -> list[Arrival]:
     """Listen to the one run of ``wyner up`` on this machine until it is past step ``until_k``."""
-    from protocol.runtime.zenoh_bus import ZenohBus
+    from runtime.zenoh_bus import ZenohBus
     from wyner.deployment.running import running_loops
 
     (loop,) = running_loops()

@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 
-from protocol.runtime.processor_time import used_by_s
+from runtime.processor_time import used_by_s
 
 ARGUMENTS: Final = (
     "-q",

@@ -14,11 +14,11 @@ from matplotlib.patches import Rectangle
 
 from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
-from protocol.files import write_atomically
 from protocol.link.session import CountedTransition
-from protocol.runtime.errors import DONE, USAGE
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
+from runtime.errors import DONE, USAGE
+from runtime.files import write_atomically
+from runtime.scenario_file import scenario_of
 from wyner.simulate.network import Simulation
 from wyner.studies.figures.style import COLOURS, drawing, save
 

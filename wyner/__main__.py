@@ -2,8 +2,8 @@
 
 import sys
 
-from protocol.runtime.command import entered
-from protocol.runtime.private_arguments import hide_message
+from runtime.command import entered
+from runtime.private_arguments import hide_message
 
 
 def _load_and_run() -> int:

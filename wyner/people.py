@@ -1,7 +1,7 @@
 """Those who are no services of the loop: who watches, who sends, and who hands out its keys."""
 
-from protocol.runtime.health import look_at_line
-from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS, TAP_INTEL, Ends, Service, register
+from runtime.health import look_at_line
+from runtime.services import CONTROLLER_OPS, PLANT_OPS, TAP_INTEL, Ends, Service, register
 
 register(
     Service(

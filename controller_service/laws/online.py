@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from controller_service.sets.cache_folder import default_folder
-from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.scenario import Scenario
+from runtime.files import PUBLIC_FILE, write_atomically
 
 MAGIC: Final = b"wyner-law-1\n"
 """Goes up with whatever changes a table or how it is read."""

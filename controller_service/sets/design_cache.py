@@ -14,7 +14,7 @@ import numpy as np
 
 from controller_service.sets.cache_folder import default_folder
 from controller_service.sets.design import Design, Terminal
-from protocol.files import PUBLIC_FILE, write_atomically
+from runtime.files import PUBLIC_FILE, write_atomically
 
 MAGIC = b"wyner-design-5\n"
 

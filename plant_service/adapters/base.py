@@ -7,8 +7,8 @@ ends. What most people write is one call, ``step``; :class:`SimulatedPlant` make
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from protocol.runtime.errors import Failure
 from protocol.vectors import Vector
+from runtime.errors import Failure
 
 
 class PlantError(Failure):

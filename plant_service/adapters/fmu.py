@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
-from protocol.runtime.errors import needs
 from protocol.vectors import Vector
+from runtime.errors import needs
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from plant_service.adapters.base import PlantError
-from protocol.runtime.errors import needs
 from protocol.vectors import Vector
+from runtime.errors import needs
 
 if TYPE_CHECKING:
     import gymnasium

@@ -1,4 +1,4 @@
-"""A plant of the user's own in a process of its own (:mod:`protocol.runtime.guest`).
+"""A plant of the user's own in a process of its own (:mod:`runtime.guest`).
 
 Whatever it does, it stops itself alone, within its time and memory: the plant service says why in a
 line, and goes to the end that a failed plant has. One process serves the plants that are opened one
@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Sample, SimulatedPlant, floats
-from protocol.runtime.guest import START_S, GuestError, borrowed, give_back, serve
-from protocol.runtime.user_code import UserCodeError
 from protocol.vectors import Vector
+from runtime.guest import START_S, GuestError, borrowed, give_back, serve
+from runtime.user_code import UserCodeError
 
 PLANT: Final = "plant"
 

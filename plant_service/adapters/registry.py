@@ -15,10 +15,10 @@ from plant_service.adapters.isolated import isolated
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
-from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import PLANTS, PlantTable, Scenario
 from protocol.scenario.parts import Positive
 from protocol.vectors import FiniteMatrix, FiniteVector
+from runtime.user_code import UserCodeError
 
 
 class LinearPlant(PlantTable):
@@ -87,7 +87,7 @@ class OdePlant(ModelledElsewhere):
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:
         """The plant at the reading ``start``."""
         from plant_service.adapters.ode import Ode
-        from protocol.runtime.user_code import load_attribute
+        from runtime.user_code import load_attribute
 
         function = load_attribute(self.object, folder)
         if not callable(function):
@@ -109,7 +109,7 @@ class PythonPlant(ModelledElsewhere):
 
     def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
         """The plant as it stands."""
-        from protocol.runtime.user_code import load_attribute, made
+        from runtime.user_code import load_attribute, made
 
         plant = made(load_attribute(self.object, folder), self.object)
         return _adapted(plant, self.object, self.period_s)

@@ -1,7 +1,7 @@
 """An end of the link as its shell sees it: sans I/O, with its timers.
 
 Messages and the time go in, :class:`Actions` come out. Who carries them out, and in which order,
-stands in :mod:`protocol.link.perform`; no other module knows it. The two endpoints are
+stands in :mod:`runtime.perform`; no other module knows it. The two endpoints are
 :mod:`controller_service.endpoint` and :mod:`plant_service.endpoint`.
 """
 

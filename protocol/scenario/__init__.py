@@ -16,7 +16,6 @@ from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
     ScenarioError,
     describe_errors,
-    load_scenario,
     parse_scenario,
     set_field,
 )
@@ -47,7 +46,6 @@ __all__ = [
     "Secrecy",
     "TapView",
     "describe_errors",
-    "load_scenario",
     "parse_scenario",
     "set_field",
 ]

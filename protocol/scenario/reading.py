@@ -1,10 +1,8 @@
-"""Scenario files read: each wrong field in one line."""
+"""Scenarios read from parsed tables: each wrong field in one line."""
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from math import inf
-from pathlib import Path
 from typing import Any, Final
 
 from pydantic import ValidationError
@@ -102,23 +100,3 @@ def parse_scenario(data: dict[str, Any], source: str) -> Scenario:
         return Scenario.model_validate(data)
     except ValidationError as error:
         raise ScenarioError(describe_errors(error, source)) from None
-
-
-def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario file.
-
-    Raises
-    ------
-    ScenarioError
-        When the file cannot be read, is not TOML, or has a wrong field.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
-        raise ScenarioError([f"{path}: not TOML: {error}"]) from None
-    return parse_scenario(data, str(path))

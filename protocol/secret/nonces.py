@@ -10,7 +10,7 @@ Each end names the copy that it took of the other's message (``heard`` in an off
 exactly once; so both know the same nonces without another word.
 """
 
-import os
+import secrets
 from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable
 from typing import Final, Literal, NamedTuple
@@ -31,7 +31,7 @@ NonceSource = Callable[[], str]
 
 def fresh_nonce() -> str:
     """A nonce from the operating system's generator, in base64."""
-    return b2a_base64(os.urandom(NONCE_BYTES), newline=False).decode()
+    return b2a_base64(secrets.token_bytes(NONCE_BYTES), newline=False).decode()
 
 
 def as_bytes(nonce: str) -> bytes:

@@ -17,9 +17,9 @@ from typing import Any, Final
 from pydantic import Field
 from pydantic_core import from_json, to_json
 
-from protocol.runtime.jsonl import END_BYTES, LineWriter, dumps
-from protocol.runtime.parts import Bounds, Parts, part_path
-from protocol.runtime.trace import TRACE_FORMAT, TRACE_VERSION
+from runtime.jsonl import END_BYTES, LineWriter, dumps
+from runtime.parts import Bounds, Parts, part_path
+from runtime.trace import TRACE_FORMAT, TRACE_VERSION
 
 CAPTURE_VERSION: Final = 1
 

@@ -18,10 +18,10 @@ from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.secret.blocks import schedule_of
 from protocol.secret.extractor import WORDS, extract, words
 from protocol.secret.galois import Words
-from protocol.secret.keeper import PUBLIC_TAG_BYTES
 from protocol.secret.nonces import NONCE_BYTES, as_bytes
 from protocol.secret.records import key_id
 from protocol.secret.sealed import TAG_KEY_BYTES, keys_needed
+from runtime.keys.keeper import PUBLIC_TAG_BYTES
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
     Belief,

@@ -29,15 +29,15 @@ from protocol.link.endpoint import Actions, Append, Keep
 from protocol.link.events import Applied, Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.messages import ControllerHello, Measurement, Offer
-from protocol.runtime.bus import TransportError
-from protocol.runtime.errors import UsageError
-from protocol.runtime.journal import PlantJournal
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.memory_journal import MemoryPlantJournal
-from protocol.runtime.pace import Pace
-from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
+from runtime.bus import TransportError
+from runtime.errors import UsageError
+from runtime.journal import PlantJournal
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.memory_journal import MemoryPlantJournal
+from runtime.pace import Pace
+from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
 from tests.support.safety import violations
 from tests.support.twin_journals import TwinPlantJournal

@@ -10,8 +10,8 @@ import pytest
 
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import KINDS, open_plant
-from protocol.runtime import guest
 from protocol.scenario import Scenario
+from runtime import guest
 from tests.adapters.test_driven import line
 
 PLANT = """
@@ -244,7 +244,7 @@ def test_one_that_cannot_be_loaded_is_one_line(
 
 
 def test_shipped_plants_run_in_the_services_process() -> None:
-    shipped = [s for s in (line("wyner.scenarios.plants:Tank"), line()) if s.plant.shipped]  # type: ignore[attr-defined]
+    shipped = [s for s in (line("runtime.scenarios.plants:Tank"), line()) if s.plant.shipped]  # type: ignore[attr-defined]
     assert len(shipped) == 1
     assert {k.__name__ for k in KINDS if not hasattr(k, "shipped")} == {"LinearPlant"}
 

@@ -8,8 +8,9 @@ import pytest
 
 from plant_service.adapters import PlantError
 from plant_service.adapters.base import stepped
-from plant_service.adapters.ode import Ode, runge_kutta_step
-from protocol.runtime.user_code import UserCodeError, load_attribute, made
+from plant_service.adapters.ode import Ode
+from protocol.integration import runge_kutta_step
+from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
 
 

@@ -70,7 +70,7 @@ def test_every_name_is_there_and_has_words() -> None:
 
 def test_shipped_scenarios_load_by_name_and_by_path() -> None:
     assert "paper" in scenario_names()
-    from protocol.shipped import SCENARIOS
+    from runtime.shipped import SCENARIOS
 
     assert load("paper") == load(SCENARIOS / "paper.toml")
     with pytest.raises(ScenarioError, match="nowhere: cannot be read: No such file"):

@@ -12,8 +12,8 @@ from benchmarks import qp as bench_qp
 from benchmarks import sets as bench_sets
 from benchmarks.__main__ import main
 from controller_service.sets.design import Design, synthesise
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
+from runtime.scenario_file import scenario_of
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.bare import bare_round
 from benchmarks.loop import ServiceProcess, measure, render
 from benchmarks.loop_parts import Stopwatch
-from protocol.runtime.errors import Failure
 from protocol.scenario import ScenarioError
+from runtime.errors import Failure
 
 ROUNDS = 2
 STEPS = 2000  # a tap that joins half a second late has still heard most of it

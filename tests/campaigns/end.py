@@ -12,17 +12,17 @@ from typing import Final, Literal, NamedTuple
 
 from controller_service.endpoint import ControllerEndpoint
 from plant_service.endpoint import PlantEndpoint
-from protocol.link import perform as shell
 from protocol.link.endpoint import Actions, Keep, Notice, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
-from protocol.link.perform import CrashPoint, Killed, Mortal
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Closed
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.tasks import Task
+from runtime import perform as shell
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import CrashPoint, Killed, Mortal
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant

@@ -16,9 +16,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS, PLANT_STATUS
-from protocol.secret.ledger import pad_counts
 from protocol.secret.records import StoreError
+from runtime.keys.ledger import pad_counts
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS, PLANT_STATUS
 from tests.system.test_integration import children_of
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from protocol.files import write_atomically
+from runtime.files import write_atomically
 from tests.campaigns.loop import SCHEMES
 from tests.campaigns.space import SIDES, Space
 from wyner.studies.grid import code_version

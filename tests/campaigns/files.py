@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.check import make_run
-from protocol.files import write_atomically
-from protocol.runtime.command import carry_out
-from protocol.runtime.errors import UsageError
-from protocol.runtime.run_folder import (
+from runtime.command import carry_out
+from runtime.errors import UsageError
+from runtime.files import write_atomically
+from runtime.run_folder import (
     BELIEFS,
     CAPTURE,
     CONTROLLER_JOURNAL,
@@ -36,7 +36,7 @@ from protocol.runtime.run_folder import (
     PLANT_TRACE,
     SCENARIO,
 )
-from protocol.scenario import load_scenario
+from runtime.scenario_file import load_scenario
 from tests.campaigns.fuzz import LARGEST, NUMBERS, TEXTS, megabytes
 from tools.rehearsal import Rehearsal
 from wyner.cli.main import main as wyner
@@ -81,15 +81,15 @@ def _sweep(run: Path) -> None:
 
 
 def _fleet(run: Path) -> None:
-    from protocol.runtime.fleet import read_fleet
+    from runtime.fleet import read_fleet
 
     read_fleet(run / "fleet.toml")
 
 
 def _secret(run: Path) -> None:
-    from protocol.runtime.key_opening import open_keeper
+    from runtime.key_opening import open_keeper
 
-    keys = load_scenario(ROOT / "wyner/scenarios/keys.toml")
+    keys = load_scenario(ROOT / "runtime/scenarios/keys.toml")
     (run / "k.sqlite3").unlink(missing_ok=True)
     open_keeper(run / "k.sqlite3", "plant", keys, None, run / "secret")
 
@@ -155,9 +155,9 @@ TARGETS: dict[str, Target] = {
 def lay_out(run: Path) -> None:
     """A run's folder, and beside it one of each other file."""
     from protocol.messages import ControllerStatus, PlantStatus
-    from protocol.secret.anchor import Anchor
-    from protocol.secret.authentication import make_secret
-    from protocol.secret.store import KeyStore
+    from runtime.keys.anchor import Anchor
+    from runtime.keys.secret_file import make_secret
+    from runtime.keys.store import KeyStore
 
     make_run(run, 120)
     for arguments in (
@@ -186,7 +186,7 @@ def lay_out(run: Path) -> None:
 def _let_the_tap_guess(run: Path) -> None:
     """Guesses and beliefs of a tap that heard the capture."""
     from protocol.messages import Measurement, Offer
-    from protocol.runtime.jsonl import read_lines
+    from runtime.jsonl import read_lines
     from tests.campaigns.listeners import Tap
 
     with tempfile.TemporaryDirectory() as folder:

@@ -17,7 +17,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from protocol.files import write_atomically
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -33,10 +32,11 @@ from protocol.messages import (
     SendCommand,
     TapStatus,
 )
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.endpoints import free_endpoints
+from runtime.files import write_atomically
+from runtime.run_folder import CAPTURE, PLANT_TRACE
+from runtime.zenoh_bus import ZenohBus
 from tests.campaigns.fuzz import LARGEST, payloads
 from tools.rehearsal import Rehearsal
 from wyner.studies.grid import code_version

@@ -15,11 +15,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from protocol.files import write_atomically
-from protocol.link.perform import perform
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
-from protocol.runtime.inbox import Inbox
-from protocol.runtime.logs import logger
+from runtime.files import write_atomically
+from runtime.inbox import Inbox
+from runtime.logs import logger
+from runtime.perform import perform
 from tests.campaigns.listeners import LISTENERS, listener
 from tests.campaigns.world import World, quiet
 from tests.support.line_ends import ToldPorts

@@ -22,8 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.parts import parts_of
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 
 SEED: Final = 1
 WYNER: Final = [sys.executable, "-m", "wyner"]

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Protocol
 
-from protocol.link.sealing import OpeningEnd, SealingEnd
 from protocol.messages import (
     ControllerStatus,
     KeyAnswer,
@@ -18,12 +17,13 @@ from protocol.messages import (
     SealedReceipt,
     TapStatus,
 )
-from protocol.runtime.bus import Deliver
-from protocol.runtime.endpoints import Endpoints
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.secret.sealed_book import SealedBook
-from protocol.secret.store import KeyStore
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.bus import Deliver
+from runtime.endpoints import Endpoints
+from runtime.keys.sealed_book import SealedBook
+from runtime.keys.sealing import OpeningEnd, SealingEnd
+from runtime.keys.store import KeyStore
+from runtime.memory_bus import MemoryBus, MemoryHub
 from tap_service.capture.recording import Limits
 from tap_service.config import TapConfig
 from tap_service.service import TapService

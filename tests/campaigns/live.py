@@ -22,11 +22,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import CONTROLLER_STATUS, SCENARIO
-from protocol.runtime.scenario_file import scenario_of
-from protocol.secret.authentication import make_secret
-from protocol.shipped import scenario_file_of
+from runtime.endpoints import free_endpoints
+from runtime.keys.secret_file import make_secret
+from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
+from runtime.scenario_file import scenario_of
+from runtime.shipped import scenario_file_of
 from tests.campaigns.relay import main as pass_on
 from tests.support.key_sites import Sites
 from wyner.cli.main import main

@@ -20,10 +20,10 @@ from typing import Any, Final, NamedTuple
 
 from pydantic_core import to_json
 
-from protocol.runtime.logs import logger
-from protocol.runtime.run_folder import CAPTURE, PLANT_STATUS
-from protocol.scenario import load_scenario
-from protocol.shipped import SCENARIOS
+from runtime.logs import logger
+from runtime.run_folder import CAPTURE, PLANT_STATUS
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import CAPTURE_VERSION, Limits, RotatingLog, mirror_line
 from tests.support.medium import Medium, NoNamespaces, Radio, Station, medium
 from wyner.scoring.keys import KeyAudit, audit_keys

@@ -8,8 +8,8 @@ from typing import Any, Final
 from plant_service.endpoint import PlantEndpoint
 from protocol.link.session import Rules
 from protocol.messages import Message
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.blocks import Schedule
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.campaigns.stores import Stores

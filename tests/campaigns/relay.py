@@ -9,11 +9,11 @@ from contextlib import suppress
 from functools import partial
 
 from protocol.messages import Measurement, Offer, Sealed
-from protocol.runtime.bus import TransportError
-from protocol.runtime.errors import DONE
-from protocol.runtime.signals import stop_on_signals
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.bus import TransportError
+from runtime.errors import DONE
+from runtime.signals import stop_on_signals
+from runtime.zenoh_bus import ZenohBus
 
 
 class Relay:

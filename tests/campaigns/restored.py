@@ -24,11 +24,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from protocol.link.asking import AUDITED
 from protocol.messages import Sealed
-from protocol.runtime.run_folder import CAPTURE
 from protocol.secret.records import Side, StoreError
-from protocol.secret.store import KeyStore
+from runtime.keys.asking import AUDITED
+from runtime.keys.store import KeyStore
+from runtime.run_folder import CAPTURE
 from tests.campaigns.live import LiveLoop, keep_failed, plain_text, wait_for
 from tests.campaigns.resumable import Results, options
 from tests.campaigns.traffic import Traffic

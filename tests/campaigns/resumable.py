@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from protocol.files import write_atomically
+from runtime.files import write_atomically
 from wyner.studies.grid import code_version
 
 

@@ -21,14 +21,14 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.endpoint import PlantEndpoint
 from protocol.agreement import predict
-from protocol.files import write_atomically
 from protocol.link.events import Applied, Event, Interrupted, Missed
-from protocol.link.perform import CrashPoint
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.keys import Keys
-from protocol.secret.store import KeyStore
 from protocol.vectors import Vector
+from runtime.files import write_atomically
+from runtime.keys.store import KeyStore
+from runtime.perform import CrashPoint
 from tests.support.copies import Copies
 from tests.support.safety import violations
 from tests.support.small_run import law_of

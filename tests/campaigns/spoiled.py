@@ -16,7 +16,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.errors import Failure, UsageError
+from runtime.errors import Failure, UsageError
 from tests.campaigns.resumable import Results, options, seeds
 from tests.support.recorded_loop import SIDES, RecordedLoop, Side
 from wyner.verify import check

@@ -16,9 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.errors import UsageError
 from protocol.secret.records import Side, StoreError, TooFewKeys, UnknownKeys
-from protocol.secret.store import KeyStore
+from runtime.errors import UsageError
+from runtime.keys.store import KeyStore
 from tests.campaigns.resumable import Results, options, seeds
 from tests.campaigns.spoiled import damaged
 from tests.support.giving import deliver, deliver_named

@@ -3,10 +3,10 @@
 import hashlib
 import zlib
 
-from protocol.secret.keeper import Keeper, work
 from protocol.secret.records import Side
-from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
+from runtime.keys.keeper import Keeper, work
+from runtime.keys.store import KeyStore
 
 
 class Stores:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.endpoints import Endpoints
-from protocol.runtime.zenoh_bus import open_bus
+from runtime.endpoints import Endpoints
+from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, schedules, spoiled, spoiled_stores
 
 

@@ -6,15 +6,16 @@ from typing import Any
 
 import pytest
 
-from protocol.link import keying, perform, sender_session
+from protocol.link import keying, sender_session
 from protocol.link.ciphering import Ciphering
 from protocol.link.endpoint import Actions, Endpoint
 from protocol.link.keying import Keying
-from protocol.link.perform import Ports
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import Raw, contribution
+from runtime import perform
+from runtime.perform import Ports
 from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import SCHEMES, rules_of

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from protocol.messages import Measurement, Offer
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.endpoints import free_endpoints
+from runtime.zenoh_bus import ZenohBus
 from tests.campaigns.endurance import judged
 from tests.campaigns.relay import Relay
 from tests.support.matched import matched

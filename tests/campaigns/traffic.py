@@ -15,11 +15,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from protocol.runtime.run_folder import PLANT_KEYS, PLANT_TRACE
-from protocol.runtime.trace import TraceReader
 from protocol.secret.records import StoreError
-from protocol.secret.sealed_book import SealedBook
-from protocol.secret.store import KeyStore
+from runtime.keys.sealed_book import SealedBook
+from runtime.keys.store import KeyStore
+from runtime.run_folder import PLANT_KEYS, PLANT_TRACE
+from runtime.trace import TraceReader
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence

@@ -11,10 +11,10 @@ from controller_service.endpoint import ControllerEndpoint
 from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Notice, Outgoing
 from protocol.link.events import Applied, Event
-from protocol.link.perform import perform
 from protocol.link.session import CountedTransition
 from protocol.messages import Offer
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import perform
 from tests.campaigns.end import LONG_S
 from tests.campaigns.loop import propose, rules_of
 from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant

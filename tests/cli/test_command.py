@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.errors import UsageError
-from protocol.runtime.scenario_file import keep_scenario
-from protocol.runtime.services import BUSES, SERVICES
+from runtime.endpoints import free_endpoints
+from runtime.errors import UsageError
+from runtime.scenario_file import keep_scenario
+from runtime.services import BUSES, SERVICES
 from wyner.cli.main import commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,7 +175,7 @@ def test_a_run_of_another_scenario_is_left_alone(
 
 
 def test_a_scenario_is_the_same_where_the_loop_is(tmp_path: Path) -> None:
-    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     mine = tmp_path / "mine.toml"
     keep_scenario(tmp_path, "paper")
     mine.write_text(f"# a note\n{text}\n[tap]\nloss = 0.5\n")
@@ -194,7 +194,7 @@ def test_a_wrong_scenario_is_a_line_a_field(
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     text = text.replace("period_s = 0.1", 'period_s = "short"').replace("alpha = 8.0", "alpha = 0")
     (tmp_path / "mine.toml").write_text(text)
     option = [] if command in ("design", "knowledge") else ["--scenario"]
@@ -206,7 +206,7 @@ def test_an_initial_state_outside_the_sets_is_said_before_anything_starts(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     (tmp_path / "far.toml").write_text(text.replace("[4.0, -2.0]", "[1e6, 0.0]"))
     (line,) = usage_error(capsys, "up", "--scenario", "far.toml")
     assert "[1000000.0, 0.0] is outside T_250" in line
@@ -222,7 +222,7 @@ def test_a_cost_without_weights_is_the_costs_fault(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = (
-        (ROOT / "wyner" / "scenarios" / "paper.toml")
+        (ROOT / "runtime" / "scenarios" / "paper.toml")
         .read_text()
         .replace("next_state = 1.0", "next_state = 0.0")
     )
@@ -245,7 +245,7 @@ def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anyt
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "wyner" / "scenarios" / "paper.toml").read_text()
+    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     (tmp_path / "mine.toml").write_text(text + '[tap]\neavesdroppers = ["eve", "oracle", "zip"]\n')
     for command in (["up"], ["tap", "--run-dir", "runs"]):
         lines = usage_error(capsys, *command, "--scenario", "mine.toml")
@@ -306,7 +306,7 @@ def test_ctrl_c_while_a_program_is_loaded_ends_it_without_a_word(
         "import os, signal, sys\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, *_):\n"
-        "        if name == 'protocol.runtime.command': os.kill(os.getpid(), signal.SIGINT)\n"
+        "        if name == 'runtime.command': os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupt())\n"
     )
     done = subprocess.run(
@@ -328,7 +328,7 @@ def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:
 def test_a_signal_while_signals_are_taken_over_or_given_back_is_quiet(when: str) -> None:
     code = (
         "import os, signal, sys\n"
-        "from protocol.runtime import command\n"
+        "from runtime import command\n"
         "real, set_so_far = signal.signal, []\n"
         "def told(number, handler):\n"
         "    before = real(number, handler)\n"

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from protocol.link.keying import Keying
-from protocol.runtime.services import Look
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Stored, schedule_of
 from protocol.secret.bound import Assumption
+from runtime.services import Look
 from wyner.cli.health import MAX_AGE_S, advances
 from wyner.cli.main import main
 

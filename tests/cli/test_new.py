@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario import load_scenario
-from protocol.shipped import SCENARIOS
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from protocol.shipped import SCENARIOS
+from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
 from wyner.cli.plot import draw_rows, in_words
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from protocol.messages import SealCommand, SealReply, SendReply
-from protocol.runtime.errors import Failure, UsageError
+from runtime.errors import Failure, UsageError
 from wyner.cli import options
 from wyner.cli.main import main
 from wyner.cli.options import joined

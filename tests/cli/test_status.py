@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.run_folder import (
+from runtime.keys.ledger import Authentication, take_secret
+from runtime.keys.secret_file import make_secret
+from runtime.keys.store import KeyStore
+from runtime.run_folder import (
     BELIEFS,
     CONTROLLER_KEYS,
     CONTROLLER_STATUS,
@@ -14,10 +17,7 @@ from protocol.runtime.run_folder import (
     PLANT_STATUS,
     SCENARIO,
 )
-from protocol.secret.authentication import make_secret
-from protocol.secret.ledger import Authentication, take_secret
-from protocol.secret.store import KeyStore
-from protocol.shipped import SCENARIOS
+from runtime.shipped import SCENARIOS
 from tests.support.giving import consent
 from wyner.cli.main import main
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD, Sealed
-from protocol.runtime.options import alone_in
-from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE
-from protocol.runtime.trace import TraceWriter
+from runtime.options import alone_in
+from runtime.run_folder import CAPTURE, PLANT_TRACE
+from runtime.trace import TraceWriter
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
@@ -441,7 +441,7 @@ def test_a_second_tap_in_a_folder_is_refused(
 ) -> None:
     code = (
         "import sys, pathlib\n"
-        "from protocol.runtime.options import alone_in\n"
+        "from runtime.options import alone_in\n"
         "with alone_in(pathlib.Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen(

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.errors import UsageError
-from protocol.runtime.scenario_file import scenario_of
+from runtime.errors import UsageError
+from runtime.scenario_file import scenario_of
 from wyner.cli import up
 
 

@@ -290,8 +290,8 @@ def under_way(
 FORGE = """
 import json, sys, threading, time
 from pathlib import Path
-from protocol.runtime.endpoints import TlsFiles
-from protocol.runtime.zenoh_bus import ZenohBus
+from runtime.endpoints import TlsFiles
+from runtime.zenoh_bus import ZenohBus
 connect, folder, *keys = sys.argv[1:]
 tls = TlsFiles.in_folder(Path(folder)) if folder else None
 enough, at = threading.Event(), []

@@ -137,7 +137,7 @@ def test_the_tap_has_no_route_to_ops(direct: Composition) -> None:
 
 LISTEN = """
 import json, time
-from protocol.runtime.zenoh_bus import ZenohBus
+from runtime.zenoh_bus import ZenohBus
 heard, began = {}, time.monotonic()
 with ZenohBus(connect=json.loads(%r)) as bus:
     bus.subscribe("**", lambda key, payload, t_ns: heard.update({key: heard.get(key, 0) + 1}))

@@ -81,7 +81,7 @@ def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path:
     for service in SERVICES:
         source = f"{direct.container(service)}:/var/lib/wyner/run/{service}"
         docker("cp", source, str(tmp_path / service))
-    shutil.copyfile(ROOT / "wyner/scenarios/sustained.toml", tmp_path / "scenario.toml")
+    shutil.copyfile(ROOT / "runtime/scenarios/sustained.toml", tmp_path / "scenario.toml")
     checked = subprocess.run(
         [sys.executable, "-m", "wyner.cli.main", "check", str(tmp_path), "--json"],
         capture_output=True,

@@ -27,7 +27,7 @@ except NoKey as error:
 STATES = f"""
 import json, sys
 from pathlib import Path
-from protocol.secret.store import KeyStore
+from runtime.keys.store import KeyStore
 side, path = sys.argv[1:]
 with KeyStore(Path("{RUN}") / path, side) as store:
     print(json.dumps(dict(store.ids())))

@@ -23,8 +23,8 @@ ROUTER = "tls/router.field:7447"
 OPEN = """
 import json, sys, time
 from pathlib import Path
-from protocol.runtime.endpoints import TlsFiles
-from protocol.runtime.zenoh_bus import ZenohBus
+from runtime.endpoints import TlsFiles
+from runtime.zenoh_bus import ZenohBus
 folder, *task = json.loads(sys.argv[1])
 with ZenohBus(
     connect=["tls/router.field:7447"], client=True, tls=TlsFiles.in_folder(Path(folder))

@@ -16,9 +16,10 @@ from controller_service.sets.design import Design, SynthesisError, set_corners, 
 from controller_service.sets.design_cache import design_path
 from controller_service.sets.terminal import feedback_gain, terminal_set
 from protocol.convex import corners
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
+from runtime.scenario_file import load_scenario
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
 
 def changed(scenario: Scenario, **fields: Any) -> Scenario:

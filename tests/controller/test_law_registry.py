@@ -16,9 +16,9 @@ from controller_service.sets.design import Design, Progress, synthesise
 from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
 from protocol.registry import UnknownError
-from protocol.runtime.run_folder import SCENARIO
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
-from protocol.shipped import SCENARIOS
+from runtime.run_folder import SCENARIO
+from runtime.shipped import SCENARIOS
 from tests.support.safety import violations
 from tests.system.test_services import System
 from wyner.cli.main import main

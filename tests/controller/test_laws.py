@@ -17,9 +17,10 @@ from controller_service.laws.sustained import SustainedLaw
 from controller_service.sets.design import Design, set_corners, synthesise
 from protocol.agreement import predict
 from protocol.convex import Polytope, corners
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
+from runtime.scenario_file import load_scenario
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 LAWS = ("paper", "sustained")
 
 

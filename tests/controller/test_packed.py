@@ -22,8 +22,8 @@ from controller_service.sets.packed_design import alphabet_of, invariant_set, re
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from runtime.scenario_file import scenario_of
 from tests.support.apart import distances
 from wyner.cli.new import sampled
 
@@ -266,7 +266,7 @@ def test_every_offset_pair_is_apart_and_together() -> None:
 @pytest.mark.slow
 def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
     """The plant's recordings name the scenario that the controller's do."""
-    lines = "from protocol.runtime.scenario_file import scenario_of\n"
+    lines = "from runtime.scenario_file import scenario_of\n"
     lines += "print(scenario_of({!r}).identity())"
     for name in ("packed", "packed-quadruple-tank", "sustained"):
         there = subprocess.run(

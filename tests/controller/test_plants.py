@@ -18,8 +18,8 @@ from controller_service.sets.design import Design, SynthesisError, set_corners, 
 from controller_service.sets.recursion import support
 from protocol.convex import Polytope, corners
 from protocol.link.session import rules_of
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
+from runtime.scenario_file import scenario_of
 
 HEXAGON = [[1.0, 0.0], [0.5, 0.8], [-0.6, 0.9], [-1.0, -0.1], [-0.4, -1.0], [0.7, -0.8]]
 OCTAHEDRON = [list(signs) for signs in product((1.0, -1.0), repeat=3)]

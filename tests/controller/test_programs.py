@@ -13,9 +13,10 @@ from controller_service.laws.programs import General, Quadratic, solve_daqp, sol
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from protocol.convex import Polytope
-from protocol.scenario import Cost, Scenario, load_scenario
+from protocol.scenario import Cost, Scenario
+from runtime.scenario_file import load_scenario
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 TOP = np.array([6.0, 6.0, 1.7, 1.3])
 
 

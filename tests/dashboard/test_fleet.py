@@ -8,10 +8,10 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.pace import Pace
 from protocol.scenario import Scenario
 from protocol.topics import key_of
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.pace import Pace
 from wyner.dashboard import fleet as fleet_module
 from wyner.dashboard.fleet import HEADER, SILENT_S, FleetTable, watch
 from wyner.dashboard.model import TAPS_KEPT

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
-from protocol.runtime.inbox import OVERHEAD
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
 from protocol.topics import key_of
+from runtime.inbox import OVERHEAD
+from runtime.memory_bus import MemoryBus, MemoryHub
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard import source as source_module
 from wyner.dashboard.headless import secrecy_line

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from protocol.runtime.logs import RateLimitedLog
+from runtime.logs import RateLimitedLog
 from wyner.deployment.denials import SESSIONS, Denials, denials_told
 
 KEY = "wyner/v1/loop/measurement"

@@ -23,13 +23,13 @@ from protocol.messages import (
     Offer,
     TapStatus,
 )
-from protocol.runtime.bus import Deliver
-from protocol.runtime.endpoints import TlsFiles, free_endpoints
-from protocol.runtime.run_folder import PLANT_TRACE
-from protocol.runtime.services import BUSES, SERVICES, on_bus
-from protocol.runtime.trace import read_trace
-from protocol.runtime.zenoh_bus import ZenohBus, open_router
 from protocol.topics import key_of
+from runtime.bus import Deliver
+from runtime.endpoints import TlsFiles, free_endpoints
+from runtime.run_folder import PLANT_TRACE
+from runtime.services import BUSES, SERVICES, on_bus
+from runtime.trace import read_trace
+from runtime.zenoh_bus import ZenohBus, open_router
 from tests.support.matched import matched
 from wyner.cli.main import main
 from wyner.deployment.access import access_control

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.errors import UsageError
+from runtime.errors import UsageError
 from wyner.deployment.running import (
     RunningLoop,
     announced,

@@ -11,8 +11,8 @@ from typing import Any, cast
 
 import pytest
 
-from protocol.runtime.errors import Failure
-from protocol.runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
+from runtime.errors import Failure
+from runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
 from wyner.deployment import supervisor
@@ -26,12 +26,12 @@ import json, sys, threading, time
 from pathlib import Path
 
 def add_arguments(parser):
-    from protocol.runtime.bus_options import add_endpoint_arguments
+    from runtime.bus_options import add_endpoint_arguments
     parser.add_argument("--run-dir", type=Path, required=True)
     add_endpoint_arguments(parser, "counting")
 
 def run(args):
-    from protocol.runtime.signals import stop_on_signals
+    from runtime.signals import stop_on_signals
     count = 0
     with stop_on_signals() as stopping:
         while not stopping.wait(0.02):
@@ -43,7 +43,7 @@ def run(args):
 """
 
 ROW = """
-from protocol.runtime.services import Ends, Service, register
+from runtime.services import Ends, Service, register
 register(Service("counting", command="counting_service.command", ends={"field": Ends()}))
 """
 
@@ -51,7 +51,7 @@ MAIN = """
 import sys
 from protocol.registry import provide
 provide("service", "counting_service.row")
-from protocol.runtime.command import serve
+from runtime.command import serve
 sys.exit(serve("counting"))
 """
 

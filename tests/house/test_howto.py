@@ -17,13 +17,14 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
 from protocol.registry import load_file
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.zenoh_bus import ZenohBus
-from protocol.scenario import ScenarioError, load_scenario
+from protocol.scenario import ScenarioError
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
-from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.endpoints import free_endpoints
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+from runtime.zenoh_bus import ZenohBus
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import named
 from tests.support.small_run import SmallRun

@@ -3,7 +3,7 @@
 import pytest
 
 from protocol.scenario import LAWS, PLANTS, Scenario
-from protocol.shipped import SCENARIOS
+from runtime.shipped import SCENARIOS
 from tools.scenario_reference import PAGE, form_of, lines_of, main, missing, page
 
 

@@ -79,7 +79,7 @@ def inside(room: str) -> list[Path]:
 def test_there_is_something_to_look_at() -> None:
     assert len(MODULES) > 60
     assert "protocol" in rooms_of(ROOT / "plant_service" / "plant.py")
-    assert "zenoh" in imports_of(ROOT / "protocol" / "runtime" / "zenoh_bus.py")
+    assert "zenoh" in imports_of(ROOT / "runtime" / "zenoh_bus.py")
     assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
 
 
@@ -146,7 +146,7 @@ def test_nothing_runs_in_a_circle() -> None:
 @pytest.mark.parametrize(
     ("library", "allowed"),
     [
-        ("zenoh", {"protocol.runtime.zenoh_bus"}),
+        ("zenoh", {"runtime.zenoh_bus"}),
         ("rich", {"wyner", "tools"}),
         (
             "matplotlib",
@@ -199,8 +199,8 @@ SECRETS = {
     "protocol.link.session",
     "protocol.link.sender",
     "protocol.link.receiver",
-    "protocol.runtime.journal",  # both, and the message
-    "protocol.runtime.journal_files",
+    "runtime.journal",  # both, and the message
+    "runtime.journal_files",
     "protocol.streams",  # the coins
 }
 """What holds alpha, D_c, coins, keys, journals or the truth. Schemes are algorithms, and public."""

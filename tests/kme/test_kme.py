@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from protocol.secret.store import KeyStore
+from runtime.keys.store import KeyStore
 from tests.support.giving import agree
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from protocol.agreement import Gauge
 from protocol.link.fallback import Fallback, clip
-from protocol.runtime.scenario_file import scenario_of
 from protocol.vectors import Vector
+from runtime.scenario_file import scenario_of
 
 BOX = Gauge(half_widths=(1.0, 2.0, 0.5))
 SLAB = Gauge(H=((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)), h=(2.0, 2.0, 4.0, 4.0))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from plant_service.endpoint import LAST_KEYS_S, PlantEndpoint
-from protocol.link.perform import perform
 from protocol.messages import BlockWord, Message
-from protocol.runtime.errors import DONE
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.records import Side
+from runtime.errors import DONE
+from runtime.perform import perform
 from tests.support.keyed_link import SIDES, World
 from tests.support.line_plant import line_rules
 

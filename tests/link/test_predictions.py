@@ -17,7 +17,7 @@ from wyner.simulate.engine import SimulationError, simulate_runs
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
-MODEL = "wyner.scenarios.plants:predict_pendulum"
+MODEL = "runtime.scenarios.plants:predict_pendulum"
 FAR = {
     "plant.initial_state": [0.6, -0.5],
     "control.disturbance.half_widths": [0.008, 0.06],

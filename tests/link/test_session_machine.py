@@ -1,6 +1,6 @@
 """The link as a rule-based state machine: hypothesis plays the clock, the network and the reaper.
 
-The endpoints are the services', and so is :func:`protocol.link.perform.perform`. Messages lie in a
+The endpoints are the services', and so is :func:`runtime.perform.perform`. Messages lie in a
 bag from which any may be delivered at any time, again and again, or never. Any process may be
 killed between any two events or within one, before it writes, publishes or traces, and may come
 back with or without its journal. A second controller, with a journal of its own, may work on the
@@ -20,11 +20,11 @@ from controller_service.endpoint import ControllerEndpoint
 from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Keep, Outgoing, Write
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
-from protocol.link.perform import CrashPoint, Killed, Mortal, perform
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Offer, PlantHello
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.schemes.pipelined import Pipelined
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import CrashPoint, Killed, Mortal, perform
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules

@@ -3,7 +3,7 @@
 import random
 
 from protocol.messages import ControllerHello
-from protocol.runtime.memory_journal import MemoryPlantJournal
+from runtime.memory_journal import MemoryPlantJournal
 from tests.support.line_ends import line_plant
 from tests.support.line_plant import line_rules
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.arrays import Array
 from protocol.link.session import rules_of
-from protocol.scenario import load_scenario
+from runtime.scenario_file import load_scenario
 
 Case = tuple[tuple[float, ...], tuple[tuple[float, ...], ...], int, tuple[float, ...]]
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 PAPER = rules_of(load_scenario(SCENARIOS / "paper.toml")).agreement
 TANKS = rules_of(load_scenario(SCENARIOS / "quadruple-tank.toml")).agreement
 

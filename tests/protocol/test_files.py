@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol import files
-from protocol.files import NotRegular, StatusFile, write_atomically
+from runtime import files
+from runtime.files import NotRegular, StatusFile, write_atomically
 
 Write = Callable[[bytes], None]
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from protocol.agreement import INSIDE, AgreementRule, Gauge
 from protocol.link.session import rules_of
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from runtime.scenario_file import scenario_of
 
 finite = st.floats(-3, 3, allow_nan=False)
 

@@ -11,17 +11,10 @@ from typing import Any
 
 import pytest
 
-from protocol.scenario import (
-    LAWS,
-    Control,
-    Scenario,
-    ScenarioError,
-    ScenarioTable,
-    load_scenario,
-    parse_scenario,
-)
+from protocol.scenario import LAWS, Control, Scenario, ScenarioError, ScenarioTable, parse_scenario
+from runtime.scenario_file import load_scenario
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 SHIPPED = sorted(SCENARIOS.glob("*.toml"))
 Table = dict[str, Any]
 DELETE = object()

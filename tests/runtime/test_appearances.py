@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from protocol.runtime.bus import TransportError
-from protocol.runtime.endpoints import appearances, free_endpoints, is_group
-from protocol.runtime.host import _Sparing
-from protocol.runtime.zenoh_bus import ZenohBus
+from runtime.bus import TransportError
+from runtime.endpoints import appearances, free_endpoints, is_group
+from runtime.host import _Sparing
+from runtime.zenoh_bus import ZenohBus
 
 HOME, AWAY, OTHER = "tcp/127.0.0.1:1", "udp/192.0.2.1:1", "udp/192.0.2.2:1"
 

@@ -9,10 +9,10 @@ import pytest
 
 from protocol.link.endpoint import NOTHING_TO_DO, Actions
 from protocol.messages import Message, SealedReceipt
-from protocol.runtime.beside import Beside
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.secret.store import KeyStore
 from protocol.topics import key_of
+from runtime.beside import Beside
+from runtime.keys.store import KeyStore
+from runtime.memory_bus import MemoryBus, MemoryHub
 
 
 class Faulty:

@@ -1,6 +1,6 @@
 """An error of use is a line a field."""
 
-from protocol.runtime.errors import UsageError
+from runtime.errors import UsageError
 
 
 def test_a_usage_error_has_a_line_a_field() -> None:

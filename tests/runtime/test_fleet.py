@@ -16,19 +16,19 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service import service
 from plant_service.service import run_plants
-from protocol.files import StatusFile
 from protocol.messages import LATENCY_BOUNDS_S, Offer, PlantStatus
-from protocol.runtime import fleet_host, host
-from protocol.runtime.bus_options import fleet_of
-from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.options import add_fleet_arguments, add_message_arguments, message_of
-from protocol.runtime.pace import Pace
-from protocol.runtime.parts import Bounds
-from protocol.runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
-from protocol.runtime.trace import read_trace
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime import fleet_host, host
+from runtime.bus_options import fleet_of
+from runtime.errors import DONE, UsageError
+from runtime.files import StatusFile
+from runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.options import add_fleet_arguments, add_message_arguments, message_of
+from runtime.pace import Pace
+from runtime.parts import Bounds
+from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
+from runtime.trace import read_trace
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.guest import OVERSPENT, GuestError, GuestProcess, _Patience
-from protocol.runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
+from runtime.guest import OVERSPENT, GuestError, GuestProcess, _Patience
+from runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
 
 
 def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
@@ -33,7 +33,7 @@ def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
 
 GUEST = """
 import os, sys, threading
-from protocol.runtime.guest import serve
+from runtime.guest import serve
 
 def spin():
     while True:
@@ -68,7 +68,7 @@ def test_a_nice_programs_guest_is_as_nice_as_a_session(guest: GuestProcess, tmp_
     own = os.nice(0)
     assert guest.ask("weight", None, 20.0) == ["nice", str(own)]
     guest.close()
-    asks = "from protocol.runtime.guest import GuestProcess\nimport os\nos.nice(7)\n"
+    asks = "from runtime.guest import GuestProcess\nimport os\nos.nice(7)\n"
     asks += "print(GuestProcess('looping_guest').ask('weight', None, 20.0))"
     told = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert told.stdout == f"['nice', '{min(own + 7, 19)}']\n"

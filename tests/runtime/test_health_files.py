@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 
 from protocol.messages import Status
-from protocol.runtime.health_files import HealthFiles, HealthWriter
+from runtime.health_files import HealthFiles, HealthWriter
 
 LOG = logging.getLogger("health files")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.errors import Failure
+from runtime.errors import Failure
 from tests.support.recorded_loop import SIDES, RecordedLoop, Side
 
 MESSAGE = b"a"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.runtime.ids import new_id, proquint
+from runtime.ids import new_id, proquint
 
 
 @pytest.mark.parametrize(

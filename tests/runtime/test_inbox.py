@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from protocol.runtime.inbox import OVERHEAD, Inbox
+from runtime.inbox import OVERHEAD, Inbox
 
 
 def test_items_come_in_order_and_are_counted() -> None:
@@ -68,7 +68,7 @@ def test_what_there_is_no_room_for_is_dropped_and_counted() -> None:
 
 TINY_WAITS = """
 import os, queue, sys, threading, time
-from protocol.runtime.inbox import Inbox
+from runtime.inbox import Inbox
 os.nice(15)
 inbox, rounds = Inbox(), [0]
 def take():

@@ -12,8 +12,8 @@ import pytest
 from protocol.link.endpoint import Append, Keep
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Message, Offer
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.journal_files import JournalError
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal_files import JournalError
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
@@ -169,7 +169,7 @@ def one_line(error: pytest.ExceptionInfo[JournalError], path: Path) -> str:
 def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
     path = tmp_path / "c"
     code = (
-        "import sys; from pathlib import Path; from protocol.runtime.journal import *\n"
+        "import sys; from pathlib import Path; from runtime.journal import *\n"
         "try: ControllerJournal(Path(sys.argv[1]), sys.argv[2])\n"
         "except JournalError as error: print(error)\n"
     )
@@ -252,7 +252,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from protocol.link.endpoint import Append, Keep
-from protocol.runtime.journal import PlantJournal
+from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
 from protocol.link.records import ReceiverRecord
 

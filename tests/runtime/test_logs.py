@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from protocol.runtime.logs import RateLimitedLog, logger
-from protocol.runtime.rates import Throttle
+from runtime.logs import RateLimitedLog, logger
+from runtime.rates import Throttle
 
 
 def test_a_throttle_opens_once_a_period() -> None:

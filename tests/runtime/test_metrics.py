@@ -11,13 +11,13 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.messages import ControllerStatus, PlantStatus, TapStatus
-from protocol.runtime.errors import UsageError
-from protocol.runtime.host import Host
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.metrics import Board, NotedBus, served
-from protocol.runtime.pace import Pace
 from protocol.scenario import Scenario
 from protocol.topics import key_of
+from runtime.errors import UsageError
+from runtime.host import Host
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.metrics import Board, NotedBus, served
+from runtime.pace import Pace
 
 pytest.importorskip("prometheus_client")
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.model import ModelError, load_model
-from protocol.runtime.scenario_file import scenario_of
-from protocol.runtime.user_code import UserCodeError
 from protocol.scenario import Scenario
+from runtime.model import ModelError, load_model
+from runtime.scenario_file import scenario_of
+from runtime.user_code import UserCodeError
 from wyner.api import vary
 
 MODEL = "model.py:predict"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.runtime.pace import Pace
+from runtime.pace import Pace
 
 
 @pytest.mark.parametrize(

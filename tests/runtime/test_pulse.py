@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol import files
-from protocol.files import StatusFile
-from protocol.runtime.pulse import Pulse, Space
+from runtime import files
+from runtime.files import StatusFile
+from runtime.pulse import Pulse, Space
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.files import (
+from runtime.files import (
     PUBLIC_FILE,
     StatusFile,
     make_folder,
@@ -14,9 +14,9 @@ from protocol.files import (
     replacing,
     write_atomically,
 )
-from protocol.runtime.journal import PlantJournal
-from protocol.runtime.jsonl import LONGEST, LineWriter, decode, read_lines
-from protocol.runtime.trace import TraceWriter
+from runtime.journal import PlantJournal
+from runtime.jsonl import LONGEST, LineWriter, decode, read_lines
+from runtime.trace import TraceWriter
 
 
 def mode(path: Path) -> int:

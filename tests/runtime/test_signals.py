@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from protocol.runtime.signals import stop_on_signals
+from runtime.signals import stop_on_signals
 
 
 def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
@@ -25,7 +25,7 @@ def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
 
 STOPS = """
 import sys
-from protocol.runtime.signals import stop_on_signals
+from runtime.signals import stop_on_signals
 with stop_on_signals() as stopping:
     print("ready", flush=True)
     print("stopped" if stopping.wait({wait}) else "still running", flush=True)
@@ -65,7 +65,7 @@ def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
 
 HANDED_TO_ANOTHER_THREAD = """
 import os, signal, threading
-from protocol.runtime.signals import stop_on_signals
+from runtime.signals import stop_on_signals
 with stop_on_signals() as stopping:
     threading.Thread(target=threading.Event().wait, daemon=True).start()
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])  # the other thread takes it
@@ -91,7 +91,7 @@ def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
 
 LOST = """
 import sys, time
-from protocol.runtime.command import entered
+from runtime.command import entered
 
 class Finalised:
     def __del__(self):

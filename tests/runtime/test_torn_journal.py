@@ -12,11 +12,11 @@ import pytest
 from protocol.link.endpoint import Append, Keep
 from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement, Offer
-from protocol.runtime import journal_files
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.journal_files import JOURNAL_VERSION, JournalError
-from protocol.runtime.step_log import Step, StepLog
 from protocol.secret.nonces import Raw
+from runtime import journal_files
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal_files import JOURNAL_VERSION, JournalError
+from runtime.step_log import Step, StepLog
 from tests.support.twin_journals import SCENARIO, copied
 
 SESSION: Final = "0123456789abcdef"

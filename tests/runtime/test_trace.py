@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.trace import TRACE_VERSION, TraceError, TraceWriter, read_trace
+from runtime.trace import TRACE_VERSION, TraceError, TraceWriter, read_trace
 from tests.support.lines import unmark
 
 
@@ -117,7 +117,7 @@ def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
     script = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from protocol.runtime.trace import TraceWriter\n"
+        "from runtime.trace import TraceWriter\n"
         "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
         "size = Path(sys.argv[1]).stat().st_size\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"

@@ -16,17 +16,17 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.bus import Bus, ChannelClosed, TransportError
-from protocol.runtime.endpoints import Endpoints, TlsFiles, check_endpoint, free_endpoints
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.zenoh_bus import (
+from runtime.bus import Bus, ChannelClosed, TransportError
+from runtime.endpoints import Endpoints, TlsFiles, check_endpoint, free_endpoints
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.zenoh_bus import (
     LARGEST_MESSAGE,
     ZenohBus,
     ZenohPublisher,
     open_bus,
     open_router,
 )
-from protocol.runtime.zenoh_settings import OPEN_MS
+from runtime.zenoh_settings import OPEN_MS
 from tests.support.matched import matched
 
 PATIENCE_S = 20.0
@@ -117,7 +117,7 @@ def test_missing_certificates_are_named(tmp_path: Path) -> None:
 
 
 def test_importing_the_transport_does_not_load_zenoh() -> None:
-    code = "import sys, protocol.runtime.zenoh_bus; sys.exit('zenoh' in sys.modules)"
+    code = "import sys, runtime.zenoh_bus; sys.exit('zenoh' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -498,7 +498,7 @@ def test_a_router_with_access_control_drops_what_is_not_allowed() -> None:
 
 LISTENER = """
 import sys
-from protocol.runtime.zenoh_bus import ZenohBus
+from runtime.zenoh_bus import ZenohBus
 
 with ZenohBus(connect=[sys.argv[1]]) as bus:
     bus.subscribe("wyner/**", lambda *_: None)

@@ -17,13 +17,13 @@ from controller_service.laws.base import CandidateLaw
 from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from protocol.registry import UnknownError
-from protocol.runtime.endpoints import Endpoints
-from protocol.runtime.memory_bus import MemoryBus
-from protocol.runtime.run_folder import BELIEFS, SCENARIO
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.schemes.table import StateTable, advance_many
+from runtime.endpoints import Endpoints
+from runtime.memory_bus import MemoryBus
+from runtime.run_folder import BELIEFS, SCENARIO
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import EAVESDROPPERS

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 
 from protocol.messages import Measurement, Offer
-from protocol.runtime.logs import logger
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from protocol.runtime.trace import TraceWriter
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
 from protocol.secret.nonces import fresh_nonce
-from protocol.shipped import SCENARIOS
+from runtime.logs import logger
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+from runtime.trace import TraceWriter
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.scoring.keys import KeyAudit, audit_keys
 

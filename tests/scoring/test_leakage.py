@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.runtime.run_folder import CAPTURE
-from protocol.runtime.scenario_file import scenario_of
 from protocol.statistics import wilson
+from runtime.run_folder import CAPTURE
+from runtime.scenario_file import scenario_of
 from tap_service.capture.channel import View
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.cli.main import main

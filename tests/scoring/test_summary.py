@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
+from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
 from tap_service.status import absent_record
 from tests.support.small_run import SmallRun
 from wyner.scoring.counts import StepCount

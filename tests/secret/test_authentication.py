@@ -8,21 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.secret.authentication import (
-    PADS_BYTES,
-    PRIME,
-    RESERVE,
-    Secret,
-    SecretError,
-    make_secret,
-    polynomial,
-    read_secret,
-    spend_secret,
-    tag,
-)
+from protocol.secret.authentication import PADS_BYTES, PRIME, RESERVE, Secret, polynomial, tag
 from protocol.secret.extractor import cauchy, extract
 from protocol.secret.galois import multiply
 from protocol.secret.sealed import Unsealed, keys_needed, seal, unseal
+from runtime.keys.secret_file import SecretError, make_secret, read_secret, spend_secret
 
 TEXTS = st.binary(max_size=100)
 

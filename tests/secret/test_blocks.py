@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.authentication import RESERVE, SecretError, make_secret
+from protocol.secret.authentication import RESERVE
 from protocol.secret.blocks import (
     NO_TAG,
     Blocks,
@@ -23,10 +23,11 @@ from protocol.secret.blocks import (
     schedule_of,
 )
 from protocol.secret.bound import Assumption
-from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import Authentication, pad_counts, take_secret
 from protocol.secret.nonces import Raw, contribution, fresh_nonce
-from protocol.secret.store import KeyStore
+from runtime.keys.keeper import Keeper
+from runtime.keys.ledger import Authentication, pad_counts, take_secret
+from runtime.keys.secret_file import SecretError, make_secret
+from runtime.keys.store import KeyStore
 from tests.support.giving import agree, consent, deliver, deliver_named
 
 SESSION = "0123456789abcdef"

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.run_folder import (
+from protocol.secret.blocks import Blocks
+from protocol.secret.nonces import as_bytes
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.keys.store import KeyStore
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -16,10 +19,7 @@ from protocol.runtime.run_folder import (
     PLANT_KEYS,
     SCENARIO,
 )
-from protocol.scenario import load_scenario
-from protocol.secret.blocks import Blocks
-from protocol.secret.nonces import as_bytes
-from protocol.secret.store import KeyStore
+from runtime.scenario_file import load_scenario
 from tests.support.giving import deliver, deliver_named
 from tests.support.recorded_loop import SIDES, RecordedLoop
 

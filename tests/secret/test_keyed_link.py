@@ -16,7 +16,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from protocol.link import keying as keying_module
 from protocol.link.endpoint import Actions, Append, Endpoint
 from protocol.link.keying import Keying
-from protocol.link.perform import CrashPoint, Ports, perform
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.messages import Measurement
@@ -24,7 +23,8 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Raw, contribution
 from protocol.secret.records import WHOLE, Share, StoreError, TooFewKeys
-from protocol.secret.store import KeyStore
+from runtime.keys.store import KeyStore
+from runtime.perform import CrashPoint, Ports, perform
 from tests.support.keyed_link import SIDES, Side, World
 from tests.support.line_plant import line_rules
 

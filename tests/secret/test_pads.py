@@ -6,20 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret import ledger as ledger_module
-from protocol.secret.anchor import Anchor
-from protocol.secret.authentication import (
-    PRIME,
-    RESERVE,
-    TAG_BYTES,
-    WORD_BYTES,
-    make_secret,
-    number,
-    polynomial,
-)
-from protocol.secret.ledger import RENEWS, Authentication, pad_counts, take_secret
+from protocol.secret.authentication import PRIME, RESERVE, TAG_BYTES, WORD_BYTES, number, polynomial
 from protocol.secret.records import BlockRow
-from protocol.secret.store import KeyStore
+from runtime.keys import ledger as ledger_module
+from runtime.keys.anchor import Anchor
+from runtime.keys.ledger import RENEWS, Authentication, pad_counts, take_secret
+from runtime.keys.secret_file import make_secret
+from runtime.keys.store import KeyStore
 from tests.support.giving import agree
 
 ROWS = RENEWS + 4
@@ -190,7 +183,7 @@ def test_two_blocks_heard_whole_give_the_point_until_one_is_missed(signed: Signe
 def test_a_point_that_stays_is_known_for_ever(
     signed: Signed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("protocol.secret.ledger.RENEWS", 10_000)
+    monkeypatch.setattr("runtime.keys.ledger.RENEWS", 10_000)
     later, pad, shown, text, _, _ = broken(signed)
     forged = (polynomial(later, b"plant/" + text) + pad) % PRIME
     assert f"{forged:032x}" == shown

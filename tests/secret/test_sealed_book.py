@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.asking import Asker
 from protocol.messages import KeyAnswer, KeyRequest
 from protocol.secret.records import BlockRow, KeysRefused, UnknownKeys
 from protocol.secret.sealed import Unsealed
-from protocol.secret.sealed_book import MOST_TRIES, SealedBook
-from protocol.secret.store import KeyStore
+from runtime.keys.asking import Asker
+from runtime.keys.sealed_book import MOST_TRIES, SealedBook
+from runtime.keys.store import KeyStore
 from tests.support.giving import agree, sealed_by
 
 TEXT = b"The old mill, at nine."
@@ -146,7 +146,7 @@ def test_a_death_within_sealing_leaves_message_and_keys(
         raise sqlite3.OperationalError("killed")
 
     with monkeypatch.context() as patch:
-        patch.setattr("protocol.secret.sealed_book.seal", die)
+        patch.setattr("runtime.keys.sealed_book.seal", die)
         with pytest.raises(Exception, match="killed"):
             sealed_by(controller, plant.store)
     assert sealed_by(controller, plant.store) is not None

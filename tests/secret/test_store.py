@@ -11,11 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.anchor import Anchor
-from protocol.secret.authentication import make_secret
 from protocol.secret.blocks import Closed
-from protocol.secret.keeper import Keeper
-from protocol.secret.ledger import Authentication, take_secret
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -26,7 +22,11 @@ from protocol.secret.records import (
     UnknownKeys,
     key_id,
 )
-from protocol.secret.store import KeyStore
+from runtime.keys.anchor import Anchor
+from runtime.keys.keeper import Keeper
+from runtime.keys.ledger import Authentication, take_secret
+from runtime.keys.secret_file import make_secret
+from runtime.keys.store import KeyStore
 from tests.support.giving import consent, deliver, deliver_named
 
 SESSION = "0123456789abcdef"
@@ -158,7 +158,7 @@ def test_a_refused_store_gives_nothing(tmp_path: Path) -> None:
 def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("protocol.secret.store.MOST_KEYS", 3)
+    monkeypatch.setattr("runtime.keys.store.MOST_KEYS", 3)
     with store(tmp_path) as keys:
         for number in range(5):
             keys.add(row(number, 4), bodies(number, 4))
@@ -175,8 +175,8 @@ def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counted in steps of SQLite's machine, a hundred at a time."""
-    monkeypatch.setattr("protocol.secret.store.MOST_KEYS", 2000)
-    monkeypatch.setattr("protocol.secret.store.TOMBSTONES", 9000)
+    monkeypatch.setattr("runtime.keys.store.MOST_KEYS", 2000)
+    monkeypatch.setattr("runtime.keys.store.TOMBSTONES", 9000)
     make_secret(tmp_path / "secret")
     with store(tmp_path) as keys:
         take_secret(keys, tmp_path / "secret")
@@ -353,8 +353,8 @@ def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path
 KILLED = """
 import os, sys
 from pathlib import Path
-from protocol.secret.giving import Giver
-from protocol.secret.store import KeyStore
+from runtime.keys.giving import Giver
+from runtime.keys.store import KeyStore
 from tests.support.giving import consent
 keys = KeyStore(Path(sys.argv[1]), "controller")
 giver = Giver(keys, look=lambda: consent(keys))

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret import worker as worker_module
 from protocol.secret.blocks import Closed, Judgement, Stored
-from protocol.secret.keeper import Keeper, KeeperAt
-from protocol.secret.store import KeyStore
 from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged
-from protocol.secret.worker import KeyWorker
+from runtime.keys import worker as worker_module
+from runtime.keys.keeper import Keeper, KeeperAt
+from runtime.keys.store import KeyStore
+from runtime.keys.worker import KeyWorker
 
 SESSION = "0123456789abcdef"
 
@@ -56,7 +56,7 @@ def process_of_keys() -> int | None:
         with suppress(OSError):
             command = (path / "cmdline").read_bytes().split(b"\0")
             parent = (path / "stat").read_text().rpartition(")")[2].split()[1]
-            if command[1:3] == [b"-m", b"protocol.secret.apart"] and parent == str(os.getpid()):
+            if command[1:3] == [b"-m", b"runtime.keys.apart"] and parent == str(os.getpid()):
                 return int(path.name)
     return None
 

@@ -13,11 +13,12 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
-from protocol.scenario import Disturbance, Scenario, load_scenario
+from protocol.scenario import Disturbance, Scenario
 from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
+from runtime.scenario_file import load_scenario
 from wyner.simulate.engine import (
     Draws,
     Runs,
@@ -33,7 +34,7 @@ from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.seeding import generator_states
 from wyner.simulate.engine.taps import listen
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
 KINDS = ("uniform", "corners", "truncated-gaussian", "gaussian", "constant", "sinusoid")
 

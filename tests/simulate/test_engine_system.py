@@ -19,11 +19,12 @@ from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from protocol.runtime.trace import TraceReader, TraceWriter
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE, TEST
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.scenario_file import load_scenario
+from runtime.trace import TraceReader, TraceWriter
 from wyner.scoring.replay import Replay
 from wyner.scoring.score import read_truth, score
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
@@ -40,7 +41,7 @@ Event = dict[str, Any]
 
 @cache
 def system(name: str) -> tuple[Scenario, CandidateLaw]:
-    scenario = load_scenario(ROOT / "wyner" / "scenarios" / f"{name}.toml")
+    scenario = load_scenario(ROOT / "runtime" / "scenarios" / f"{name}.toml")
     return scenario, make_law(scenario, cached_design(scenario))
 
 

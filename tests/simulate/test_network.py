@@ -11,8 +11,8 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from protocol.link.endpoint import Append, Write
-from protocol.runtime.journal import PlantJournal
 from protocol.scenario import Scenario
+from runtime.journal import PlantJournal
 from tests.support.safety import violations
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation, simulate

@@ -9,9 +9,9 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer, frame_length
+from runtime.scenario_file import scenario_of
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother

@@ -31,7 +31,7 @@ def test_every_tested_step_agrees(name: str) -> None:
 
 
 def test_the_tank_stands_still_at_its_operating_point() -> None:
-    from wyner.scenarios.plants import quadruple_tank
+    from runtime.scenarios.plants import quadruple_tank
 
     point = design("nonlinear-quadruple-tank").scenario.plant.operating_point
     assert point is not None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controller_service.sets.terminal import feedback_gain
-from protocol.runtime.scenario_file import scenario_of
+from runtime.scenario_file import scenario_of
 from wyner.studies.capacity.table import added, capacity, dither_price
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from protocol.runtime.scenario_file import scenario_of
+from runtime.scenario_file import scenario_of
 from tests.support.toeplitz import toeplitz
 from wyner.cli.main import main
 from wyner.studies.noise.bound import Coin, coin_bits, hashed, largest_gain

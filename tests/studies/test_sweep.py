@@ -149,7 +149,7 @@ def test_a_bad_file_gets_one_line_a_field_and_exit_2(
 def test_one_scenario_in_two_spellings_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = ROOT / "wyner" / "scenarios" / "sustained.toml"
+    other = ROOT / "runtime" / "scenarios" / "sustained.toml"
     text = TEXT.replace('"sustained"', f'["sustained", "{other}"]')
     text = text.replace("[1.0, 3.0, 8.0]", "[3.0]").replace(", [4.0, -2.0]]", "]")
     assert main(["sweep", str(small(tmp_path, text=text)), "--output", str(tmp_path / "x")]) == 2
@@ -312,9 +312,9 @@ def imported(statement: str) -> set[Path]:
             "e.named('nearest-centre'), e.named('list-decoder')",
             (*SOURCES, *TAP_SOURCES),
             {  # they hold a user's eavesdropper; the shipped ones answer themselves
-                "protocol/runtime/guest.py",
-                "protocol/runtime/errors.py",
-                "protocol/runtime/processor_time.py",
+                "runtime/guest.py",
+                "runtime/errors.py",
+                "runtime/processor_time.py",
                 "protocol/text.py",
                 "tap_service/guests.py",
             },
@@ -326,9 +326,9 @@ def test_the_version_covers_what_the_numbers_come_from(
 ) -> None:
     # These say which runs there are and what they add up to; a task does not use them.
     others = others | {
-        "protocol/files.py",  # where a law's tables are cached
+        "runtime/files.py",  # where a law's tables are cached
         "protocol/brief.py",  # how objects look in a notebook
-        "protocol/shipped.py",
+        "runtime/shipped.py",
         "protocol/statistics.py",
         *(f"protocol/secret/{path.name}" for path in (ROOT / "protocol/secret").glob("*.py")),
         *(f"wyner/studies/{name}.py" for name in ("grid", "results")),

@@ -8,8 +8,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from controller_service.laws.registry import cached_design, make_law
-from protocol.scenario import Scenario, load_scenario
-from protocol.shipped import scenario_file_of
+from protocol.scenario import Scenario
+from runtime.scenario_file import load_scenario
+from runtime.shipped import scenario_file_of
 from wyner.cli.design import expected_rate
 from wyner.cli.main import main
 from wyner.studies.figures.design import draw_design

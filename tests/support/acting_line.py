@@ -9,13 +9,13 @@ from protocol.agreement import Gauge
 from protocol.link.events import Applied, Event, Interrupted, Missed
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
-from protocol.link.perform import CrashPoint
 from protocol.link.receiver import Receiver
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import Rules
-from protocol.runtime.memory_journal import MemoryPlantJournal
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.vectors import Vector
+from runtime.memory_journal import MemoryPlantJournal
+from runtime.perform import CrashPoint
 
 
 class LineDevice(Operated):

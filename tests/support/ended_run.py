@@ -3,10 +3,10 @@
 import json
 from pathlib import Path
 
-from protocol.files import write_atomically
 from protocol.link.endpoint import Keep
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.run_folder import (
+from runtime.files import write_atomically
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
     MANIFEST,

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-from protocol.link.asking import Asker
 from protocol.messages import KeyAnswer
-from protocol.secret import ledger
-from protocol.secret.giving import Giver, pending
 from protocol.secret.records import WHOLE, Key, Share
-from protocol.secret.sealed_book import SealedBook, SealedText
-from protocol.secret.store import KeyStore
+from runtime.keys import ledger
+from runtime.keys.asking import Asker
+from runtime.keys.giving import Giver, pending
+from runtime.keys.sealed_book import SealedBook, SealedText
+from runtime.keys.store import KeyStore
 
 
 def agree(*stores: KeyStore) -> None:

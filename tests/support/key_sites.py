@@ -13,9 +13,9 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.records import BlockRow, StoreError
-from protocol.secret.store import KeyStore
+from runtime.keys.store import KeyStore
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.support.giving import agree
 from wyner.deployment.certificates import ensure_certificates
 

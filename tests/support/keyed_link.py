@@ -12,15 +12,15 @@ from plant_service.endpoint import PlantEndpoint
 from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
-from protocol.link.perform import CrashPoint, Killed, Mortal, perform
-from protocol.link.perform import Ports as AnyPorts
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from protocol.secret.keeper import Keeper, work
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
-from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
+from runtime.keys.keeper import Keeper, work
+from runtime.keys.store import KeyStore
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import CrashPoint, Killed, Mortal, perform
+from runtime.perform import Ports as AnyPorts
 from tests.support.copies import Copies
 from tests.support.giving import deliver, deliver_named
 from tests.support.line_ends import line_controller, line_plant
@@ -71,7 +71,7 @@ class World:
     rules : Rules
         With a schedule.
     performer : callable
-        :func:`protocol.link.perform.perform`, or a wrong one.
+        :func:`runtime.perform.perform`, or a wrong one.
     period_s : float
         Between two steps.
     on_disk : bool

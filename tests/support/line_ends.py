@@ -13,11 +13,11 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.messages import Message, Offer, Status
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 
 PERIOD_S = 1.0
 

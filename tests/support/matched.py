@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from protocol.runtime.zenoh_bus import ZenohPublisher
+from runtime.zenoh_bus import ZenohPublisher
 
 
 def matched(*publishers: ZenohPublisher) -> bool:

@@ -18,16 +18,16 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.endpoint import Actions, Endpoint, Outgoing
 from protocol.link.events import Event
-from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.sender import Sender
 from protocol.messages import FIELD, Message, Offer, SendCommand
-from protocol.runtime.health_files import HealthFiles
-from protocol.runtime.pace import Pace
-from protocol.runtime.ports import Files, LoopPorts
-from protocol.runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
-from protocol.runtime.trace import TraceWriter, read_trace
-from protocol.secret.keeper import Keeper, work
 from protocol.secret.tasks import Task
+from runtime.health_files import HealthFiles
+from runtime.keys.keeper import Keeper, work
+from runtime.pace import Pace
+from runtime.perform import Killed, Mortal, perform
+from runtime.ports import Files, LoopPorts
+from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
+from runtime.trace import TraceWriter, read_trace
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
 from wyner.verify import check

@@ -19,13 +19,13 @@ from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
-from protocol.runtime.parts import Bounds
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from protocol.runtime.trace import TraceWriter
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from runtime.parts import Bounds
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.trace import TraceWriter
 
-SCENARIOS: Final = Path(__file__).resolve().parents[2] / "wyner" / "scenarios"
+SCENARIOS: Final = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
 Lines = list[dict[str, Any]]
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from protocol.link.endpoint import Write
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from protocol.secret.nonces import Raw
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 
 SCENARIO = "f" * 64
 

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from protocol.messages import Measurement, Offer, PlantHello, SendCommand
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import PLANT_TRACE
-from protocol.runtime.trace import read_trace
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
+from runtime.endpoints import free_endpoints
+from runtime.run_folder import PLANT_TRACE
+from runtime.trace import read_trace
+from runtime.zenoh_bus import ZenohBus
 from tests.support.matched import matched
 from wyner.cli.main import main
 
@@ -187,7 +187,7 @@ class ByHand:
         self.processes[service] = subprocess.Popen(
             [
                 *(sys.executable, "-m", "wyner", service, "--run-dir", str(self.run_dir)),
-                *("--scenario", "wyner/scenarios/sustained.toml"),
+                *("--scenario", "runtime/scenarios/sustained.toml"),
                 *endpoints,
                 *arguments,
             ],
@@ -274,7 +274,7 @@ def test_bad_usage_is_one_line_and_code_2(
         return done.returncode, done.stderr
 
     scenario = tmp_path / "bad.toml"
-    scenario.write_text(Path("wyner/scenarios/paper.toml").read_text().replace("250", "-1"))
+    scenario.write_text(Path("runtime/scenarios/paper.toml").read_text().replace("250", "-1"))
     for arguments in (
         ("plant", "--pace", "slow"),
         ("plant", "--listen", "moon=tcp/127.0.0.1:1"),

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.errors import UsageError
-from protocol.runtime.options import message_of
-from protocol.runtime.private_arguments import without_message
-from protocol.runtime.run_folder import (
+from runtime.errors import UsageError
+from runtime.options import message_of
+from runtime.private_arguments import without_message
+from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
     CONTROLLER_TRACE,
     MANIFEST,
     PLANT_TRACE,
 )
-from protocol.runtime.trace import read_trace
+from runtime.trace import read_trace
 
 SECRET = "q9"
 
@@ -58,7 +58,7 @@ def test_a_message_is_taken_off_the_arguments(
 
 def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
     program = (
-        "import sys; from protocol.runtime.options import message_of;"
+        "import sys; from runtime.options import message_of;"
         "sys.stdout.buffer.write(message_of(*[a or None for a in sys.argv[1:]]))"
     )
     done = subprocess.run(
@@ -90,9 +90,7 @@ def test_a_file_is_sent_byte_for_byte_and_standard_input_can_be_one(tmp_path: Pa
 def test_what_is_typed_ends_without_its_last_enter() -> None:
     leader, follower = pty.openpty()
     try:
-        program = (
-            "from protocol.runtime.options import message_of; print(repr(message_of('-', None)))"
-        )
+        program = "from runtime.options import message_of; print(repr(message_of('-', None)))"
         with subprocess.Popen(
             [sys.executable, "-c", program],
             stdin=follower, stdout=subprocess.PIPE, stderr=subprocess.PIPE,

@@ -34,11 +34,14 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
-from protocol.runtime.errors import DONE, USAGE, Failure, UsageError
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.pace import Pace
-from protocol.runtime.run_folder import (
+from protocol.scenario import Scenario
+from protocol.streams import COIN, noise, symbols
+from protocol.topics import key_of
+from runtime.errors import DONE, USAGE, Failure, UsageError
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.pace import Pace
+from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
@@ -47,11 +50,8 @@ from protocol.runtime.run_folder import (
     PLANT_TRACE,
     SCENARIO,
 )
-from protocol.runtime.trace import read_trace
-from protocol.scenario import Scenario
-from protocol.shipped import SCENARIOS
-from protocol.streams import COIN, noise, symbols
-from protocol.topics import key_of
+from runtime.shipped import SCENARIOS
+from runtime.trace import read_trace
 from tests.support.told import log_of, told
 from wyner.cli.main import main
 

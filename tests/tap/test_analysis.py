@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import TapStatus
-from protocol.runtime import jsonl
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import CAPTURE
+from runtime import jsonl
+from runtime.parts import parts_of
+from runtime.run_folder import CAPTURE
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import reading as capture

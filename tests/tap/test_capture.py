@@ -15,10 +15,10 @@ import pytest
 from pydantic_core import from_json
 
 from protocol.messages import Measurement, Offer, Sealed
-from protocol.runtime import jsonl
-from protocol.runtime.parts import part_path, parts_of
-from protocol.runtime.run_folder import CAPTURE
-from protocol.runtime.trace import read_trace
+from runtime import jsonl
+from runtime.parts import part_path, parts_of
+from runtime.run_folder import CAPTURE
+from runtime.trace import read_trace
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tests.support.lines import unmark

@@ -11,13 +11,13 @@ import pytest
 
 import tap_service.service
 from protocol.messages import Measurement, Offer, TapStatus
-from protocol.runtime.endpoints import Endpoints
-from protocol.runtime.errors import UsageError
-from protocol.runtime.fleet import Fleet, FleetLoop
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.run_folder import CAPTURE
 from protocol.scenario import Scenario
 from protocol.topics import key_of
+from runtime.endpoints import Endpoints
+from runtime.errors import UsageError
+from runtime.fleet import Fleet, FleetLoop
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.run_folder import CAPTURE
 from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
 from tests.support.told import log_of

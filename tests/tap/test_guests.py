@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import Sealed
-from protocol.runtime.guest import GuestError
+from runtime.guest import GuestError
 from tap_service import guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError

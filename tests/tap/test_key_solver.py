@@ -12,7 +12,7 @@ from protocol.messages import FieldMessage, Measurement, Message, Offer, Sealed
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
 from protocol.secret.records import BlockRow
-from protocol.secret.sealed_book import SealedBook
+from runtime.keys.sealed_book import SealedBook
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld

@@ -24,11 +24,11 @@ from protocol.messages import (
     Sealed,
     TapStatus,
 )
-from protocol.runtime.endpoints import Endpoints, free_endpoints
-from protocol.runtime.memory_bus import MemoryBus, MemoryHub
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
-from protocol.runtime.zenoh_bus import ZenohBus
 from protocol.topics import key_of
+from runtime.endpoints import Endpoints, free_endpoints
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
+from runtime.zenoh_bus import ZenohBus
 from tap_service import heavy
 from tap_service import service as tap
 from tap_service.capture.channel import View

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE
 from tests.support.small_run import Lines, read_lines, write_lines
 
 Edit = Callable[[Lines, int], None]

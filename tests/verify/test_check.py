@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.lines import unmark
 from tests.support.small_run import Lines, SmallRun, read_lines, write_lines
 from wyner.cli.main import main

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from protocol.link.events import Delivered, Event, Queued, Recovered
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from protocol.runtime.trace import read_trace
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.trace import read_trace
 from tests.support.recorded_loop import RecordedLoop, Side
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.verify import check

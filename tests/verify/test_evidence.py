@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from controller_service.laws import registry
-from protocol.runtime.run_folder import MANIFEST, SUMMARY
+from runtime.run_folder import MANIFEST, SUMMARY
 from wyner.cli.demo import SealedMessage
 from wyner.cli.up import conduct
 from wyner.verify import check

@@ -6,9 +6,9 @@ from typing import Any, cast
 
 import pytest
 
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.records import BlockRow, Side, key_id
-from protocol.secret.store import KeyStore
+from runtime.keys.store import KeyStore
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.verify.judged import SCHEDULE, Judge, evidence, heard, judge
 from wyner.verify import key_blocks
 from wyner.verify.capture import Seen

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from protocol.runtime.run_folder import (
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_KEYS,
     CONTROLLER_TRACE,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from controller_service.laws import registry
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
 from tests.support.small_run import read_lines, write_lines

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.runtime.parts import Bounds, parts_of
-from protocol.runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
-from protocol.runtime.trace import TraceReader, read_trace
+from runtime.parts import Bounds, parts_of
+from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.trace import TraceReader, read_trace
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.cli.main import main
 from wyner.verify import check

@@ -8,7 +8,7 @@ import pytest
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, law_of, read_lines, write_lines
 from wyner.verify import check, evidence

@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 
 from benchmarks.check import make_run
-from protocol.files import write_atomically
-from protocol.runtime.jsonl import LineWriter
-from protocol.runtime.run_folder import (
+from protocol.secret.records import BlockRow
+from runtime.files import write_atomically
+from runtime.jsonl import LineWriter
+from runtime.keys.store import KeyStore
+from runtime.run_folder import (
     BELIEFS,
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -30,9 +32,7 @@ from protocol.runtime.run_folder import (
     SUMMARY,
     TAP_STATUS,
 )
-from protocol.scenario import load_scenario
-from protocol.secret.records import BlockRow
-from protocol.secret.store import KeyStore
+from runtime.scenario_file import load_scenario
 from tests.support.giving import deliver
 from tests.verify.mutants import ALTERATIONS
 from wyner.cli.main import main

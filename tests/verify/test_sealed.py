@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import Sealed
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.records import BlockRow
-from protocol.secret.sealed_book import SealedBook, SealedText
-from protocol.secret.store import KeyStore
+from runtime.keys.sealed_book import SealedBook, SealedText
+from runtime.keys.store import KeyStore
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.support.giving import sealed_by
 from tests.verify.judged import evidence, judge
 from wyner.verify.capture import Seen

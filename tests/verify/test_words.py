@@ -18,9 +18,9 @@ import pytest
 
 from controller_service.laws import registry
 from protocol.link.endpoint import Keep
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.parts import part_path
-from protocol.runtime.run_folder import (
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.parts import part_path
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
     CONTROLLER_TRACE,

@@ -14,9 +14,9 @@ from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
-from protocol.runtime.errors import needs
 from protocol.scenario import Scenario
 from protocol.statistics import Interval, mean_over_runs
+from runtime.errors import needs
 from wyner.api.systems import System, design
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages

@@ -14,8 +14,9 @@ from controller_service.sets.design import Design
 from protocol.arrays import Array
 from protocol.brief import Brief
 from protocol.convex import Polytope, corners, planar_vertices
-from protocol.scenario import Scenario, load_scenario, parse_scenario, set_field
-from protocol.shipped import SCENARIOS, scenario_file_of
+from protocol.scenario import Scenario, parse_scenario, set_field
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS, scenario_file_of
 
 
 def scenario_names() -> list[str]:

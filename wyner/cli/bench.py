@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Final, NoReturn
 
-from protocol.runtime.errors import UsageError
+from runtime.errors import UsageError
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 

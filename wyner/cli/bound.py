@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the table."""
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
     from wyner.studies.noise.loop import BoundError, LinearLoop
 
     if args.figure and Path(args.figure).suffix not in (".svg", ".png"):

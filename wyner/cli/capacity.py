@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the table."""
     from controller_service.sets.design import SynthesisError
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
     from wyner.studies.capacity.table import capacity
 
     scenario = scenario_of(args.scenario)

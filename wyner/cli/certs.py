@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, Failure, UsageError
-from protocol.runtime.services import BUSES, SERVICES
+from runtime.errors import DONE, Failure, UsageError
+from runtime.services import BUSES, SERVICES
 
 
 def default_names() -> list[str]:

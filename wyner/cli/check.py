@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.errors import DONE, FAILED, UsageError
 from protocol.text import printable
+from runtime.errors import DONE, FAILED, UsageError
 
 if TYPE_CHECKING:
     from wyner.verify.clause import Finding
@@ -43,7 +43,7 @@ def _table() -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Read, judge, print; of a fleet every loop."""
-    from protocol.runtime.run_folder import loops_below
+    from runtime.run_folder import loops_below
 
     loops = loops_below(args.run_dir)
     if not loops:

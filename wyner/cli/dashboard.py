@@ -4,8 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from protocol.runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
-from protocol.runtime.services import CONTROLLER_OPS, PLANT_OPS
+from runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from runtime.services import CONTROLLER_OPS, PLANT_OPS
 from wyner.cli.options import add_run_argument, joined
 
 
@@ -28,11 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Watch until q or Ctrl-C."""
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.errors import DONE, INTERRUPTED, UsageError
-    from protocol.runtime.signals import stop_on_signals
-    from protocol.runtime.zenoh_bus import open_bus
     from protocol.text import printable
+    from runtime.bus import TransportError
+    from runtime.errors import DONE, INTERRUPTED, UsageError
+    from runtime.signals import stop_on_signals
+    from runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.fleet import FleetTable, watch
     from wyner.dashboard.headless import run_headless

@@ -18,14 +18,14 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.messages import SealCommand, SealReply
-from protocol.runtime.bus import Bus
-from protocol.runtime.errors import DONE, FAILED, INTERRUPTED
-from protocol.runtime.ids import new_id
-from protocol.runtime.inbox import Inbox
-from protocol.runtime.options import run_dir_of
 from protocol.secret.sealed import keys_needed
-from protocol.shipped import SCENARIOS
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.bus import Bus
+from runtime.errors import DONE, FAILED, INTERRUPTED
+from runtime.ids import new_id
+from runtime.inbox import Inbox
+from runtime.options import run_dir_of
+from runtime.shipped import SCENARIOS
 from wyner.cli import up
 from wyner.cli.up import Errand, Outcome, conduct
 

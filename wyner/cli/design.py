@@ -4,7 +4,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from controller_service.laws.registry import cached_design, make_law, synthesise
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
 
     scenario = scenario_of(args.scenario)
     begin = time.perf_counter()

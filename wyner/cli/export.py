@@ -35,8 +35,8 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.files import PUBLIC_FILE, replacing
-    from protocol.runtime.errors import DONE, Failure, UsageError
+    from runtime.errors import DONE, Failure, UsageError
+    from runtime.files import PUBLIC_FILE, replacing
     from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
     from tap_service.capture.reading import CaptureError, CaptureReader
 
@@ -79,8 +79,8 @@ def _steps(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.files import PUBLIC_FILE, replacing
-    from protocol.runtime.errors import DONE, Failure, UsageError, needs
+    from runtime.errors import DONE, Failure, UsageError, needs
+    from runtime.files import PUBLIC_FILE, replacing
     from tap_service.capture.reading import CaptureError, CaptureReader
     from wyner.scoring.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
     from wyner.scoring.score import ScoreError

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

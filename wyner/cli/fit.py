@@ -7,8 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.files import write_atomically
-from protocol.runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure, UsageError
+from runtime.files import write_atomically
 
 if TYPE_CHECKING:
     from wyner.studies.fit.fitting import Plan
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from plant_service.adapters import Operated
     from plant_service.adapters.registry import open_plant
     from protocol.scenario import Scenario, ScenarioError
-    from protocol.shipped import scenario_file_of
+    from runtime.shipped import scenario_file_of
     from wyner.simulate.engine import SimulationError
     from wyner.studies.fit.fitting import fit
     from wyner.studies.fit.identification import FitError
@@ -112,7 +112,7 @@ def _tables(path: Path) -> dict[str, Any]:
 
 def _plan(args: argparse.Namespace) -> "Plan":
     """The checked numbers."""
-    from protocol.runtime.options import at_least
+    from runtime.options import at_least
     from wyner.studies.fit.conformal import rank
     from wyner.studies.fit.fitting import Plan
 

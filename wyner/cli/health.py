@@ -12,10 +12,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, FAILED, Failure, UsageError
-from protocol.runtime.run_folder import HEALTH, loops_below
-from protocol.runtime.services import SERVICES, Look
 from protocol.text import printable
+from runtime.errors import DONE, FAILED, Failure, UsageError
+from runtime.run_folder import HEALTH, loops_below
+from runtime.services import SERVICES, Look
 
 MAX_AGE_S = 5.0
 """A report older than this was written by a service that is frozen or gone; it writes one each

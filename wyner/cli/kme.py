@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.errors import DONE, UsageError, needs
-from protocol.runtime.logs import RateLimitedLog, logger
-from protocol.runtime.signals import stop_on_signals
+from runtime.errors import DONE, UsageError, needs
+from runtime.logs import RateLimitedLog, logger
+from runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
 RATE: Final = 200.0
@@ -57,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(needs("kme", "aiohttp")) from None
     import asyncio
 
-    from protocol.files import write_atomically
-    from protocol.runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS
     from protocol.secret.records import StoreError
-    from protocol.secret.store import KeyStore
+    from runtime.files import write_atomically
+    from runtime.keys.store import KeyStore
+    from runtime.run_folder import CONTROLLER_KEYS, HEALTH, PLANT_KEYS
     from wyner.kme.entity import KeyManagementEntity, Names
     from wyner.kme.identity import tls_context
     from wyner.kme.server import KeyServer

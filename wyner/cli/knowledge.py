@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from protocol.files import PUBLIC_FILE, write_atomically
-from protocol.runtime.errors import DONE, Failure
+from runtime.errors import DONE, Failure
+from runtime.files import PUBLIC_FILE, write_atomically
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read the scenario and write its public part."""
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
 
     text = scenario_of(args.scenario).knowledge().model_dump_json(indent=2) + "\n"
     if args.output is None:

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Final
 
-from protocol.runtime.command import Parser, carry_out
-from protocol.runtime.services import SERVICES
+from runtime.command import Parser, carry_out
+from runtime.services import SERVICES
 
 COMMANDS: Final = {
     "up": "run controller, plant and tap on this machine and watch them",

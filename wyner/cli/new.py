@@ -8,7 +8,7 @@ from pathlib import Path
 from re import fullmatch
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario

@@ -5,9 +5,9 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final
 
-from protocol.runtime.errors import Failure, UsageError
-from protocol.runtime.services import CONTROLLER_OPS, SERVICES
 from protocol.topics import DEFAULT_LOOP
+from runtime.errors import Failure, UsageError
+from runtime.services import CONTROLLER_OPS, SERVICES
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop

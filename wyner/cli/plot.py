@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

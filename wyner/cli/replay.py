@@ -81,9 +81,9 @@ def run(args: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
-    from protocol.runtime.errors import DONE, FAILED, UsageError
-    from protocol.runtime.options import at_least
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.errors import DONE, FAILED, UsageError
+    from runtime.options import at_least
+    from runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError

@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, UsageError, reading
+from runtime.errors import DONE, UsageError, reading
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
-    from protocol.runtime.trace import TraceError
     from protocol.scenario import ScenarioError
+    from runtime.trace import TraceError
     from wyner.run_report import StepError, write_report
 
     try:

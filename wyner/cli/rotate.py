@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.logs import logger
-from protocol.runtime.options import add_check_argument, at_least
-from protocol.runtime.signals import stop_on_signals
+from runtime.errors import DONE, UsageError
+from runtime.logs import logger
+from runtime.options import add_check_argument, at_least
+from runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
 if TYPE_CHECKING:

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, UsageError
-from protocol.runtime.logs import RateLimitedLog, logger
-from protocol.runtime.services import BUSES
-from protocol.runtime.signals import stop_on_signals
+from runtime.errors import DONE, UsageError
+from runtime.logs import RateLimitedLog, logger
+from runtime.services import BUSES
+from runtime.signals import stop_on_signals
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,9 +99,9 @@ def check_guards(
 
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.endpoints import TlsFiles
-    from protocol.runtime.zenoh_bus import log_access, open_router
+    from runtime.bus import TransportError
+    from runtime.endpoints import TlsFiles
+    from runtime.zenoh_bus import log_access, open_router
     from wyner.deployment.access import access_control
     from wyner.deployment.denials import denials_told
 

@@ -3,7 +3,7 @@
 import argparse
 import json
 
-from protocol.runtime.errors import DONE
+from runtime.errors import DONE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,8 +14,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a line a scenario."""
-    from protocol.scenario import load_scenario
-    from protocol.shipped import SCENARIOS
+    from runtime.scenario_file import load_scenario
+    from runtime.shipped import SCENARIOS
 
     found = [load_scenario(path) for path in sorted(SCENARIOS.glob("*.toml"))]
     if args.json:

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
-    from protocol.runtime.errors import reading
+    from runtime.errors import reading
 
     with reading(", ".join(args.run_dirs)):
         return _run(args)
@@ -47,9 +47,9 @@ def _run(args: argparse.Namespace) -> int:
     from collections import Counter
     from pathlib import Path
 
-    from protocol.runtime.errors import DONE, FAILED, Failure, UsageError, needs
-    from protocol.runtime.run_folder import PLANT_TRACE, loops_below
-    from protocol.runtime.trace import TraceReader
+    from runtime.errors import DONE, FAILED, Failure, UsageError, needs
+    from runtime.run_folder import PLANT_TRACE, loops_below
+    from runtime.trace import TraceReader
     from tap_service.command import names_of
     from wyner.scoring import report as reporting
     from wyner.scoring.score import ScoreError, score_run
@@ -102,8 +102,9 @@ def _run(args: argparse.Namespace) -> int:
 
 def _audits(run_dirs: "list[Path]") -> "dict[str, KeyAudit]":
     """What the tap of each run that makes keys holds of them."""
-    from protocol.runtime.run_folder import SCENARIO
-    from protocol.scenario import ScenarioError, load_scenario
+    from protocol.scenario import ScenarioError
+    from runtime.run_folder import SCENARIO
+    from runtime.scenario_file import load_scenario
     from wyner.scoring.keys import audit_keys
 
     audits = {}
@@ -137,8 +138,8 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
 
 
 def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
-    from protocol.runtime.errors import UsageError
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.errors import UsageError
+    from runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError
     from tap_service.eavesdroppers import KnowledgeError
     from wyner.scoring.replay import Replay

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, UsageError
+from runtime.errors import DONE, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make it."""
-    from protocol.secret.authentication import SecretError, make_secret
+    from runtime.keys.secret_file import SecretError, make_secret
 
     try:
         name = make_secret(Path(args.file))

@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
-from protocol.runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
-from protocol.runtime.errors import DONE, Failure, UsageError
-from protocol.runtime.ids import new_id
-from protocol.runtime.inbox import Inbox
-from protocol.runtime.options import message_of
 from protocol.secret.sealed import keys_needed
 from protocol.text import printable
 from protocol.topics import key_of
+from runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from runtime.errors import DONE, Failure, UsageError
+from runtime.ids import new_id
+from runtime.inbox import Inbox
+from runtime.options import message_of
 from wyner.cli.options import add_run_argument, joined
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
+    from runtime.bus import Bus
 
 REPEAT_S: Final = 0.1
 
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     """Repeat the command until the controller has answered it."""
     from pydantic import ValidationError
 
-    from protocol.runtime.bus import TransportError
-    from protocol.runtime.zenoh_bus import open_bus
+    from runtime.bus import TransportError
+    from runtime.zenoh_bus import open_bus
 
     if (args.text is None) == (args.file is None):
         raise UsageError("expected TEXT or --file F, and one of them only")

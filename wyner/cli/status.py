@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.runtime.errors import DONE, FAILED, Failure, UsageError
-from protocol.runtime.health import look_at_line
 from protocol.text import printable
+from runtime.errors import DONE, FAILED, Failure, UsageError
+from runtime.health import look_at_line
 
 if TYPE_CHECKING:
     from protocol.messages import ControllerStatus, PlantStatus
@@ -103,7 +103,7 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     from pydantic import ValidationError
 
     from protocol.messages import ControllerStatus, PlantStatus
-    from protocol.runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
+    from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
 
     try:
         plant = PlantStatus.model_validate_json((run_dir / PLANT_STATUS).read_bytes())
@@ -121,8 +121,9 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     """Under which claim the run's keys are secret, and the distance from perfect keys that one
     block may have; empty and 0 where it makes none.
     """
-    from protocol.runtime.run_folder import SCENARIO
-    from protocol.scenario import ScenarioError, load_scenario
+    from protocol.scenario import ScenarioError
+    from runtime.run_folder import SCENARIO
+    from runtime.scenario_file import load_scenario
 
     path = run_dir / SCENARIO
     try:
@@ -138,9 +139,9 @@ def _pads(run_dir: Path) -> "tuple[dict[Side, dict[str, int]], list[str]]":
     Without a secret, nothing. The store of an end that was killed while it wrote cannot be read
     before that end has opened it again.
     """
-    from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-    from protocol.secret.ledger import pad_counts
     from protocol.secret.records import StoreError
+    from runtime.keys.ledger import pad_counts
+    from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 
     stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
     found: dict[Side, dict[str, int]] = {}
@@ -208,7 +209,7 @@ def _lines_of_appearances(
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
     """Who of a tap in the same folder failed, and what was found against the keys' claim."""
-    from protocol.runtime.run_folder import BELIEFS
+    from runtime.run_folder import BELIEFS
 
     try:
         told = json.loads((run_dir / BELIEFS).read_bytes())

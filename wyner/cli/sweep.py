@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
+from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
 from wyner.shipped import SWEEPS
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def _progress(name: str) -> "Iterator[Progress | None]":
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep."""
-    from protocol.runtime.options import at_least
+    from runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
     from wyner.studies.grid import SweepError, eavesdroppers_of, load_sweep, points_of

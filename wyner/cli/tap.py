@@ -2,7 +2,7 @@
 
 import argparse
 
-from protocol.runtime.errors import UsageError
+from runtime.errors import UsageError
 from tap_service.command import ToldKnowledge, add_options, run_told, told_by
 
 
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
         return run_told(args, told_by(args.knowledge))
     if args.scenario is None and args.fleet is None:
         raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
-    from protocol.runtime.scenario_file import scenario_of
+    from runtime.scenario_file import scenario_of
 
     def told_of(name: str) -> ToldKnowledge:
         scenario = scenario_of(name)

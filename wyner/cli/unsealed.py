@@ -5,9 +5,9 @@ import base64
 import json
 from pathlib import Path
 
-from protocol.runtime.errors import DONE, UsageError, reading
-from protocol.runtime.run_folder import PLANT_KEYS
 from protocol.text import readable
+from runtime.errors import DONE, UsageError, reading
+from runtime.run_folder import PLANT_KEYS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the store."""
     from protocol.secret.records import StoreError
-    from protocol.secret.sealed_book import SealedBook
-    from protocol.secret.store import KeyStore
+    from runtime.keys.sealed_book import SealedBook
+    from runtime.keys.store import KeyStore
 
     try:
         path = args.run_dir / PLANT_KEYS

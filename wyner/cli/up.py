@@ -12,26 +12,26 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, PlantStatus
-from protocol.runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
-from protocol.runtime.options import (
+from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
+from runtime.options import (
     add_message_arguments,
     at_least,
     message_of,
     pace_of,
     run_dir_of,
 )
-from protocol.runtime.run_folder import (
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
     MANIFEST,
     PLANT_JOURNAL,
 )
-from protocol.runtime.scenario_file import scenario_of
-from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.scenario_file import scenario_of
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
     from protocol.scenario import Scenario
+    from runtime.bus import Bus
     from wyner.dashboard.app import Stage
     from wyner.deployment.supervisor import Supervisor
 
@@ -131,7 +131,7 @@ def conduct(
     stage : Stage, optional
         A full screen that is open already.
     """
-    from protocol.runtime.zenoh_bus import ZenohBus
+    from runtime.zenoh_bus import ZenohBus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource

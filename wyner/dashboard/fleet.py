@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
-from protocol.runtime.fleet import LARGEST
-from protocol.runtime.inbox import Inbox
 from protocol.text import printable
 from protocol.topics import every_loop
+from runtime.fleet import LARGEST
+from runtime.inbox import Inbox
 from wyner.dashboard.model import TAPS_KEPT
 from wyner.dashboard.source import WAITING_AT_MOST
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
+    from runtime.bus import Bus
 
 SILENT_S: Final = 5.0
 """Seconds after which a loop without a status counts as silent."""

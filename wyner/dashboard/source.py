@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Final, Protocol
 from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
-from protocol.runtime.inbox import OVERHEAD
 from protocol.topics import key_of
+from runtime.inbox import OVERHEAD
 from wyner.dashboard.model import Arrival
 
 if TYPE_CHECKING:
-    from protocol.runtime.bus import Bus
+    from runtime.bus import Bus
 
 WAITING_AT_MOST: Final = 32 * 2**20
 """Bytes held between two looks; the newest win, and what is pushed out is counted."""
@@ -48,7 +48,7 @@ class BusSource:
 
     Parameters
     ----------
-    ops_bus, intel_bus : protocol.runtime.bus.Bus
+    ops_bus, intel_bus : runtime.bus.Bus
         Open buses.
     loop : str
         The loop's id.

@@ -7,8 +7,8 @@ of a bus may subscribe to its keys and publish nothing.
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from protocol.runtime.services import on_bus
 from protocol.topics import BASE, VERSION
+from runtime.services import on_bus
 
 
 def keys_of_any_loop(topics: Iterable[str]) -> list[str]:

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from protocol.runtime.logs import RateLimitedLog
+from runtime.logs import RateLimitedLog
 
 SESSIONS: Final = 4096
 """Of so many sessions the name is kept."""

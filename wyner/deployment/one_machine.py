@@ -7,13 +7,13 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-from protocol.files import make_folder, write_atomically
-from protocol.runtime.endpoints import free_endpoints
-from protocol.runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
 from protocol.scenario import Scenario
-from protocol.secret.authentication import make_secret
-from protocol.shipped import scenario_file_of
 from protocol.topics import DEFAULT_LOOP
+from runtime.endpoints import free_endpoints
+from runtime.files import make_folder, write_atomically
+from runtime.keys.secret_file import make_secret
+from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
+from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
 from wyner.deployment.supervisor import Child, Supervisor
 

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from protocol.runtime.errors import UsageError
+from runtime.errors import UsageError
 
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""

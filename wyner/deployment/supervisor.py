@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from protocol.files import make_folder, open_private, replacing
-from protocol.runtime.errors import Failure
-from protocol.runtime.services import SERVICES
-from protocol.runtime.signals import STOP_WITH_STDIN
+from runtime.errors import Failure
+from runtime.files import make_folder, open_private, replacing
+from runtime.services import SERVICES
+from runtime.signals import STOP_WITH_STDIN
 from wyner.deployment.running import listens
 
 LEFT_S: Final = 1.0

@@ -7,7 +7,6 @@ from typing import Final, TypeVar
 
 from pydantic import ValidationError
 
-from protocol.secret.giving import Giver, Unanswered
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import (
     Key,
@@ -18,7 +17,8 @@ from protocol.secret.records import (
     TooFewKeys,
     UnknownKeys,
 )
-from protocol.secret.store import MOST_KEYS, KeyStore
+from runtime.keys.giving import Giver, Unanswered
+from runtime.keys.store import MOST_KEYS, KeyStore
 from wyner.kme.messages import (
     DeliveredKey,
     Error,

@@ -16,8 +16,8 @@ from weakref import WeakKeyDictionary
 
 from aiohttp import web
 
-from protocol.runtime.rates import Burst
 from protocol.secret.records import StoreError
+from runtime.rates import Burst
 from wyner.kme.entity import (
     BAD_REQUEST,
     UNAUTHORISED,

@@ -12,11 +12,11 @@ import numpy as np
 
 from protocol.agreement import predict
 from protocol.convex import corners
-from protocol.files import write_atomically
-from protocol.runtime.run_folder import MANIFEST, PLANT_TRACE
-from protocol.runtime.trace import TraceReader
 from protocol.scenario import ConvexSet, Scenario
 from protocol.text import readable
+from runtime.files import write_atomically
+from runtime.run_folder import MANIFEST, PLANT_TRACE
+from runtime.trace import TraceReader
 from wyner.run_report.chart import Curve, Mark, Points, Series, chart, plane
 from wyner.run_report.windows import Windows
 from wyner.scoring.report import HEADINGS, NOTE, rows

@@ -10,22 +10,22 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.messages import Sealed
-from protocol.runtime.jsonl import decode
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import (
+from protocol.scenario import Scenario
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.records import StoreError
+from runtime.jsonl import decode
+from runtime.keys.store import KeyStore
+from runtime.parts import parts_of
+from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_KEYS,
     CONTROLLER_TRACE,
     PLANT_KEYS,
     PLANT_TRACE,
 )
-from protocol.runtime.trace import TraceError, TraceReader
-from protocol.scenario import Scenario
-from protocol.secret.blocks import Schedule
-from protocol.secret.bound import Assumption
-from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import StoreError
-from protocol.secret.store import KeyStore
+from runtime.trace import TraceError, TraceReader
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import AWAY, Audit, MissRate

@@ -16,12 +16,13 @@ from typing import Any
 from pydantic_core import from_json
 
 from protocol.agreement import NO_SYMBOL
-from protocol.runtime.jsonl import read_lines
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
-from protocol.runtime.trace import TraceError, TraceReader
-from protocol.scenario import ScenarioError, load_scenario
+from protocol.scenario import ScenarioError
 from protocol.text import printable
+from runtime.jsonl import read_lines
+from runtime.parts import parts_of
+from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
+from runtime.scenario_file import load_scenario
+from runtime.trace import TraceError, TraceReader
 from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.scoring.by_step import BySteps, Step

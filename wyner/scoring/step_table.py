@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from protocol.runtime.run_folder import PLANT_TRACE
-from protocol.runtime.trace import TraceError, TraceReader
+from runtime.run_folder import PLANT_TRACE
+from runtime.trace import TraceError, TraceReader
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.scoring.by_step import Step

@@ -7,10 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO, TAP_STATUS
-from protocol.runtime.trace import TraceError, TraceReader
-from protocol.scenario import load_scenario
 from protocol.text import readable
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO, TAP_STATUS
+from runtime.scenario_file import load_scenario
+from runtime.trace import TraceError, TraceReader
 from wyner.scoring.counts import PlantCounts, exchanged
 from wyner.scoring.keys import audit_keys, key_lines
 from wyner.scoring.report import report

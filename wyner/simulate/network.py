@@ -1,7 +1,7 @@
 """Both ends in one process: virtual clock, seeded faulty network, processes that die.
 
 The endpoints driven here are the ones the services run, through the same
-:func:`protocol.link.perform.perform`. Only time, network and disk are make-believe, and every
+:func:`runtime.perform.perform`. Only time, network and disk are make-believe, and every
 choice of theirs comes from one seed, so that a failure replays.
 """
 
@@ -22,18 +22,18 @@ from plant_service.from_journal import plant_endpoint
 from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
 from protocol.link.events import Applied, Event, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.perform import Killed, Mortal, perform
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer, Status
-from protocol.runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from protocol.runtime.model import load_model
 from protocol.scenario import Scenario
-from protocol.secret.keeper import Keeper, work
-from protocol.secret.store import KeyStore
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from runtime.keys.keeper import Keeper, work
+from runtime.keys.store import KeyStore
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.model import load_model
+from runtime.perform import Killed, Mortal, perform
 from wyner.simulate.faults import Faults
 from wyner.simulate.single import Law
 

@@ -17,11 +17,11 @@ from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
 from protocol.agreement import predict as predict_linear
 from protocol.link.session import rules_of
-from protocol.runtime.model import load_model
 from protocol.scenario import Scenario
 from protocol.scenario.plant import Disturbance
 from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
 from protocol.vectors import Vector
+from runtime.model import load_model
 from wyner.simulate.engine.draws import symbol_type
 from wyner.simulate.engine.loop import Runs, SimulationError
 

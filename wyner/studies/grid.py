@@ -16,15 +16,9 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from protocol.scenario import (
-    Scenario,
-    ScenarioError,
-    describe_errors,
-    load_scenario,
-    parse_scenario,
-    set_field,
-)
-from protocol.shipped import SCENARIOS
+from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"

@@ -14,8 +14,8 @@ from protocol.secret.authentication import PRIME, tag
 from protocol.secret.bound import NONCE_BITS, Assumption, GilbertElliott, quantile
 from protocol.secret.extractor import WORDS, cauchy, extract
 from protocol.secret.galois import inverse, multiply
-from protocol.secret.keeper import PUBLIC_TAG_BYTES
 from protocol.secret.nonces import NONCE_BYTES
+from runtime.keys.keeper import PUBLIC_TAG_BYTES
 from tap_service.inference.key_solver import bits_held
 
 SOURCES: Final = (

@@ -13,9 +13,10 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.arrays import Array
 from protocol.convex import Polytope, planar_vertices
-from protocol.files import PUBLIC_FILE, replacing
-from protocol.scenario import Scenario, load_scenario
-from protocol.shipped import SCENARIOS
+from protocol.scenario import Scenario
+from runtime.files import PUBLIC_FILE, replacing
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
 from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen

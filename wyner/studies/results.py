@@ -12,7 +12,6 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final
 
-from protocol.files import PUBLIC_FILE, write_atomically
 from protocol.statistics import (
     NOTHING,
     Interval,
@@ -20,6 +19,7 @@ from protocol.statistics import (
     mean_sequence,
     share_over_runs,
 )
+from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.studies.grid import Point, Row, SweepError, canonical, code_version
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")

@@ -13,9 +13,9 @@ from controller_service.sets.alphabet import line_size
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import feedback_gain
 from protocol.arrays import Array
-from protocol.runtime.scenario_file import scenario_of
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import Interval, mean_over_runs, normal_mean
+from runtime.scenario_file import scenario_of
 from wyner.simulate.engine import Runs, follow, simulate_runs
 from wyner.studies.capacity.betting import DisturbanceLaw, best_bet
 from wyner.studies.capacity.blocks import chained_bits, finite_keys

@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple
 
 from pydantic_core import from_json, to_json
 
-from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from protocol.runtime.parts import number_of, parts_of
+from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from runtime.parts import number_of, parts_of
 from tap_service.capture.recording import CAPTURE_VERSION
 from wyner.verify.records import Problem
 from wyner.verify.sides import HEADS, Segments

@@ -12,9 +12,10 @@ from typing import Any, Final, NamedTuple
 
 from protocol.link.session import Rules, rules_of
 from protocol.messages import Sealed
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
+from runtime.parts import parts_of
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
+from runtime.scenario_file import load_scenario
 from wyner.verify.capture import CaptureLines, Seen
 from wyner.verify.journals import Kept, read_controller, read_plant
 from wyner.verify.records import Item, MissedLine, Shape, Walked

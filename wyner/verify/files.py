@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from protocol.runtime.parts import parts_of
-from protocol.runtime.run_folder import (
+from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from runtime.parts import parts_of
+from runtime.run_folder import (
     ANALYSIS_GUESSES,
     CAPTURE,
     CONTROLLER_JOURNAL,

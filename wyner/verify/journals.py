@@ -15,11 +15,11 @@ from protocol.link.events import Applied
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
-from protocol.runtime.journal import ControllerJournal, PlantJournal
-from protocol.runtime.journal_files import JournalError
-from protocol.runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
-from protocol.runtime.step_log import STEPS
 from protocol.streams import SystemSymbols
+from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal_files import JournalError
+from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
+from runtime.step_log import STEPS
 
 INSTANCE: Final = "0" * 16
 

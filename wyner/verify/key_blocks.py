@@ -5,11 +5,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Final
 
-from protocol.runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from protocol.secret.blocks import Schedule
-from protocol.secret.ledger import spent_rows
 from protocol.secret.records import Side, StoreError
-from protocol.secret.store import KeyStore
+from runtime.keys.ledger import spent_rows
+from runtime.keys.store import KeyStore
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from wyner.verify.clause import Judging, Tally, need, to_the_end
 from wyner.verify.evidence import Evidence, Part
 from wyner.verify.records import BlockStoredLine, Told, TracedTransition, Walked

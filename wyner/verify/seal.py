@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.files import write_atomically
-from protocol.runtime.jsonl import CONTINUED, decode
-from protocol.runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
 from protocol.secret.records import Side, StoreError
+from runtime.files import write_atomically
+from runtime.jsonl import CONTINUED, decode
+from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
 from wyner.verify.covered import evidence_below
 from wyner.verify.stores import what_stays
 

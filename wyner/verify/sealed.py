@@ -5,7 +5,7 @@ from hashlib import sha256
 
 from protocol.messages import Sealed
 from protocol.secret.sealed import keys_needed
-from protocol.secret.sealed_book import SealedBook, SealedText
+from runtime.keys.sealed_book import SealedBook, SealedText
 from wyner.verify.capture import Seen
 from wyner.verify.clause import Judging, Tally, need
 from wyner.verify.evidence import Evidence

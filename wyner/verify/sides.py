@@ -9,9 +9,9 @@ from pydantic import ValidationError
 from pydantic_core import to_json
 
 from protocol.link.session import Rules
-from protocol.runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from protocol.runtime.parts import number_of, parts_of
-from protocol.runtime.trace import REPORTS, TRACE_FORMAT, TRACE_VERSION
+from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
+from runtime.parts import number_of, parts_of
+from runtime.trace import REPORTS, TRACE_FORMAT, TRACE_VERSION
 from wyner.verify.journals import Kept
 from wyner.verify.records import (
     KINDS,

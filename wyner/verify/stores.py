@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.secret.ledger import spent_rows
 from protocol.secret.records import Side, key_id
-from protocol.secret.store import TOMBSTONES, KeyStore
-from protocol.secret.store_file import check_of
+from runtime.keys.ledger import spent_rows
+from runtime.keys.store import TOMBSTONES, KeyStore
+from runtime.keys.store_file import check_of
 from wyner.verify.clause import Judging, Tally
 from wyner.verify.evidence import Evidence
 from wyner.verify.key_blocks import FILES, TracedBlocks, open_store

@@ -7,8 +7,8 @@ from random import Random
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
-from protocol.runtime.guest import GuestError
 from protocol.secret.nonces import NONCE_BYTES
+from runtime.guest import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper
 from tap_service.guests import guarded

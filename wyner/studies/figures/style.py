@@ -9,7 +9,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from protocol.files import PUBLIC_FILE, replacing
+from runtime.files import PUBLIC_FILE, replacing
 from wyner.studies.grid import Row, SweepError
 from wyner.studies.results import read_table
 

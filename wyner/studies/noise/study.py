@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from protocol.runtime.scenario_file import scenario_of
+from runtime.scenario_file import scenario_of
 from wyner.studies.noise.loop import LinearLoop
 from wyner.studies.noise.taps import block_left, smoother_left
 from wyner.studies.signalling import changed

@@ -17,11 +17,12 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
-from protocol.scenario import Scenario, load_scenario
+from protocol.scenario import Scenario
 from protocol.schemes.base import encrypt
 from protocol.schemes.framing import IDLE, encode_frame, frame_length
-from protocol.shipped import SCENARIOS
 from protocol.vectors import Vector
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
 from wyner.scoring.score import Truth
 from wyner.simulate.single import closed_loop
 

@@ -1,0 +1,85 @@
+"""What a bus is; :mod:`runtime.zenoh_bus` and :mod:`runtime.memory_bus` are."""
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol, Self
+
+Deliver = Callable[[str, bytes, int], None]
+"""Takes key, payload and t_ns: the publisher's time stamp in nanoseconds since 1970.
+
+It runs on the transport's own thread, which carries every other message too, so it may only put
+what it got on a queue. Time stamps order messages of one publisher, and an answer never comes
+before what it answers; where clocks disagree the two may carry the same nanosecond.
+"""
+
+
+class TransportError(Exception):
+    """The bus cannot be used; the text is one line that names the endpoint, key or file."""
+
+
+class Publisher(Protocol):
+    """Puts payloads on one key."""
+
+    def put(self, payload: bytes) -> None:
+        """Send ``payload``; it is lost without a word when nobody listens or the way is full."""
+
+
+class ChannelClosed(Exception):
+    """Nothing comes from this channel any more."""
+
+
+class Channel(Protocol):
+    """Messages of others that wait to be taken by one thread; the newest push out the oldest."""
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        """All that wait, oldest first, each after its key; with ``wait`` there is at least one.
+
+        Raises
+        ------
+        ChannelClosed
+            When the channel or its bus has been closed.
+        """
+
+    def close(self) -> None:
+        """End the subscription; whoever waits is woken."""
+
+
+class Bus(Protocol):
+    """Publish and subscribe. A bus never delivers its own messages to itself."""
+
+    def publisher(self, key: str, *, many: bool = False) -> Publisher:
+        """A publisher on one key (no wildcard); one of ``many`` may wait 1 ms for others."""
+
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
+        """Call ``deliver`` with every message of others that fits, until the bus is closed.
+
+        ``patient``: they may gather for some milliseconds, which spares the processor.
+        """
+
+    def channel(self, key_expr: str, capacity: int) -> Channel:
+        """The messages of others that fit, for a thread that waits for them."""
+
+    def appearances(self) -> int:
+        """How often a message that is put now leaves, as far as this end can know; 1 at least.
+
+        On a medium each link to another machine, and each multicast group, is one time. Within the
+        machine nothing is on a medium: each link but the partner's is one, for it is a tap's.
+        """
+
+    def left(self, loop: str) -> None:  # noqa: ARG002
+        """A loop has left: whoever keeps what was published of it forgets it."""
+        return
+
+    def close(self) -> None:
+        """End all subscriptions and publishers; closing twice is allowed."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

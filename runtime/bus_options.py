@@ -1,0 +1,194 @@
+"""Options of the buses: where they listen and connect, whose loops they carry, who counts them."""
+
+import argparse
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocol.topics import DEFAULT_LOOP, check_loop
+from runtime.collection import freeze_startup
+from runtime.errors import UsageError
+from runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
+from runtime.services import SERVICES
+from runtime.signals import stop_on_signals
+
+if TYPE_CHECKING:
+    from runtime.bus import Bus
+    from runtime.endpoints import Endpoints
+    from runtime.fleet import Fleet
+
+
+def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> None:
+    """Add ``--loop``, ``--listen``, ``--connect``, ``--client``, ``--tls``, ``--scouting``."""
+    buses = ", ".join(SERVICES[service].ends)
+    group = parser.add_argument_group(
+        "endpoints", f"BUS is one of: {buses}; an option replaces that bus's default"
+    )
+    group.add_argument("--loop", default=DEFAULT_LOOP, metavar="ID", help="id of the control loop")
+    for option, what in (("--listen", "listen at"), ("--connect", "connect to")):
+        group.add_argument(
+            option,
+            action="append",
+            default=[],
+            metavar="BUS=ENDPOINT",
+            help=f"{what} an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
+        )
+    group.add_argument(
+        "--client",
+        action="append",
+        default=[],
+        metavar="BUS",
+        help="open this bus as a client of the router it connects to",
+    )
+    group.add_argument(
+        "--tls",
+        action="append",
+        default=[],
+        metavar="BUS=FOLDER",
+        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder",
+    )
+    group.add_argument(
+        "--scouting", action="store_true", help="let peers find one another by multicast"
+    )
+
+
+def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
+    """Add what both ends of a loop are told alike: bounds, fleets, metrics, buses."""
+    add_check_argument(parser)
+    add_bounds_arguments(parser)
+    add_fleet_arguments(parser)
+    add_metrics_argument(parser)
+    add_endpoint_arguments(parser, service)
+
+
+def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--metrics``."""
+    parser.add_argument(
+        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/fleet.md)"
+    )
+
+
+def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
+    pairs = []
+    for value in values:
+        bus, _, rest = value.partition("=")
+        if bus not in allowed or not rest:
+            raise UsageError(
+                f"{option}: got {value!r}, expected BUS=VALUE with BUS one of {', '.join(allowed)}"
+            )
+        pairs.append((bus, rest))
+    return pairs
+
+
+def loop_of(args: argparse.Namespace) -> str:
+    """The checked ``--loop``."""
+    try:
+        return check_loop(args.loop)
+    except ValueError as error:
+        raise UsageError(f"--{error}") from None
+
+
+def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints":
+    """The endpoints of one bus of a service, after the defaults and the options.
+
+    Raises
+    ------
+    UsageError
+        When an option names a bus that the service does not have, or what is no endpoint.
+    """
+    from runtime.bus import TransportError
+    from runtime.endpoints import Endpoints, TlsFiles, check_endpoint
+
+    defaults = SERVICES[service].ends
+    listens = _split("--listen", args.listen, defaults)
+    connects = _split("--connect", args.connect, defaults)
+    folders = dict(_split("--tls", args.tls, defaults))
+    for option, pairs in (("--listen", listens), ("--connect", connects)):
+        for name, endpoint in pairs:
+            try:
+                check_endpoint(endpoint, tls=name in folders)
+            except TransportError as error:
+                raise UsageError(f"{option} {name}: {error}") from None
+    for name in args.client:
+        if name not in defaults:
+            raise UsageError(f"--client: got {name!r}, expected one of {', '.join(defaults)}")
+    listen, connect = defaults[bus]
+    if any(name == bus for name, _ in (*listens, *connects)):
+        listen = tuple(endpoint for name, endpoint in listens if name == bus)
+        connect = tuple(endpoint for name, endpoint in connects if name == bus)
+    return Endpoints(
+        listen=listen,
+        connect=connect,
+        client=bus in args.client,
+        tls=TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None,
+        scouting=args.scouting,
+    )
+
+
+@contextmanager
+def noted(args: argparse.Namespace, bus: "Bus") -> "Iterator[Bus]":
+    """The bus on which statuses are published; with ``--metrics`` Prometheus is answered too.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be.
+    """
+    if args.metrics is None:
+        yield bus
+        return
+    from runtime.metrics import Board, NotedBus, served
+
+    board: Board = {}
+    with served(args.metrics, board):
+        yield NotedBus(bus, board)
+
+
+@contextmanager
+def buses_of(
+    args: argparse.Namespace, service: str
+) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
+    """The event that signals set, and the open buses field and ops of a service.
+
+    Raises
+    ------
+    UsageError
+        When a bus cannot be opened.
+    """
+    from runtime.bus import TransportError
+    from runtime.zenoh_bus import open_bus
+
+    try:
+        with (
+            stop_on_signals() as stopping,
+            open_bus(endpoints_of(args, service, "field")) as field,
+            open_bus(endpoints_of(args, service, "ops")) as ops,
+        ):
+            freeze_startup()
+            with noted(args, ops) as ops_or_noted:
+                yield stopping, field, ops_or_noted
+    except TransportError as error:
+        raise UsageError(str(error)) from None
+
+
+def fleet_of(args: argparse.Namespace, message: bytes | None = None) -> "Fleet | None":
+    """The fleet of ``--fleet`` or ``--loops``, if any; ``message`` is for each loop of ``--loops``.
+
+    Raises
+    ------
+    UsageError
+        When it is not one, or an option beside it is for a single loop.
+    """
+    from runtime.fleet import Fleet, numbered
+
+    if args.fleet is None and args.loops is None:
+        return None
+    if args.loop != DEFAULT_LOOP:
+        raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
+    if args.fleet is not None:
+        return Fleet.of_file(Path(args.fleet))
+    scenario = getattr(args, "scenario", None) or ""
+    text = (message or b"").decode("utf-8", errors="surrogateescape")
+    return numbered(args.loops, scenario, text, args.seed)

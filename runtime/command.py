@@ -1,0 +1,149 @@
+"""What is around every command: its signals, its output, and its errors in a line each."""
+
+import _thread
+import argparse
+import errno
+import importlib
+import io
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from protocol.text import printable
+from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from runtime.services import SERVICES
+
+ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line and exit code 2."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        """Raise instead of printing the whole usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
+    """Parse, and call ``args.run(args)``; returns the exit code, and lets no traceback out.
+
+    Set ``WYNER_TRACEBACK=1`` to see where an unexpected error came from.
+    """
+    try:
+        args = parse()
+        code = int(args.run(args))
+        sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
+        return code
+    except UsageError as error:
+        for line in error.lines:
+            print(f"wyner: {printable(_by_variable(line))}", file=sys.stderr)
+        return USAGE
+    except Failure as error:
+        print(f"wyner: {printable(str(error))}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        _flush_or_drop_output()
+        return FAILED
+    except Exception as error:
+        if os.environ.get("WYNER_TRACEBACK"):
+            raise
+        _flush_or_drop_output()
+        print(f"wyner: {printable(_in_a_line(error))}", file=sys.stderr)
+        named = isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP)
+        return USAGE if named else FAILED
+
+
+def entered(command: Callable[[], int]) -> int:
+    """Run a process's command; returns the exit code.
+
+    Being told to end, or losing the terminal, is Ctrl-C: whatever a command holds open it gives
+    back, the screen above all. A service stops on these signals in its own way.
+    """
+    over = False
+
+    def interrupt(_signal: int, _frame: object) -> None:
+        if not over:
+            raise KeyboardInterrupt
+
+    try:
+        for number in (signal.SIGINT, *ENDING):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, interrupt)
+        sys.unraisablehook = _once_more
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            # a message may hold any character, and the terminal's encoding not all of them
+            sys.stdout.reconfigure(errors="backslashreplace")
+        return command()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:  # all is given back: one more signal ends the interpreter without a word
+        over = True
+        for number in (signal.SIGINT, *ENDING):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+
+
+AGAIN_S: Final = 0.02
+"""After so long an interrupt that could not be raised is tried again."""
+
+
+def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
+    """An interrupt that came where none can be raised, as in a finaliser, is tried again.
+
+    Later, from another thread: here, where none can be raised either, it would be lost again.
+    """
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        again = threading.Timer(AGAIN_S, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def serve(name: str) -> int:
+    """Run a service by its own command, with the arguments of this process."""
+
+    def parse() -> argparse.Namespace:
+        row = SERVICES[name]
+        module = importlib.import_module(row.command)
+        parser = Parser(prog=f"wyner {name}", description=row.summary)
+        module.add_arguments(parser)
+        parser.set_defaults(run=module.run)
+        return parser.parse_args()
+
+    return entered(lambda: carry_out(parse))
+
+
+SAID_BY: Final = "WYNER_SAID_BY"
+"""Environment variable: which variable each option's value came from, where somebody else wrote the
+command line (compose.yaml): ``--pace=WYNER_PACE;/scenarios/=WYNER_SCENARIO``."""
+
+
+def _by_variable(line: str) -> str:
+    """The line, before it the variable that the user has set wrong, if it came from one."""
+    for pair in os.environ.get(SAID_BY, "").split(";"):
+        start, _, variable = pair.rpartition("=")
+        if start and line.startswith(start):
+            return f"{variable}: {line}"
+    return line
+
+
+def _flush_or_drop_output() -> None:
+    """Write what is left, or else the interpreter tries again at its end, and complains."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _in_a_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror
+    return " ".join(f"unexpected {type(error).__name__}: {error}".split())

@@ -1,0 +1,88 @@
+"""One end of one loop as a service: a host with one endpoint, and sealed messages beside it."""
+
+import logging
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from protocol.link.endpoint import Endpoint
+from protocol.scenario import Scenario
+from runtime.beside import Beside
+from runtime.bus import Bus
+from runtime.host import Host
+from runtime.keys.sealed_book import SealedBook
+from runtime.keys.sealing import End
+from runtime.keys.store import KeyStore
+from runtime.parts import Bounds
+from runtime.ports import Files
+
+E = TypeVar("E", bound=Endpoint)
+
+
+@dataclass(frozen=True, slots=True)
+class EndConfig:
+    """What either end is started with.
+
+    ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
+    are signed; ``folder`` is where the files that the scenario names are looked for; ``bounds`` are
+    the trace's.
+    """
+
+    scenario: Scenario
+    run_dir: Path
+    loop: str
+    _: KW_ONLY
+    seed: int | None = None
+    secret: Path | None = None
+    folder: Path = Path()
+    bounds: Bounds = field(default_factory=Bounds)
+
+
+class EndService(Generic[E]):
+    """Runs one end until it is told to stop, or until it is over.
+
+    Parameters
+    ----------
+    config : EndConfig
+    opened : tuple of Endpoint and Files
+        The end of the loop as its journal has it.
+    sealed : callable
+        Makes its end of sealed messages, from the book of its key store.
+    log : logging.Logger
+    field, ops : Bus
+        Already open; closed by whoever opened them.
+    stopping : threading.Event
+        Ends :meth:`run`.
+    clock : callable
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        config: EndConfig,
+        opened: tuple[E, Files],
+        sealed: Callable[[SealedBook], End],
+        log: logging.Logger,
+        field: Bus,
+        ops: Bus,
+        stopping: threading.Event,
+        clock: Callable[[], float],
+    ) -> None:
+        self.endpoint, files = opened
+        self.trace = files.trace
+        self._host = Host(field, ops, stopping, clock)
+        self._host.add(config.loop, self.endpoint, files, log)
+        self._beside: AbstractContextManager[object] = nullcontext()
+        if files.keeper is not None:
+            store = KeyStore(files.keeper.path, files.keeper.side)
+            self._beside = Beside(sealed(SealedBook(store)), store, config.loop, field, ops, log)
+        if config.seed is not None:
+            log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
+
+    def run(self) -> int:
+        """Run until stopped, or until the end is over; returns the exit code."""
+        with self._beside:
+            return self._host.run()

@@ -1,0 +1,48 @@
+"""What a status that a service writes once a second says of its health."""
+
+from pathlib import Path
+
+from runtime.errors import Failure
+from runtime.run_folder import HEALTH
+from runtime.services import Look
+
+
+def look_at_status(folder: Path, now_s: float) -> Look:
+    """Look at ``status.json``: its age, and the transitions that it counts.
+
+    Raises
+    ------
+    Failure
+        When there is none, or it is not one.
+    """
+    from pydantic_core import from_json
+
+    path = folder / "status.json"
+    try:
+        status = from_json(path.read_bytes())
+        age_s = now_s - status["t_ns"] / 1e9
+        count = int(status["transitions"])
+        phase = status["phase"]
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError):
+        raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
+    detail = f" ({status['detail']})" if status.get("detail") else ""
+    stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
+    return Look(age_s, count, f"{phase}{detail}, {count} transitions{stopped}")
+
+
+def look_at_line(folder: Path, now_s: float) -> Look:
+    """Look at the line that a service with nothing to count writes again each second.
+
+    Raises
+    ------
+    Failure
+        When there is none.
+    """
+    path = folder / HEALTH
+    try:
+        written_ns = path.stat().st_mtime_ns
+        return Look(now_s - written_ns / 1e9, written_ns, path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read: {error.strerror}") from None

@@ -1,0 +1,431 @@
+"""The shell: any number of endpoints on two buses, in one process.
+
+Two threads take turns. The *field thread* blocks on the field bus and makes the steps. The *main
+thread* wakes whoever is due, and hears ops and signals. A service is a host with one endpoint; a
+fleet's has many, on subscriptions that fit every loop.
+"""
+
+import heapq
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from math import inf
+from typing import Final, NamedTuple
+
+from protocol.link.endpoint import Actions, Endpoint, Notice
+from protocol.messages import FIELD as FIELD_MESSAGES
+from protocol.messages import Message
+from protocol.secret.tasks import Done
+from protocol.topics import every_loop, key_of
+from runtime.bus import Bus, Channel, ChannelClosed, Publisher
+from runtime.errors import DONE, Failure
+from runtime.health_files import HealthFiles, HealthWriter
+from runtime.inbox import Inbox
+from runtime.keys.worker import KeyWorker
+from runtime.perform import perform
+from runtime.ports import Files, LoopPorts
+
+LOOK_S: Final = 0.1
+"""Longest wait before the loop looks at its signals again."""
+
+CHORE_S: Final = 1.0
+
+LAST_S: Final = 2.0
+"""How long a host that ends waits for a turn that nobody may give back any more."""
+
+CAPACITY: Final = 8192
+"""Messages that may wait on the field bus; the newest push out the oldest."""
+
+AT_ONCE: Final = 16
+"""Messages or wakes in a row before the other thread has its turn."""
+
+TURN_S: Final = 0.002
+"""The same in seconds: after a turn the newest messages are looked at again."""
+
+BACKLOG: Final = 256
+"""Messages of a single loop that may wait in order; of a fleet as many as there are loops. Where
+more do, the newest of each loop takes its first's place: an answer to an older one would come too
+late, and so would every answer after it."""
+
+FIELD: Final = frozenset(FIELD_MESSAGES)
+"""What travels on the field bus; all else is on ops."""
+
+
+class _Kept(NamedTuple):
+    """What a loop's keeper of keys has done."""
+
+    loop: str
+    done: Done
+
+
+class _Unwritten(NamedTuple):
+    """Why a loop's status cannot be written."""
+
+    loop: str
+    error: Exception
+
+
+@dataclass(slots=True)
+class _Loop:
+    endpoint: Endpoint
+    ports: LoopPorts
+    wakes_at: float = inf  # the earliest entry of the heap that is this one's
+    started: bool = False
+    appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
+
+
+class _Sparing:
+    """A publisher that does not send while ``crowding``: to the partner that is a lost message.
+
+    A link that comes up between a message and its put would be one more chance to hear it.
+    """
+
+    def __init__(self, publisher: Publisher, crowding: Callable[[], bool]) -> None:
+        self._put = publisher.put
+        self._crowding = crowding
+
+    def put(self, payload: bytes) -> None:
+        if not self._crowding():
+            self._put(payload)
+
+
+class Turns:
+    """A lock that two threads take in turns: who lets go of it cannot be first again."""
+
+    def __init__(self) -> None:
+        self._gate = threading.Lock()
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._gate:
+            self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    @contextmanager
+    def last(self) -> Iterator[None]:
+        """The last turn: an interrupt within ``__enter__`` may have left one taken for ever."""
+        taken = self._lock.acquire(timeout=LAST_S)
+        try:
+            yield
+        finally:
+            if taken:
+                self._lock.release()
+
+
+class Host:
+    """Runs endpoints until they are over, or until it is told to stop.
+
+    Parameters
+    ----------
+    field_bus, ops : Bus
+        Already open; closed by whoever opened them.
+    stopping : threading.Event
+        Ends :meth:`run`.
+    clock : callable
+        Monotonic seconds.
+    fleet : bool
+        Any number of loops may come and go, and one that fails is dropped and logged. Otherwise
+        the host is there for its loops: it ends with them, and with the first that fails.
+    chore : callable, optional
+        Called every :data:`CHORE_S` seconds, between two messages.
+    """
+
+    def __init__(
+        self,
+        field_bus: Bus,
+        ops: Bus,
+        stopping: threading.Event,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        fleet: bool = False,
+        chore: Callable[[], None] | None = None,
+    ) -> None:
+        self._field, self._ops = field_bus, ops
+        self._stopping = stopping
+        self._clock = clock
+        self._fleet = fleet
+        self._chore = chore
+        self._chore_at = -inf
+        self._loops: dict[str, _Loop] = {}
+        self._by_key: dict[str, tuple[str, type[Message]]] = {}
+        self._wakes: list[tuple[float, str]] = []
+        self._inbox: Inbox[tuple[str, bytes] | _Kept | _Unwritten | None] = Inbox()
+        self._channels: dict[str, Channel] = {}
+        self._heard_on_ops: set[str] = set()
+        self._threads: list[threading.Thread] = []
+        self._worker: KeyWorker | None = None
+        self._health = HealthWriter(
+            lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
+        )
+        self._turns = Turns()
+        self._sleeps_until = -inf
+        self._dropped = 0
+        self._error: BaseException | None = None
+        self._started = False
+        self._code = DONE
+
+    @property
+    def loops(self) -> tuple[str, ...]:
+        """The loops that run."""
+        return tuple(self._loops)
+
+    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
+        """Take in one more end, under the id of its loop; its files are closed when it is over."""
+        with self._turns:
+            publishers = {
+                kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
+                for kind in endpoint.says
+            }
+            keeper = None
+            if files.keeper is not None:
+                crowding = partial(self._crowding, loop)
+                for kind in publishers.keys() & FIELD:
+                    publishers[kind] = _Sparing(publishers[kind], crowding)
+                if self._worker is None:
+                    self._worker = KeyWorker()
+                keeper = partial(
+                    self._worker.put,
+                    files.keeper,
+                    lambda done: self._inbox.put(_Kept(loop, done), None),
+                )
+            told = partial(self._health.put, loop, HealthFiles(files.health, log))
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, keeper))
+            for kind in endpoint.hears:
+                self._by_key[key_of(kind, loop)] = (loop, kind)
+        for kind in endpoint.hears:
+            self._subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
+        if self._started:
+            with self._turns:
+                self._do(loop, endpoint.start)
+
+    def remove(self, loop: str) -> None:
+        """Let one end say its last word, and close its files."""
+        with self._turns:
+            self._end(loop)
+
+    def _subscribe(self, kind: type[Message], key_expr: str) -> None:
+        if key_expr in self._channels:
+            return
+        if kind in FIELD:
+            channel = self._field.channel(key_expr, CAPACITY)
+            self._channels[key_expr] = channel
+            thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
+            self._threads.append(thread)
+            if self._started:
+                thread.start()
+        elif key_expr not in self._heard_on_ops:
+            self._heard_on_ops.add(key_expr)
+            self._ops.subscribe(
+                key_expr, lambda key, body, _t: self._inbox.put((key, body), len(body))
+            )
+
+    def _bus(self, kind: type[Message]) -> Bus:
+        return self._field if kind in FIELD else self._ops
+
+    # --- the two threads --------------------------------------------------------------------------
+
+    def run(self) -> int:
+        """Run until stopped, or until every end is over; returns the exit code.
+
+        Raises
+        ------
+        Failure, OSError, TransportError
+            Whatever an endpoint, a file or a bus cannot go on after.
+        """
+        try:
+            self._go_on()
+        except BaseException as why:
+            try:
+                self.close()
+            except Exception as also:  # why it ends is what counts, and what is told
+                why.add_note(f"and while it ended: {type(also).__name__}: {also}")
+            raise
+        self.close()
+        return self._code
+
+    def _go_on(self) -> None:
+        for loop in self.loops:
+            with self._turns:
+                self._do(loop, self._loops[loop].endpoint.start)
+        self._started = True
+        for thread in self._threads:
+            thread.start()
+        while (self._fleet or self._loops) and not self._stopping.is_set():
+            self._housekeep()
+            self._wake()
+            self._take()
+        if self._error is not None:
+            raise self._error
+
+    def _listen(self, channel: Channel) -> None:
+        """The field bus's own thread: nobody else is woken for a step."""
+        waiting: deque[tuple[str, bytes]] = deque()
+        try:
+            while True:
+                waiting.extend(channel.receive(wait=not waiting))
+                if len(waiting) > (len(self._loops) if self._fleet else BACKLOG):
+                    waiting = deque(dict(waiting).items())
+                with self._turns:
+                    until = self._clock() + TURN_S
+                    for _ in range(min(len(waiting), AT_ONCE)):
+                        self._hear(*waiting.popleft())
+                        if self._clock() >= until:
+                            break
+        except ChannelClosed:
+            pass
+        except BaseException as error:
+            self._error = error
+            self._stopping.set()
+            self._inbox.put(None, None)
+
+    def _housekeep(self) -> None:
+        now = self._clock()
+        if self._chore is not None and now >= self._chore_at:
+            self._chore_at = now + CHORE_S
+            self._chore()
+
+    def _wake(self) -> None:
+        """Wake all who are due, some at once, so that offers get through between them."""
+        due = True
+        while due:
+            with self._turns:
+                now = self._clock()
+                for _ in range(AT_ONCE):
+                    due = bool(self._wakes) and self._wakes[0][0] <= now
+                    if not due:
+                        break
+                    at, name = heapq.heappop(self._wakes)
+                    loop = self._loops.get(name)
+                    if loop is None or at != loop.wakes_at:  # gone, or overtaken by an earlier one
+                        continue
+                    loop.wakes_at = inf
+                    if loop.endpoint.wake_at() <= now:
+                        self._do(name, loop.endpoint.wake)
+                    else:
+                        self._schedule(name, loop)
+                until = self._wakes[0][0] if self._wakes else inf
+                self._sleeps_until = min(until, now + LOOK_S)
+
+    def _take(self) -> None:
+        """Wait for a message on ops, or for the next wake."""
+        try:
+            item = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
+        except queue.Empty:
+            return
+        if self._inbox.dropped > self._dropped:
+            self._dropped = self._inbox.dropped
+            text = f"messages come faster than they are taken: {self._dropped} dropped so far"
+            for loop in list(self._loops.values())[:1]:
+                loop.ports.tell(Notice(text, "warning", "flood"))
+        if item is None:
+            return
+        with self._turns:
+            if not isinstance(item, _Kept | _Unwritten):
+                self._hear(*item)
+            elif item.loop in self._loops:
+                if isinstance(item, _Kept):
+                    act = partial(self._loops[item.loop].endpoint.kept, item.done)
+                else:
+                    act = partial(_cannot, item.error)
+                self._do(item.loop, act)
+
+    # --- under the lock ---------------------------------------------------------------------------
+
+    def _look_at_links(self, loop: _Loop) -> None:
+        """Tell an end how often its messages leave, where that has changed."""
+        count = self._field.appearances()
+        if count != loop.appearances:
+            loop.appearances = count
+            perform(loop.endpoint.appear(count), loop.endpoint, loop.ports)
+
+    def _crowding(self, name: str) -> bool:
+        """Whether messages leave more often than the loop knew when it made its last one."""
+        loop = self._loops.get(name)
+        return loop is not None and self._field.appearances() > loop.appearances
+
+    def _hear(self, key: str, payload: bytes) -> None:
+        name, kind = self._by_key.get(key, ("", Message))
+        loop = self._loops.get(name)
+        if loop is not None:
+            self._do(name, partial(loop.endpoint.receive, kind, payload))
+
+    def _do(self, name: str, act: Callable[[float], Actions]) -> None:
+        loop = self._loops[name]
+        try:
+            if loop.started and loop.ports.keeper is not None:
+                self._look_at_links(loop)
+            actions = act(self._clock())
+            perform(actions, loop.endpoint, loop.ports)
+            loop.started = True
+        except Exception as error:
+            if not self._fleet:
+                raise
+            loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
+            self._end(name)
+            return
+        code = loop.endpoint.code
+        if code is not None:
+            self._code = max(self._code, code)
+            self._end(name)
+            return
+        self._schedule(name, loop)
+
+    def _schedule(self, name: str, loop: _Loop) -> None:
+        due = loop.endpoint.wake_at()
+        if due < loop.wakes_at:
+            loop.wakes_at = due
+            heapq.heappush(self._wakes, (due, name))
+            if due < self._sleeps_until:
+                self._sleeps_until = due
+                self._inbox.put(None, None)
+
+    def _end(self, name: str) -> None:
+        """The last word of an end, and the end of its files."""
+        loop = self._loops.pop(name, None)
+        if loop is None:
+            return
+        for kind in loop.endpoint.hears:
+            self._by_key.pop(key_of(kind, name), None)
+        try:
+            perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
+        except (OSError, Failure) as error:
+            loop.ports.log.warning("the last word is lost: %s", error)
+        finally:
+            if self._worker is not None and loop.ports.files.keeper is not None:
+                self._worker.leave(loop.ports.files.keeper)
+            loop.ports.close()
+            self._field.left(name)
+            self._ops.left(name)
+        if not self._loops:
+            self._inbox.put(None, None)
+
+    def close(self) -> None:
+        """Say the last word of every end, and close its files: each, also where another fails."""
+        with ExitStack() as last:  # from below
+            if self._worker is not None:
+                last.callback(self._worker.close)
+            last.callback(self._health.close, LAST_S)
+            last.callback(self._end_all)
+            for thread in self._threads:
+                if thread.ident is not None:  # an interrupt may have come before it was started
+                    last.callback(thread.join, LAST_S)
+            for channel in self._channels.values():
+                last.callback(channel.close)
+
+    def _end_all(self) -> None:
+        with self._turns.last(), ExitStack() as ends:
+            for name in reversed(self.loops):
+                ends.callback(self._end, name)
+
+
+def _cannot(error: Exception, _now: float) -> Actions:
+    """What an end does that cannot go on."""
+    raise error

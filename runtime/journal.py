@@ -1,0 +1,164 @@
+"""Journals: what each end must not forget, saved before anything is sent.
+
+How it is kept on disk stands in :mod:`runtime.journal_files`.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import TypeAdapter
+
+from protocol.link.endpoint import Keep
+from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer
+from runtime.journal_files import JournalError, JournalFiles
+from runtime.keys.store_file import check_of
+
+
+class SenderStep(NamedTuple):
+    """What the controller heard and said after its record was made."""
+
+    measurement: Measurement
+    offer: Offer
+
+
+class ReceiverStep(NamedTuple):
+    """What the plant heard and said after its record was made; ``coin`` is the b_r between."""
+
+    offer: Offer
+    measurement: Measurement
+    coin: int
+
+
+class ControllerJournal(JournalFiles[SenderRecord]):
+    """The controller's record and the messages it has to deliver."""
+
+    kind = "controller"
+    adapter = TypeAdapter(SenderRecord)
+    tables = (
+        "CREATE TABLE IF NOT EXISTS outbox "
+        "(number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL, "
+        "check_ INTEGER)"
+    )
+
+    def __init__(self, path: Path, scenario: str) -> None:
+        super().__init__(path, scenario)
+        self.queued: int = self._execute("SELECT COUNT(*) FROM outbox")[0][0]
+
+    def step(self) -> SenderStep | None:
+        """The step that followed the record, to be counted again; None where none did.
+
+        Raises
+        ------
+        JournalError
+            When it is not one.
+        """
+        found = self._step(Measurement, Offer)
+        return None if found is None else SenderStep(*found[:2])
+
+    def _add_to_tables(self, keep: Keep) -> None:
+        if keep.queued is not None:
+            self.enqueue(*keep.queued)
+
+    def enqueue(self, identifier: str, payload: bytes) -> bool:
+        """Queue a message; False when one of this identifier is there already."""
+        row = (self.queued, identifier, payload)
+        added = self._execute(
+            "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?, ?) RETURNING number",
+            (*row, check_of(*row)),
+        )
+        self.queued += len(added)
+        return bool(added)
+
+    def _queued(self, name: str, value: object) -> list[Any]:
+        """Number, identifier and payload of the messages whose column ``name`` is so."""
+        return self._rows_kept(f"SELECT * FROM outbox WHERE {name} = ?", (value,))
+
+    def _numbered(self, number: int) -> list[Any]:
+        rows = self._queued("number", number)
+        if not rows:
+            raise JournalError(f"{self.path}: message {number} is missing")
+        found: list[Any] = rows[0]
+        return found
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        """The message that was ever queued under this identifier, or None."""
+        rows = self._queued("id", identifier)
+        return rows[0][2] if rows else None
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
+        if number >= self.queued:
+            return None
+        payload: bytes = self._numbered(number)[2]
+        return payload
+
+    def identifier(self, number: int) -> str:
+        """Identifier of the queued message ``number``."""
+        identifier: str = self._numbered(number)[1]
+        return identifier
+
+
+class PlantJournal(JournalFiles[ReceiverRecord]):
+    """The plant's record, the symbols of the frame under way, and the messages received."""
+
+    kind = "plant"
+    adapter = TypeAdapter(ReceiverRecord)
+    tables = (
+        "CREATE TABLE IF NOT EXISTS chunk (place INTEGER PRIMARY KEY, symbols TEXT NOT NULL, "
+        "check_ INTEGER);"
+        "CREATE TABLE IF NOT EXISTS inbox (number INTEGER PRIMARY KEY, payload BLOB NOT NULL, "
+        "check_ INTEGER)"
+    )
+
+    def step(self) -> ReceiverStep | None:
+        """The step that followed the record, to be counted again; None where none did.
+
+        Raises
+        ------
+        JournalError
+            When it is not one.
+        """
+        found = self._step(Offer, Measurement)
+        return None if found is None else ReceiverStep(*found)
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun and not read, if any: after the record, or as the record says.
+
+        Raises
+        ------
+        JournalError
+            When it is not one.
+        """
+        last = self._last
+        if last is None or last.said:
+            return None
+        with self._readable():
+            if last.begun:
+                return BegunStep(Offer.model_validate_json(last.heard), last.coin)
+            record: ReceiverRecord = self.adapter.validate_json(last.record)
+            return record.begun
+
+    def chunks(self) -> str:
+        """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
+        rows = self._rows_kept("SELECT symbols, check_ FROM chunk ORDER BY place")
+        return "".join(symbols for (symbols,) in rows)
+
+    def inbox(self, last: int = 100) -> list[bytes]:
+        """The last messages received, oldest first."""
+        rows = self._rows_kept(
+            "SELECT payload, check_ FROM inbox ORDER BY number DESC LIMIT ?", (last,)
+        )
+        return [payload for (payload,) in reversed(rows)]
+
+    def _add_to_tables(self, keep: Keep) -> None:
+        if keep.drop_chunks:
+            self._execute("DELETE FROM chunk")
+        if keep.chunk:
+            self._add("chunk", "symbols", keep.chunk)
+        if keep.received is not None:
+            self._add("inbox", "payload", keep.received)
+
+    def _add(self, table: str, name: str, value: object) -> None:
+        row = (value, check_of(value))
+        self._execute(f"INSERT INTO {table} ({name}, check_) VALUES (?, ?)", row)

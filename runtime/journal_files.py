@@ -1,0 +1,322 @@
+"""The files of a journal: a database with what is rare, and beside it the steps since.
+
+What a step hangs on is kept as it passed: the record that stood before it, the message heard and
+the message about to be said. That is all it takes to count the step again, so a side may send
+first and count afterwards, while its partner works. The next save brings the record up to date.
+
+A step is one write to a file (:mod:`runtime.step_log`). What is rare goes to a database
+(SQLite): messages, symbols that have left the record, settled rows, a new session. It has the
+record too, as of then; the steps are what came after. Both survive ``kill -9`` of the process at
+any instant. After a power failure the last saves may be missing; the two journals then do not fit
+together and the session ends, as rule 6 says. A journal is held by one process at a time.
+"""
+
+import os
+import sqlite3
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar, Final, Generic, Self, TypeVar
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from protocol.agreement import NO_SYMBOL
+from protocol.link.endpoint import Append, Keep, Write
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.secret.nonces import Raw
+from runtime.errors import Failure
+from runtime.files import make_folder, open_private
+from runtime.keys.store_file import check_of
+from runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
+
+JOURNAL_VERSION: Final = 8
+
+_M = TypeVar("_M", bound=BaseModel)
+_N = TypeVar("_N", bound=BaseModel)
+
+R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
+
+_RAW: Final = (
+    "CREATE TABLE IF NOT EXISTS raw (session TEXT, j INTEGER, steps INTEGER, offer BLOB, "
+    "measurement BLOB, check_ INTEGER, PRIMARY KEY (session, j)) WITHOUT ROWID"
+)
+"""Rows of key blocks under way; they cannot be in the record, which is rewritten at each step."""
+
+
+class JournalError(Failure):
+    """A journal that cannot be used; the text names the file and what is wrong with it."""
+
+
+class JournalFiles(ABC, Generic[R]):
+    """A SQLite file with what is rare, and beside it the steps since; held exclusively.
+
+    Parameters
+    ----------
+    path : Path
+        Of the database.
+    scenario : str
+        Fingerprint of the scenario that the journal belongs to.
+
+    Raises
+    ------
+    JournalError
+        When they cannot be used.
+    """
+
+    kind = ""
+    tables = ""
+    adapter: ClassVar[TypeAdapter[Any]]
+
+    def __init__(self, path: Path, scenario: str) -> None:
+        self.path = path
+        self._beside = path.with_name(path.name + STEPS)
+        self._body: bytes | None = None
+        self._rows: list[Keep] = []
+        self._rows_of: str | None = None
+        self._forget = True
+        try:
+            make_folder(path.parent)
+            os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite gives the others its mode
+            self._db = sqlite3.connect(
+                path, isolation_level=None, timeout=2.0, check_same_thread=False
+            )
+        except (OSError, sqlite3.Error) as error:
+            raise JournalError(f"{path}: cannot be opened: {error}") from None
+        try:
+            self._steps = StepLog(self._beside, self._open(scenario))
+            self._read()
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            self._db.close()
+            reason = (
+                "another process is using it"
+                if "locked" in str(error)
+                else f"not a journal: {error}"
+            )
+            raise JournalError(f"{path}: {reason}") from None
+        except OSError as error:
+            self._db.close()
+            raise JournalError(f"{self._beside}: cannot be opened: {error}") from None
+        except JournalError:
+            self._db.close()
+            raise
+
+    def _open(self, scenario: str) -> bytes:
+        """Open or make the database; returns the tag of its steps."""
+        db = self._db
+        # A save rewrites one page and a checkpoint flushes them all: small pages cost less of both.
+        db.execute("PRAGMA page_size=1024")
+        db.execute("PRAGMA locking_mode=EXCLUSIVE")
+        db.execute("PRAGMA journal_mode=WAL")
+        db.execute("PRAGMA synchronous=NORMAL")
+        db.execute("PRAGMA secure_delete=ON")
+        db.execute("BEGIN IMMEDIATE")
+        db.execute("CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT)")
+        expected = {"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario}
+        found = dict(db.execute("SELECT name, value FROM meta"))
+        for name, value in expected.items():
+            if found.setdefault(name, value) != value:
+                db.execute("ROLLBACK")
+                raise JournalError(f"{self.path}: {name}: got {found[name]!r}, expected {value!r}")
+        found.setdefault("tag", os.urandom(TAG_BYTES).hex())
+        db.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?)", found.items())
+        db.execute(
+            "CREATE TABLE IF NOT EXISTS record "
+            "(id INTEGER PRIMARY KEY, number INTEGER, body BLOB, check_ INTEGER)"
+        )
+        for table in (_RAW, *self.tables.split(";")):
+            db.execute(table)
+        db.execute("COMMIT")
+        if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
+        try:
+            return bytes.fromhex(found["tag"])
+        except ValueError:
+            raise sqlite3.DatabaseError("its tag is none") from None
+
+    def _read(self) -> None:
+        """Find the last write: in the database, or among the steps that follow it."""
+        rows = self._rows_kept("SELECT number, body, check_ FROM record")
+        self._last = Step(*rows[0]) if rows else None
+        try:
+            steps = self._steps.read(rows[0][0] if rows else 0)
+        except Damaged as error:
+            self._steps.close()
+            raise JournalError(f"{self._beside}: {error}") from None
+        self._logged = [step.row for step in steps if step.row is not None]
+        if steps:
+            self._last = steps[-1]
+
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
+        try:
+            return self._db.execute(statement, values).fetchall()
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            raise JournalError(f"{self.path}: {error}") from None
+
+    def _rows_kept(self, statement: str, values: Sequence[Any] = ()) -> list[list[Any]]:
+        """Rows that a statement selects, whose last column is the check of the others."""
+        rows = []
+        for *row, check in self._execute(statement, values):
+            if check != check_of(*row):
+                raise JournalError(f"{self.path}: a row is not as it was written")
+            rows.append(row)
+        return rows
+
+    def load(self) -> R | None:
+        """The record as last saved, or None in a new journal.
+
+        Raises
+        ------
+        JournalError
+            When it is not one.
+        """
+        if self._last is None:
+            return None
+        self._body = self._last.record
+        with self._readable():
+            record: R = self.adapter.validate_json(self._body)
+        return record
+
+    def _step(self, heard: type[_M], said: type[_N]) -> tuple[_M, _N, int] | None:
+        last = self._last
+        if last is None or not last.said:
+            return None
+        with self._readable():
+            both = heard.model_validate_json(last.heard), said.model_validate_json(last.said)
+        return *both, last.coin
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
+        except ValidationError as error:
+            raise JournalError(
+                f"{self.path}: record: {error.error_count()} fields are not as expected"
+            ) from None
+
+    def raws(self, session: str | None) -> list[Raw]:
+        """Rows of the session's key blocks that are not settled, in order."""
+        self._rows_of = session
+        rows = self._rows_kept("SELECT session, j, steps, offer, measurement, check_ FROM raw")
+        found = {row[0]: Raw(*row) for of, *row in rows if of == session}
+        found |= {raw.j: raw for raw in self._logged}
+        return [found[j] for j in sorted(found)]
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
+        if isinstance(write, Append):
+            self._append(*write)
+            return
+        self._stage(write)
+        if write.for_tables:
+            with self._transaction():
+                self._add_to_tables(write)
+        elif not write.later:
+            self._keep()
+        self._steps.make_ready()
+
+    @abstractmethod
+    def _add_to_tables(self, keep: Keep) -> None:
+        """Put what ``keep`` has beside its record into this side's own tables."""
+
+    def _stage(self, keep: Keep) -> None:
+        """What ``keep`` has goes with the next write, its record as what the next step follows."""
+        self._body = self.adapter.dump_json(keep.record)
+        session = keep.record.session
+        if session != self._rows_of:
+            self._rows_of, self._forget = session, True
+            self._logged.clear()
+        if keep.raw is not None or keep.settled:
+            self._rows.append(keep)
+
+    def _write_rows(self) -> None:
+        """Within a transaction."""
+        if self._forget:
+            self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
+        staged = [keep for keep in self._rows if keep.record.session == self._rows_of]
+        for raw in (*self._logged, *(keep.raw for keep in staged if keep.raw is not None)):
+            row = (self._rows_of, *raw)
+            self._execute(
+                "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?, ?)", (*row, check_of(*row))
+            )
+        for over in (over for keep in staged for over in keep.settled):
+            self._execute(
+                "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
+                (self._rows_of, over.start, over.stop),
+            )
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """A rare write: all or nothing; the staged record is in it, and no step is left."""
+        last = self._following(b"", b"", NO_SYMBOL)
+        self._execute("BEGIN IMMEDIATE")
+        yield
+        self._write_rows()
+        row = (*last[:2], check_of(*last[:2]))
+        self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?)", row)
+        self._execute("COMMIT")
+        self._last, self._forget = last, False
+        self._rows.clear()
+        self._logged.clear()
+        with self._named():
+            self._steps.clear()
+
+    def _following(self, heard: bytes, said: bytes, coin: int) -> Step:
+        assert self._body is not None, "the step before has not been counted"
+        number = 1 if self._last is None else self._last.number + 1
+        return Step(number, self._body, heard, said, coin)
+
+    def _append(self, heard: bytes, said: bytes, coin: int) -> None:
+        """The staged record and what followed it."""
+        if self._rare and not (self._last is not None and self._last.begun):
+            self._keep()
+        self._log(self._following(heard, said, coin))
+        if said:
+            self._body = None
+
+    def _keep(self) -> None:
+        """The staged record, and nothing after it."""
+        if self._rare:
+            with self._transaction():
+                pass
+        else:
+            self._log(self._following(b"", b"", NO_SYMBOL))
+
+    @property
+    def _rare(self) -> bool:
+        """Whether what is staged needs a rare write."""
+        rows = self._rows
+        return (
+            self._forget
+            or len(rows) > 1
+            or any(keep.settled for keep in rows)
+            or self._steps.size > LARGEST
+        )
+
+    def _log(self, step: Step) -> None:
+        if len(self._rows) == 1:
+            step = step._replace(row=self._rows[0].raw)
+        with self._named():
+            self._steps.append(step)
+        self._last = step
+        if step.row is not None:
+            self._logged.append(step.row)
+            self._rows.clear()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise JournalError(f"{self._beside}: {error.strerror}") from None
+
+    def close(self) -> None:
+        """Close the files; they can be opened again."""
+        self._steps.close()
+        self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

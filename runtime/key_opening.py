@@ -1,0 +1,78 @@
+"""A service's key store as its scenario, its seed and its secret have it."""
+
+from pathlib import Path
+from typing import Protocol
+
+from protocol.scenario import Scenario
+from protocol.secret.records import Side, StoreError
+from runtime.errors import UsageError
+from runtime.keys.keeper import KeeperAt
+from runtime.keys.ledger import take_secret
+from runtime.keys.secret_file import SecretError
+from runtime.keys.store import KeyStore
+
+
+class Counting(Protocol):
+    """What a key store needs of a side's record."""
+
+    @property
+    def session(self) -> str | None:
+        """The session."""
+
+    @property
+    def transitions(self) -> int:
+        """Its transitions so far."""
+
+
+def refusal(scenario: Scenario, seed: int | None) -> str | None:
+    """Why nobody gets a key of a run, in one line; None where they do."""
+    if scenario.keys is None:
+        return f"scenario {scenario.name} has no table keys, so no key is made"
+    reason = scenario.keys.refusal()
+    if reason is None and seed is not None:
+        reason = f"seed {seed}: this run's keys are predictable, and nobody gets them"
+    return reason
+
+
+def open_keeper(
+    path: Path,
+    side: Side,
+    scenario: Scenario,
+    seed: int | None,
+    secret: Path | None,
+    record: Counting | None = None,
+) -> KeeperAt | None:
+    """Make a side's key store ready for its keeper; None where the scenario has no table ``keys``.
+
+    A store is there also where no key will be: it says why. ``record`` is the journal's: a new
+    store makes no key of a block that began before it, since one that was removed may have.
+
+    Raises
+    ------
+    UsageError
+        When the store or the secret cannot be used, or a secret has nothing to sign.
+    """
+    if scenario.keys is None:
+        if secret is not None:
+            raise UsageError(
+                f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
+            )
+        return None
+    try:
+        store = KeyStore(path, side, create=True)
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+    try:
+        reason = refusal(scenario, seed)
+        if reason is not None:
+            store.refuse(reason)
+        begun = (None, 0) if record is None else (record.session, record.transitions)
+        store.begin(*begun)
+        store.set_note("assumption", scenario.keys.assumption().sentence())
+        if secret is not None:
+            take_secret(store, secret)
+    except (StoreError, SecretError) as error:
+        raise UsageError(str(error)) from None
+    finally:
+        store.close()
+    return KeeperAt(path, side)

@@ -1,0 +1,89 @@
+"""The process in which a service's keys are made and kept, while the loop leaves a core idle.
+
+Started by :class:`runtime.keys.worker.KeyWorker` and told what to do through its standard input,
+so that no nonce stands in a command line or a file. It dies with the service, whatever that one
+dies of, and leaves no core: two processes that kept the same store would not order its blocks.
+"""
+
+import ctypes
+import os
+import pickle
+import resource
+import signal
+import sys
+from contextlib import suppress
+from typing import BinaryIO, Final
+
+from protocol.secret.galois import tables
+from protocol.secret.records import StoreError
+from protocol.secret.tasks import Broken, Done, Task
+from runtime.keys.keeper import Keeper, KeeperAt, work
+
+_PR_SET_PDEATHSIG: Final = 1
+_PR_SET_DUMPABLE: Final = 4
+
+
+def die_with(parent: int) -> None:
+    """End when the process ``parent`` does, and leave no image of the memory behind."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None)
+        libc.prctl(_PR_SET_DUMPABLE, 0)
+        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def step_back() -> None:
+    """Run where a core is idle, and wherever somebody else wants it give it up at once.
+
+    Not so below a service that gives way itself: where all others come first this one never would.
+    """
+    if os.getpriority(os.PRIO_PROCESS, 0) > 0:
+        return
+    with suppress(OSError):
+        os.nice(19)
+    if sys.platform == "linux":
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def keep_all(asked: BinaryIO, told: BinaryIO) -> None:
+    """Do what is asked, one task after another, until nobody can ask any more."""
+    keepers: dict[KeeperAt, Keeper] = {}
+    while True:
+        try:
+            at, task = pickle.load(asked)
+        except (EOFError, pickle.UnpicklingError):
+            break
+        if task is not None:
+            pickle.dump(_done(keepers, at, task), told)
+            told.flush()
+        elif at in keepers:
+            keepers.pop(at).store.close()
+    for keeper in keepers.values():
+        keeper.store.close()
+
+
+def _done(keepers: dict[KeeperAt, Keeper], at: KeeperAt, task: Task) -> Done:
+    try:
+        if at not in keepers:
+            keepers[at] = at.open()
+        return work(keepers[at], task)
+    except StoreError as error:
+        return Broken(str(error))
+
+
+def main() -> None:
+    """Become the keeper of the process that is named in the command line."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it ends with its service, and not before
+    die_with(int(sys.argv[1]))
+    tables()  # what takes long is done before there is a loop to disturb
+    step_back()
+    with suppress(BrokenPipeError):
+        keep_all(sys.stdin.buffer, sys.stdout.buffer)
+
+
+if __name__ == "__main__":
+    main()

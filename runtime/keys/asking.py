@@ -1,0 +1,156 @@
+"""Both ends alike: ask the other to mark what is about to be given, and answer when asked.
+
+What is asked stands in the key store, put there by whoever gives: a key server in a process of its
+own, the sealed messages, or the keeper of keys. So it is looked for again and again.
+
+An end that starts asks besides which of the keys and pads that it holds were given before, and
+erases them: it may have been put back from a copy, and the other end may be put back later.
+"""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Final
+
+from pydantic import ValidationError
+
+from protocol.link.endpoint import Actions, Notice, Outgoing
+from protocol.messages import KeyAnswer, KeyRequest, Message
+from runtime.keys import ledger
+from runtime.keys.giving import Asking, What, new_use, pending
+from runtime.keys.sealed_book import SealedBook
+
+REPEAT_S: Final = 0.25
+"""Seconds after which something goes out again, or keys are looked for again."""
+
+AT_ONCE: Final = 4096
+"""Names that one message may hold."""
+
+AUDITED: Final = "keys: the other end has said what was given before"
+"""From here on the other end may be put back as well, and nothing is given twice."""
+
+LOOK_S: Final = 0.05
+"""Seconds between two looks for what is to be asked."""
+
+
+class Asker:
+    """One end's part.
+
+    Parameters
+    ----------
+    book : SealedBook
+        Of this end's key store.
+    """
+
+    hears: tuple[type[Message], ...] = (KeyRequest, KeyAnswer)
+    says: tuple[type[Message], ...] = (KeyRequest, KeyAnswer)
+
+    def __init__(self, book: SealedBook) -> None:
+        self._book = book
+        self._store = book.store
+        self._side = book.store.side
+        self._said_at: dict[str, float] = {}
+        self._look_at = -inf
+        self._audits: dict[str, Asking] = {}
+        self._looked_at = self._store.newest()
+        self._met = False
+        unused, marked = self._store.held(0, self._looked_at)
+        self._audit("unused", unused)
+        self._audit("marked", marked)
+        self._audit("ready", ledger.ready(self._store))
+
+    def wake_at(self) -> float:
+        """When it looks again."""
+        return self._look_at
+
+    def wake(self, now: float) -> tuple[Outgoing, ...]:
+        """Ask what was not asked yet, and again what was not answered."""
+        if now < self._look_at:
+            return ()
+        self._look_at = now + LOOK_S
+        self._audit_newer()
+        said_at, said = {}, []
+        for use, what, names in (*self._audits.values(), *pending(self._store)):
+            said_at[use] = self._said_at.get(use, -inf)
+            if now >= said_at[use] + REPEAT_S:
+                said_at[use] = now
+                request = KeyRequest(side=self._side, use=use, what=what, names=names)
+                said.append(Outgoing(KeyRequest, request.wire()))
+        self._said_at = said_at
+        return tuple(said)
+
+    def receive(self, kind: type[Message], payload: bytes) -> Actions:
+        """The other end asks, or answers; what this end said itself is not for it."""
+        try:
+            if kind is KeyRequest:
+                return self._asked(KeyRequest.model_validate_json(payload))
+            return self._answered(KeyAnswer.model_validate_json(payload))
+        except ValidationError as error:
+            text = f"keys: {error.error_count()} fields not as expected; ignored"
+            return Actions(notices=(Notice(text, "warning", "garbage"),))
+
+    def _asked(self, request: KeyRequest) -> Actions:
+        if request.side == self._side:
+            return Actions()
+        store, what, names = self._store, request.what, request.names
+        refused: Sequence[str]
+        if what == "pads":
+            refused = ledger.mark(store, request.use, names)
+        elif what == "keys":
+            refused = store.mark(request.use, names)
+        elif what == "ready":
+            refused = ledger.given_before(store, names)
+        else:
+            refused = store.given_before(what, names)
+        answer = KeyAnswer(side=request.side, use=request.use, what=what, refused=tuple(refused))
+        return Actions(publish=(Outgoing(KeyAnswer, answer.wire()),))
+
+    def _answered(self, answer: KeyAnswer) -> Actions:
+        if answer.side != self._side:
+            return Actions()
+        store, what, refused = self._store, answer.what, answer.refused
+        if what == "pads":
+            erased = ledger.answered(store, answer.use, refused)
+        elif what == "keys":
+            erased = self._book.answered(answer.use, refused)
+        elif answer.use not in self._audits:
+            return Actions()  # of a former life
+        else:
+            return self._audited(what, answer)
+        return Actions(notices=_erased(what, erased))
+
+    def _audited(self, what: What, answer: KeyAnswer) -> Actions:
+        """The other end knows what of this was given before."""
+        if what == "ready":
+            erased = ledger.were_given(self._store, answer.refused)
+        elif what in ("unused", "marked"):
+            erased = self._store.were_given(what, answer.refused)
+        else:
+            return Actions()
+        del self._audits[answer.use]
+        notices = _erased(what, erased)
+        if not self._audits and not self._met:
+            self._met = True
+            notices = (*notices, Notice(AUDITED))
+        return Actions(notices=notices)
+
+    def _audit_newer(self) -> None:
+        """Keys that were made since are asked about, too: a journal put back makes some anew."""
+        newest = self._store.newest()
+        if newest > self._looked_at:
+            unused, _ = self._store.held(self._looked_at, newest)
+            self._looked_at = newest
+            if unused:
+                self._audit("unused", unused)
+
+    def _audit(self, what: What, names: Sequence[str]) -> None:
+        for at in range(0, max(1, len(names)), AT_ONCE):
+            use = new_use("audit")
+            self._audits[use] = Asking(use, what, tuple(names[at : at + AT_ONCE]))
+
+
+def _erased(what: What, erased: int) -> tuple[Notice, ...]:
+    if not erased:
+        return ()
+    things = "sets of pads" if what in ("pads", "ready") else "keys"
+    text = f"{erased} {things} erased: the other end says that they were given, or has them no "
+    return (Notice(f"{text}more; was a key store put back?", "warning", "erased"),)

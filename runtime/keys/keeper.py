@@ -1,0 +1,117 @@
+"""From a closed block to stored keys: extract, tag, insert. The slow half, off the loop's path.
+
+A keeper belongs to one store, and remembers nothing that is not in it. So it may work in a process
+of its own: what it is given again, after a death at any instant, it does again to the same rows,
+ids and tags.
+"""
+
+import time
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.records import BlockRow, Side, StoreError
+from protocol.secret.tasks import Broken, Done, Judged, Task
+from runtime.keys.ledger import Authentication, Made, spent_rows
+from runtime.keys.store import KeyStore
+
+PUBLIC_TAG_BYTES: Final = 16
+"""Of row 0 shown to the partner: chance faults pass with 2^-128, forgers are another matter."""
+
+
+class Keeper:
+    """Makes keys of blocks and keeps them.
+
+    Parameters
+    ----------
+    store : KeyStore
+    authentication : Authentication, optional
+        With it blocks carry secret tags; without, public ones that no forger need fear.
+    """
+
+    def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
+        self.store = store
+        self.authentication = authentication
+
+    def keep(self, closed: Closed) -> Stored:
+        """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
+
+        A signed block of many rows spends two more (:mod:`runtime.keys.ledger`). Where there is
+        no pad for its tag, or it began before the store did, the block is stored without keys.
+        """
+        session, number = closed.session, closed.number
+        known = self.store.block_tag(session, number)
+        if known is not None and known.state != "stored":
+            confirmed = known.state == "confirmed"
+            return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
+        keys: list[bytes] = []
+        tag, accepted, origin = "", "", ""
+        pads: tuple[Made, ...] = ()
+        first = closed.last - closed.transitions + 1
+        older = known is None and self.store.is_younger(session, first)
+        if closed.makes_keys and not older:
+            from protocol.secret.extractor import extract
+
+            rows = extract(closed.nonces, closed.rows, closed.by_words)
+            if self.authentication is None:
+                tag = accepted = rows[0][:PUBLIC_TAG_BYTES].hex()
+                keys = rows[1:]
+            elif signed := self.authentication.tags(session, number, closed.message(), rows):
+                tag, accepted, origin, pads = signed
+                keys = rows[1 : len(rows) + 1 - spent_rows(len(rows))]
+        if known is None:
+            row = BlockRow(
+                session=session,
+                number=number,
+                transitions=closed.transitions,
+                steps=closed.steps,
+                counted=closed.counted,
+                rows=closed.rows,
+                keys=len(keys),
+                state="stored" if tag else "empty",
+                t_ns=time.time_ns(),
+            )
+            self.store.add(row, keys, tag=tag, pads=pads)
+        exhausted = closed.makes_keys and not tag and not older
+        stored = Stored(session, number, tag, accepted, keys=len(keys))
+        return stored._replace(exhausted=exhausted, older=older, signed=origin)
+
+    def judge(self, session: str, judgement: Judgement) -> None:
+        """Confirm a block or erase it, as the partner's word has it."""
+        if judgement.what == "unequal":
+            self.store.drop(session, judgement.number)
+            return
+        self.store.confirm(session, judgement.number)
+        if self.authentication is not None:
+            self.authentication.settle(session, judgement.number)
+
+
+def work(keeper: Keeper, task: Task) -> Done:
+    """Do one task; whoever has no loop to spare calls this."""
+    try:
+        if isinstance(task, Closed):
+            return keeper.keep(task)
+        keeper.judge(task.session, task.judgement)
+        number = task.judgement.number
+        row = keeper.store.block_tag(task.session, number)
+        return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
+    except StoreError as error:
+        return Broken(str(error))
+
+
+class KeeperAt(NamedTuple):
+    """Where a keeper's store is, for whoever opens it."""
+
+    path: Path
+    side: Side
+
+    def open(self) -> Keeper:
+        """The keeper of that store.
+
+        Raises
+        ------
+        StoreError
+            When it cannot be opened.
+        """
+        store = KeyStore(self.path, self.side)
+        return Keeper(store, Authentication(store) if store.note("secret") is not None else None)

@@ -1,0 +1,576 @@
+"""The key store: one SQLite file a side, confirmed before delivered, delivered once.
+
+A key is ``stored`` when its block has closed here, ``confirmed`` once the partner has shown the
+same tag, and ``delivered`` when it was handed out: its bytes are erased in that same transaction,
+before anyone sees them, and its row stays as a tombstone. A process that dies in between loses a
+key, and never gives one twice. ``dropped`` are keys whose block differed, or that nobody fetched
+until the store was full.
+
+The two ends own disjoint halves, odd rows the controller and even rows the plant. Each hands out
+its own half, and the partner finds the same key by its id. Ids follow from session, block and row;
+both ends order alike. A key has the ``use`` for which it is given here, and the one for which it is
+given ``there``: the first is set before the partner is asked, the second before it is answered
+(:mod:`runtime.keys.giving`).
+
+Apart from the journal, because other processes open it too: a service that adds blocks, and a key
+server that delivers.
+"""
+
+import json
+import sqlite3
+import time
+from collections.abc import Sequence
+from typing import Final, Literal
+
+from protocol.secret.records import (
+    WHOLE,
+    BlockRow,
+    BlockTag,
+    Counts,
+    Key,
+    KeysRefused,
+    OthersKeys,
+    Share,
+    State,
+    StoreError,
+    TooFewKeys,
+    UnknownKeys,
+    block_name,
+    key_id,
+)
+from runtime.keys.store_file import StoreFile, check_of
+
+MOST_KEYS: Final = 100_000
+"""Undelivered keys that a side keeps of its own half: those among so many, the newest of the half.
+Of the partner's half it keeps twice as many, so that none the partner still gives out is missing
+here. Halves take turns, so that a key's place says how many are newer: no key is counted."""
+
+TOMBSTONES: Final = 1_000_000
+
+_BEGUN: Final = "begun"
+
+_READY: Final = "own = 1 AND state = 'confirmed' AND use IS NULL AND (row - 1) / 2 % ? = ?"
+"""Keys of a share of this side's own half that may be delivered."""
+
+_DROPPED: Final = "state = 'dropped', body = NULL, check_ = NULL"
+
+
+def _pads_of(session: str, number: int) -> tuple[str, str]:
+    """What the sets of pads are called that a block makes."""
+    name = block_name(session, number)
+    return name, f"{name}/reserve"
+
+
+def _asked(share: Share) -> tuple[int, int]:
+    return share.of, share.place
+
+
+class KeyStore(StoreFile):
+    """The keys of one side; it is opened as a :class:`StoreFile`."""
+
+    @property
+    def refused(self) -> str | None:
+        """Why nobody gets a key of this store, or None: the run is seeded, or claims nothing."""
+        return self.note("refused")
+
+    def refuse(self, reason: str) -> None:
+        """From here on, and after every start, no key of this store is handed out."""
+        if self.refused is None:
+            self.set_note("refused", reason)
+
+    @property
+    def assumption(self) -> str:
+        """Under which claim the keys are secret, in words."""
+        return self.note("assumption") or ""
+
+    def begin(self, session: str | None, transitions: int) -> None:
+        """Note, once, at which transition of which session this store was new."""
+        if self.note(_BEGUN) is None:
+            self.set_note(_BEGUN, f"{session}/{transitions}")
+
+    def is_younger(self, session: str, first: int) -> bool:
+        """Whether the block that begins at transition ``first`` began before this store did.
+
+        Its keys may be in one that was removed, and given.
+        """
+        begun = self.note(_BEGUN)
+        if begun is None:
+            return False
+        theirs, _, transitions = begun.rpartition("/")
+        return theirs == session and first < int(transitions)
+
+    # --- the service's side -----------------------------------------------------------------------
+
+    def add(
+        self,
+        block: BlockRow,
+        keys: Sequence[bytes],
+        *,
+        tag: str = "",
+        pads: Sequence[tuple[str, str, bytes]] = (),
+    ) -> bool:
+        """Keep a block with its keys, rows 1, 2, ...; on return it survives a power failure.
+
+        Ids are what they must be, so that a block that is added again is found to be there.
+
+        Parameters
+        ----------
+        block : BlockRow
+            Its ``state`` says whether there is anything to confirm.
+        keys : sequence of bytes
+        tag : str
+            This side's tag of the block.
+        pads : sequence of (origin, kind, bytes)
+            Sets of one-time pads that the block yields, for tags of blocks to come.
+
+        Returns
+        -------
+        bool
+            False when the block was there already; nothing has changed.
+        """
+        with self.transaction() as db:
+            cursor = db.execute(
+                "INSERT OR IGNORE INTO block VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (*block, tag, check_of(block.session, block.number, tag, block.keys)),
+            )
+            if cursor.rowcount == 0:
+                return False
+            place = cursor.lastrowid
+            odd_is_own = self.side == "controller"
+            rows = [
+                (key_id(*at, row), row, int((row % 2 == 1) == odd_is_own), key)
+                for at in [(block.session, block.number)]
+                for row, key in enumerate(keys, 1)
+            ]
+            db.executemany(
+                "INSERT INTO key (id, block, row, own, state, body, check_) "
+                "VALUES (?, ?, ?, ?, 'stored', ?, ?)",
+                ((row[0], place, *row[1:], check_of(*row)) for row in rows),
+            )
+            db.executemany(
+                "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', ?, ?, ?)",
+                (
+                    (
+                        origin,
+                        kind,
+                        block.session if kind == "chain" else None,
+                        body,
+                        check_of(origin, body),
+                    )
+                    for origin, kind, body in pads
+                ),
+            )
+            self._make_room(db)
+        return True
+
+    def block_tag(self, session: str, number: int) -> BlockTag | None:
+        """What was kept of a block, or None."""
+        rows = self.rows(
+            "SELECT state, session, number, tag, keys, check_ FROM block "
+            "WHERE session = ? AND number = ?",
+            (session, number),
+        )
+        if not rows:
+            return None
+        state, *row = rows[0]
+        self.expect(row, f"block {number}")
+        return BlockTag(state, *row[2:4])
+
+    @staticmethod
+    def _make_room(db: sqlite3.Connection) -> None:
+        (newest,) = db.execute("SELECT MAX(place) FROM key").fetchone()
+        for own, most in ((1, MOST_KEYS), (0, 2 * MOST_KEYS)):
+            db.execute(
+                f"UPDATE key SET {_DROPPED} WHERE own = ? "
+                "AND state IN ('stored', 'confirmed') AND place <= ?",
+                (own, (newest or 0) - 2 * most),
+            )
+        db.execute("DELETE FROM key WHERE place <= ?", ((newest or 0) - TOMBSTONES,))
+
+    def confirm(self, session: str, number: int) -> None:
+        """The partner holds the same block: its keys may be delivered, its pads used."""
+        with self.transaction() as db:
+            self._change(db, session, number, "confirmed")
+            db.execute(
+                "UPDATE pad SET state = 'ready' WHERE origin IN (?, ?) AND state = 'held'",
+                _pads_of(session, number),
+            )
+
+    def drop(self, session: str, number: int) -> None:
+        """The partner holds another block: erase it here."""
+        with self.transaction() as db:
+            self._change(db, session, number, "dropped", ", body = NULL, check_ = NULL")
+            db.execute(
+                "UPDATE pad SET state = 'spent', body = NULL, check_ = NULL "
+                "WHERE origin IN (?, ?) AND state = 'held'",
+                _pads_of(session, number),
+            )
+
+    @staticmethod
+    def _change(
+        db: sqlite3.Connection, session: str, number: int, state: State, erase: str = ""
+    ) -> None:
+        block = "(SELECT place FROM block WHERE session = ? AND number = ?)"
+        db.execute(
+            f"UPDATE key SET state = ?{erase} WHERE state = 'stored' AND block = {block}",
+            (state, session, number),
+        )
+        db.execute(f"UPDATE block SET state = ? WHERE place = {block}", (state, session, number))
+
+    # --- delivery ---------------------------------------------------------------------------------
+
+    def available(self, share: Share = WHOLE) -> int:
+        """Keys of this side's half that are confirmed, not delivered, not refused."""
+        if self.refused is not None:
+            return 0
+        return int(self.rows(f"SELECT COUNT(*) FROM key WHERE {_READY}", _asked(share))[0][0])
+
+    def set_aside(self, use: str, number: int, share: Share = WHOLE) -> tuple[str, ...]:
+        """Set the oldest confirmed keys of this side's half aside for a use; their ids.
+
+        The partner is asked to mark them (:mod:`runtime.keys.giving`).
+
+        Raises
+        ------
+        TooFewKeys
+            When there are not so many.
+        KeysRefused
+            When nobody gets this store's keys.
+        """
+        with self.transaction() as db:
+            return self.set_aside_within(db, use, number, share)
+
+    def set_aside_within(
+        self, db: sqlite3.Connection, use: str, number: int, share: Share = WHOLE
+    ) -> tuple[str, ...]:
+        """What :meth:`set_aside` does, within a transaction that has more to write."""
+        self.check_refused()
+        rows = db.execute(
+            f"SELECT place, id FROM key WHERE {_READY} ORDER BY place LIMIT ?",
+            (*_asked(share), number),
+        ).fetchall()
+        if len(rows) < number:
+            raise TooFewKeys(number, len(rows))
+        names = tuple(name for _, name in rows)
+        self._ask(db, use, "keys", names)
+        db.executemany("UPDATE key SET use = ? WHERE place = ?", ((use, at) for at, _ in rows))
+        return names
+
+    def set_aside_named(self, use: str, ids: Sequence[str], share: Share = WHOLE) -> None:
+        """Set keys of the partner's half aside for a use, by their ids.
+
+        ``stored`` is enough: whoever knows an id has it from the partner, which gives keys only
+        once it has seen that they are stored here.
+
+        Raises
+        ------
+        OthersKeys
+            When some are of another share.
+        UnknownKeys
+            When some are not here, were delivered before, or belong to this side's own half.
+        KeysRefused
+            When nobody gets this store's keys.
+        """
+        with self.transaction() as db:
+            self.check_refused()
+            places = []
+            missing, others = [], []
+            for name in ids:
+                row = db.execute(
+                    "SELECT place, row FROM key WHERE id = ? AND own = 0 AND use IS NULL "
+                    "AND state IN ('stored', 'confirmed')",
+                    (name,),
+                ).fetchone()
+                if row is None:
+                    missing.append(name)
+                elif not share.has(row[1]):
+                    others.append(name)
+                else:
+                    places.append(row[0])
+            if others:
+                raise OthersKeys(others)
+            if missing:
+                raise UnknownKeys(missing)
+            self._ask(db, use, "keys", ids)
+            db.executemany("UPDATE key SET use = ? WHERE place = ?", ((use, at) for at in places))
+
+    @staticmethod
+    def _ask(db: sqlite3.Connection, use: str, what: str, names: Sequence[str]) -> None:
+        db.execute(
+            "INSERT OR IGNORE INTO asked VALUES (?, ?, ?, NULL)", (use, what, json.dumps(names))
+        )
+
+    def answer(self, use: str) -> tuple[str, ...] | None:
+        """Which names the partner refuses to mark for a use; None while it has not answered.
+
+        Raises
+        ------
+        StoreError
+            When nothing was asked under that use: the store was put back under its user.
+        """
+        rows = self.rows("SELECT refused FROM asked WHERE use = ?", (use,))
+        if not rows:
+            raise StoreError(f"{self.path}: nothing is set aside for {use!r}: was it put back?")
+        return None if rows[0][0] is None else tuple(json.loads(rows[0][0]))
+
+    def answered(self, use: str, refused: Sequence[str]) -> int:
+        """The partner has marked what was asked under a use, or refuses some of it.
+
+        Then the others are free again. A key of this side's half that is refused was given before,
+        by a later life of this store, or the partner does not have it: it is erased.
+
+        Returns
+        -------
+        int
+            How many keys were erased.
+        """
+        with self.transaction() as db:
+            return self.answered_within(db, use, refused)
+
+    @staticmethod
+    def answered_within(db: sqlite3.Connection, use: str, refused: Sequence[str]) -> int:
+        """What :meth:`answered` does, within a transaction that has more to write."""
+        cursor = db.execute(
+            "UPDATE asked SET refused = ? WHERE use = ? AND refused IS NULL",
+            (json.dumps(refused), use),
+        )
+        if cursor.rowcount == 0 or not refused:
+            return 0
+        erased = 0
+        for name in refused:
+            erased += db.execute(
+                f"UPDATE key SET {_DROPPED} WHERE id = ? AND use = ? AND own = 1", (name, use)
+            ).rowcount
+        db.execute("UPDATE key SET use = NULL WHERE use = ? AND state != 'dropped'", (use,))
+        return erased
+
+    def forget_uses(self, kind: str) -> None:
+        """Uses of a kind that were named in a former life are over, and what was set aside gone."""
+        with self.transaction() as db:
+            uses = db.execute("SELECT use FROM asked WHERE use LIKE ?", (f"{kind} %",)).fetchall()
+            for (use,) in uses:
+                db.execute(
+                    f"UPDATE key SET {_DROPPED} WHERE use = ? AND state IN ('stored', 'confirmed')",
+                    (use,),
+                )
+                db.execute("DELETE FROM asked WHERE use = ?", (use,))
+
+    def mark(self, use: str, ids: Sequence[str]) -> tuple[str, ...]:
+        """The partner gives these keys for a use: mark all of them, or none.
+
+        A key of the partner's half must be here, unused. Of this side's half the partner may give
+        what this side gave.
+
+        Returns
+        -------
+        tuple of str
+            Those that it must not give; () where all are marked.
+        """
+        with self.transaction() as db:
+            refused = tuple(name for name in ids if not self._markable(db, use, name))
+            if not refused:
+                db.executemany(
+                    "UPDATE key SET there = ? WHERE id = ?", ((use, name) for name in ids)
+                )
+        return refused
+
+    @staticmethod
+    def _markable(db: sqlite3.Connection, use: str, name: str) -> bool:
+        row = db.execute("SELECT own, state, use, there FROM key WHERE id = ?", (name,)).fetchone()
+        if row is None:
+            return False
+        own, state, here, there = row
+        if there is not None:
+            return bool(there == use)
+        if own:
+            return here is not None and not here.startswith("sealed ")
+        return here is None and state in ("stored", "confirmed")
+
+    def newest(self) -> int:
+        """The place of the newest key; 0 where there is none."""
+        return int(self.rows("SELECT COALESCE(MAX(place), 0) FROM key")[0][0])
+
+    def held(self, after: int, until: int) -> tuple[list[str], list[str]]:
+        """Keys beyond one place, up to another, that may still be given: those of which no use is
+        known, and of the partner's half those that it has given.
+        """
+        alive = (
+            "SELECT id FROM key WHERE place > ? AND place <= ? AND use IS NULL "
+            "AND state IN ('stored', 'confirmed')"
+        )
+        places = after, until
+        unused = self.rows(f"{alive} AND there IS NULL ORDER BY place", places)
+        marked = self.rows(f"{alive} AND there IS NOT NULL AND own = 0 ORDER BY place", places)
+        return [name for (name,) in unused], [name for (name,) in marked]
+
+    def given_before(self, what: Literal["unused", "marked"], ids: Sequence[str]) -> list[str]:
+        """Which of the keys that the partner holds it must not give: this side knows their use.
+
+        Not those that it is about to be asked for.
+        """
+        used = "there IS NOT NULL"
+        if what == "unused":
+            used += " OR state IN ('delivered', 'dropped') OR (use IS NOT NULL AND NOT EXISTS "
+            used += "(SELECT 1 FROM asked WHERE asked.use = key.use AND asked.refused IS NULL))"
+        with self.transaction() as db:
+            statement = f"SELECT 1 FROM key WHERE id = ? AND ({used})"
+            return [name for name in ids if db.execute(statement, (name,)).fetchone()]
+
+    def were_given(self, what: Literal["unused", "marked"], ids: Sequence[str]) -> int:
+        """The partner knows a use of these keys: erase those of which none is known here still.
+
+        Returns
+        -------
+        int
+            How many were erased.
+        """
+        mark = "there IS NULL" if what == "unused" else "there IS NOT NULL"
+        with self.transaction() as db:
+            return sum(
+                db.execute(
+                    f"UPDATE key SET {_DROPPED} WHERE id = ? AND use IS NULL AND {mark} "
+                    "AND state IN ('stored', 'confirmed')",
+                    (name,),
+                ).rowcount
+                for name in ids
+            )
+
+    def take(self, use: str, who: str = "") -> tuple[Key, ...]:
+        """The keys of a use that the partner has marked, erased here before they are returned.
+
+        Raises
+        ------
+        StoreError
+            When it has not, or they are gone.
+        """
+        with self.transaction() as db:
+            return self.take_within(db, use, who)
+
+    def take_within(self, db: sqlite3.Connection, use: str, who: str = "") -> tuple[Key, ...]:
+        """What :meth:`take` does, within a transaction that has more to write."""
+        row = db.execute("SELECT names FROM asked WHERE use = ? AND refused = '[]'", (use,))
+        found = row.fetchone()
+        if found is None:
+            raise StoreError(f"{self.path}: nothing was granted for {use!r}: was it put back?")
+        keys = tuple(self._key_of(db, name, "use = ?", use) for name in json.loads(found[0]))
+        self.bury(db, [key.key_id for key in keys], who)
+        db.execute("DELETE FROM asked WHERE use = ?", (use,))
+        return keys
+
+    def marked(
+        self, db: sqlite3.Connection, kind: str, name: str, ids: Sequence[str], most_tries: int
+    ) -> tuple[Key, ...]:
+        """Keys that the partner gave for a use of this kind and name; they stay.
+
+        Raises
+        ------
+        UnknownKeys
+            When some are not here, not marked so, or were tried too often.
+        KeysRefused
+            When nobody gets this store's keys.
+        """
+        self.check_refused()
+        prefix = f"{kind} {name} "
+        usable = "own = 0 AND use IS NULL AND substr(there, 1, ?) = ? AND tries < ?"
+        keys, missing = [], []
+        for name_of in dict.fromkeys(ids):
+            try:
+                keys.append(self._key_of(db, name_of, usable, len(prefix), prefix, most_tries))
+            except UnknownKeys:
+                missing.append(name_of)
+        if missing:
+            raise UnknownKeys(missing)
+        return tuple(keys)
+
+    def tried(self, ids: Sequence[str]) -> int:
+        """A tag under these keys did not hold; returns how often that has happened."""
+        with self.transaction() as db:
+            db.executemany(
+                "UPDATE key SET tries = tries + 1 WHERE id = ?", ((name,) for name in ids)
+            )
+            row = db.execute("SELECT tries FROM key WHERE id = ?", (ids[0],)).fetchone()
+        return int(row[0])
+
+    def _key_of(self, db: sqlite3.Connection, name: str, usable: str, *values: object) -> Key:
+        """A key as its row has it."""
+        row = db.execute(
+            "SELECT place, id, row, own, body, check_ FROM key "
+            f"WHERE id = ? AND state IN ('stored', 'confirmed') AND {usable}",
+            (name, *values),
+        ).fetchone()
+        if row is None:
+            raise UnknownKeys((name,))
+        self.expect(row[1:], f"the key at place {row[0]}")
+        if row[1] != name:
+            raise StoreError(f"{self.path}: its index does not fit the key at place {row[0]}")
+        return Key(row[1], bytes(row[4]))
+
+    def check_refused(self) -> None:
+        """See that keys of this store are for somebody.
+
+        Raises
+        ------
+        KeysRefused
+        """
+        reason = self.refused
+        if reason is not None:
+            raise KeysRefused(reason)
+
+    def bury(self, db: sqlite3.Connection, ids: Sequence[str], who: str) -> None:
+        """Erase keys that are given in the transaction under way."""
+        now = time.time_ns()
+        self.gives()
+        db.executemany(
+            "UPDATE key SET state = 'delivered', body = NULL, check_ = NULL, t_ns = ?, who = ? "
+            "WHERE id = ?",
+            ((now, who, name) for name in ids),
+        )
+
+    # --- telling ----------------------------------------------------------------------------------
+
+    def counts(self) -> Counts:
+        """How many keys are in which state."""
+        rows = self.rows("SELECT state, COUNT(*) FROM key GROUP BY state")
+        by = {str(state): int(count) for state, count in rows}
+        return Counts(
+            by.get("stored", 0),
+            by.get("confirmed", 0),
+            by.get("delivered", 0),
+            by.get("dropped", 0),
+            self.available(),
+        )
+
+    def blocks(self, last: int | None = None) -> list[BlockRow]:
+        """The blocks, oldest first; the ``last`` ones only where that is given."""
+        rows = self.rows(
+            "SELECT session, number, transitions, steps, counted, rows, keys, state, t_ns "
+            "FROM block ORDER BY place DESC LIMIT ?",
+            (-1 if last is None else last,),
+        )
+        return [BlockRow(*row) for row in reversed(rows)]
+
+    def ids(self) -> list[tuple[str, State]]:
+        """Every key's id and state, in the order that both ends share."""
+        rows = self.rows("SELECT id, state FROM key ORDER BY place")
+        return [(name, state) for name, state in rows]
+
+    def own_ids(self) -> list[str]:
+        """The ids of this side's half."""
+        rows = self.rows("SELECT id FROM key WHERE own = 1 ORDER BY place")
+        return [name for (name,) in rows]
+
+    def uses(self) -> dict[str, tuple[str, str]]:
+        """For every key the use it was given for here, and the one it was marked with."""
+        rows = self.rows(
+            "SELECT id, CASE state WHEN 'delivered' THEN COALESCE(use, there, '') ELSE '' END, "
+            "COALESCE(there, '') FROM key ORDER BY place"
+        )
+        return {name: (here, there) for name, here, there in rows}
+
+    def compare(self) -> dict[str, bytes | None]:
+        """Every key by its id, in order, None where it was erased: for whoever holds both stores.
+
+        Nobody else should; a test bed does.
+        """
+        rows = self.rows("SELECT id, body FROM key ORDER BY place")
+        return {name: None if body is None else bytes(body) for name, body in rows}

@@ -1,0 +1,269 @@
+"""The file of a key store: SQLite, for its owner only, nothing of what was erased left in it."""
+
+import os
+import sqlite3
+import threading
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final, Self
+from zlib import crc32
+
+from protocol.secret.records import Side, StoreError
+from runtime.files import make_folder, open_private
+from runtime.keys.anchor import Anchor
+
+STORE_VERSION: Final = 3
+
+UNREADABLE: Final = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises: what SQLite says of it may quote bytes that are no text."""
+
+BUSY_S: Final = 30.0
+"""How long another process may be at it: one that runs where a core is idle takes its time."""
+
+_TABLES: Final = """
+CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT, check_ INTEGER);
+CREATE TABLE IF NOT EXISTS block (
+    place INTEGER PRIMARY KEY, session TEXT NOT NULL, number INTEGER NOT NULL,
+    transitions INTEGER NOT NULL, steps INTEGER NOT NULL, counted INTEGER NOT NULL,
+    rows INTEGER NOT NULL, keys INTEGER NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL,
+    tag TEXT NOT NULL, check_ INTEGER, UNIQUE (session, number));
+CREATE TABLE IF NOT EXISTS key (
+    place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
+    row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB, check_ INTEGER,
+    t_ns INTEGER, who TEXT, use TEXT, there TEXT, tries INTEGER NOT NULL DEFAULT 0);
+CREATE INDEX IF NOT EXISTS key_use ON key (use);
+CREATE TABLE IF NOT EXISTS asked (
+    use TEXT PRIMARY KEY, what TEXT NOT NULL, names TEXT NOT NULL, refused TEXT);
+CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
+CREATE INDEX IF NOT EXISTS key_block ON key (block);
+CREATE TABLE IF NOT EXISTS pad (
+    place INTEGER PRIMARY KEY, origin TEXT UNIQUE NOT NULL, kind TEXT NOT NULL, state TEXT NOT NULL,
+    session TEXT, body BLOB, check_ INTEGER);
+CREATE INDEX IF NOT EXISTS pad_session ON pad (session);
+CREATE TABLE IF NOT EXISTS sealed (
+    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, digest BLOB NOT NULL, state TEXT NOT NULL,
+    payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT, use TEXT);
+CREATE TABLE IF NOT EXISTS opened (
+    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL);
+"""
+
+
+def check_of(*values: Any) -> int:
+    """The check of a row: a flipped bit in any of these columns is seen.
+
+    It tells something of them, so it goes where they are erased.
+    """
+    return crc32(repr(values).encode())
+
+
+class StoreFile:
+    """A store's file, its tables, transactions and notes.
+
+    Parameters
+    ----------
+    path : Path, optional
+        None: in memory, for simulations. Else made, with mode 0600 and its folder, where
+        ``create`` says so.
+    side : {"controller", "plant"}
+        Whose it is.
+    create : bool
+        Make the file where it is not there.
+
+    Raises
+    ------
+    StoreError
+        When the file is not there, cannot be opened, is damaged, another side's or version's, or an
+        older copy of itself.
+    """
+
+    def __init__(self, path: Path | None, side: Side, *, create: bool = False) -> None:
+        self.path = path
+        self.side: Side = side
+        self._lock = threading.RLock()
+        self._anchor = None if path is None else Anchor(path)
+        self._gives = False
+        try:
+            if path is None:
+                pass
+            elif create:
+                make_folder(path.parent)
+                os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # its journal gets this mode
+            elif not path.is_file():
+                raise StoreError(f"{path}: no key store is there: no key was ever made here")
+            # autocommit: transactions are begun by hand
+            self._db = sqlite3.connect(
+                path or ":memory:", isolation_level=None, timeout=BUSY_S, check_same_thread=False
+            )
+            weakref.finalize(self, self._db.close)  # whoever drops a store has closed it
+        except (OSError, sqlite3.Error) as error:
+            raise StoreError(f"{path}: cannot be opened: {error}") from None
+        try:
+            self._open()
+        except UNREADABLE as error:
+            self._db.close()
+            raise StoreError(f"{path}: not a key store: {error}") from None
+        except StoreError:
+            self._db.close()
+            raise
+
+    def _open(self) -> None:
+        db = self._db
+        # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
+        # at each commit, and it has the database's own mode.
+        db.execute("PRAGMA journal_mode=TRUNCATE")
+        db.execute("PRAGMA synchronous=FULL")
+        db.execute("PRAGMA secure_delete=ON")
+        db.execute("PRAGMA temp_store=MEMORY")
+        with self.transaction():
+            for statement in _TABLES.split(";"):
+                db.execute(statement)
+            for name, value in (("version", str(STORE_VERSION)), ("side", self.side)):
+                found = self.note(name)
+                if found is None:
+                    self.set_note(name, value)
+                elif found != value:
+                    raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
+        self._look_through()
+        if self._anchor is not None:
+            with self.transaction():  # nobody else is between the two
+                self._anchor.compare(self._given())
+
+    def _look_through(self) -> None:
+        """See that the notes are as they were written, and the file's pages in order."""
+        for (name,) in self._db.execute("SELECT name FROM meta").fetchall():
+            self.note(name)
+        if (wrong := self._db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
+
+    @classmethod
+    def copy_of(cls, path: Path, side: Side) -> Self:
+        """A copy in memory of the store at ``path``, for whoever only looks at it.
+
+        Nothing in its folder is written, also where a key server has it open; but a transaction
+        that a death cut short is taken back first, as by everyone who opens it.
+
+        Raises
+        ------
+        StoreError
+            As for a store that is opened.
+        """
+        if not path.is_file():
+            raise StoreError(f"{path}: no key store is there: no key was ever made here")
+        store = cls(None, side)
+        store.path = path
+        try:
+            try:
+                store._fill_from(path)
+            except sqlite3.OperationalError:
+                cls(path, side).close()
+                store._fill_from(path)
+            store._look_through()
+            for name, value in (("version", str(STORE_VERSION)), ("side", side)):
+                if (found := store.note(name)) != value:
+                    raise StoreError(f"{path}: {name}: got {found!r}, expected {value!r}")
+            Anchor(path).look(store._given())
+        except UNREADABLE as error:
+            store.close()
+            raise StoreError(f"{path}: not a key store: {error}") from None
+        except StoreError:
+            store.close()
+            raise
+        return store
+
+    def _fill_from(self, path: Path) -> None:
+        uri = f"{path.absolute().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as db:
+            db.execute("SELECT COUNT(*) FROM meta").fetchone()
+            db.backup(self._db)
+
+    def _given(self) -> int:
+        return int(self.note("given") or 0)
+
+    def gives(self) -> None:
+        """The transaction under way takes something out for good: no older copy may do so again."""
+        self._gives = True
+
+    def expect(self, row: Sequence[Any], what: str) -> None:
+        """See that a row, whose last column is its check, is as it was written.
+
+        Raises
+        ------
+        StoreError
+            When it is not; ``what`` names it.
+        """
+        *values, check = row
+        if check_of(*values) != check:
+            raise StoreError(f"{self.path}: {what} is not as it was written")
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All or nothing, on disk when it ends; one at a time, in this process and beside others.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read or written.
+        """
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                self._gives = False
+                try:
+                    yield self._db
+                    gave = self._gives
+                    if gave:
+                        given = self._given() + 1
+                        self.set_note("given", str(given))
+                        if self._anchor is not None:
+                            self._anchor.announce(given)
+                except BaseException:
+                    self._db.execute("ROLLBACK")
+                    raise
+                self._db.execute("COMMIT")
+                if gave and self._anchor is not None:
+                    self._anchor.count(given)
+            except UNREADABLE as error:
+                raise StoreError(f"{self.path}: {error}") from None
+
+    def rows(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
+        """What a query finds.
+
+        Raises
+        ------
+        StoreError
+            When the file cannot be read.
+        """
+        with self._lock:
+            try:
+                return self._db.execute(statement, values).fetchall()
+            except UNREADABLE as error:
+                raise StoreError(f"{self.path}: {error}") from None
+
+    # --- notes ------------------------------------------------------------------------------------
+
+    def note(self, name: str) -> str | None:
+        """A line of text kept with the store, or None."""
+        rows = self.rows("SELECT * FROM meta WHERE name = ?", (name,))
+        if not rows:
+            return None
+        self.expect(rows[0], f"its note {name!r}")
+        return str(rows[0][1])
+
+    def set_note(self, name: str, value: str) -> None:
+        """Keep a line of text with the store."""
+        with self._lock:
+            row = (name, value, check_of(name, value))
+            self.rows("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
+
+    def close(self) -> None:
+        """Close the file; it can be opened again."""
+        with self._lock:
+            self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

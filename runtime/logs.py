@@ -1,0 +1,66 @@
+"""The log of a program, and lines of it that are not let to become a flood."""
+
+import logging
+import sys
+import time
+
+from protocol.text import printable
+from runtime.rates import Throttle
+
+
+class _Printable(logging.Formatter):
+    """A line stays a line, and no terminal obeys it: what a message holds may be a stranger's."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record with everything unprintable as a dot; a traceback keeps its lines."""
+        return "\n".join(map(printable, super().format(record).splitlines()))
+
+
+def logger(service: str) -> logging.Logger:
+    """The log of a program: lines on standard error with the time and the program's name."""
+    log = logging.getLogger(service)
+    if not log.handlers:
+        handler = logging.StreamHandler(sys.stderr)
+        formatter = _Printable("%(asctime)s %(name)s %(levelname)s %(message)s")
+        formatter.default_msec_format = "%s.%03d"
+        handler.setFormatter(formatter)
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        log.propagate = False
+    return log
+
+
+class RateLimitedLog:
+    """Counts what goes wrong and logs it once a second at most, with the count since.
+
+    What was not logged yet is not lost: whoever keeps one calls :meth:`tell_rest` now and then
+    where that is simple, and at its end.
+    """
+
+    def __init__(self, log: logging.Logger) -> None:
+        self.total = 0
+        self._log = log
+        self._text = ""
+        self._untold = 0
+        self._throttle = Throttle(1.0)
+
+    def add(self, text: str) -> None:
+        """Count one more, and log it unless one was logged within the last second."""
+        self.total += 1
+        self._text = text
+        self._untold += 1
+        self.tell_rest()
+
+    def tell_rest(self, *, last: bool = False) -> None:
+        """Log the newest that was not logged, with the count before it, once the second is over.
+
+        Parameters
+        ----------
+        last : bool
+            At once, for there is no later.
+        """
+        if self._untold and (last or self._throttle.ready(time.monotonic())):
+            before = self._untold - 1
+            more = f" (and {before} more since the last such line)" if before else ""
+            self._log.warning("%s%s", self._text, more)
+            self._untold = 0

@@ -1,0 +1,157 @@
+"""Journals in memory, which mean what :mod:`runtime.journal`'s do: make-believe disks.
+
+Like a file they outlive the endpoint that writes them, and like a file they never see a record
+that was only staged: who dies comes back with the record before the step, and the step.
+"""
+
+from typing import Generic
+
+from protocol.link.endpoint import Append, Keep, Write
+from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer
+from protocol.secret.nonces import Raw
+from runtime.journal import ReceiverStep, SenderStep
+from runtime.journal_files import R
+
+
+class _MemoryJournal(Generic[R]):
+    """A record and the step that followed it."""
+
+    def __init__(self) -> None:
+        self._record: R | None = None
+        self._staged: R | None = None
+        self._append: Append | None = None
+        self._raws: dict[tuple[str, int], Raw] = {}
+        self._rows: list[Keep] = []
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for."""
+        if isinstance(write, Append):
+            assert self._staged is not None, "the step before has not been counted"
+            self._record, self._append = self._staged, write
+            if write.said:
+                self._staged = None
+            self._write_rows()
+            return
+        self._staged = write.record  # type: ignore[assignment]
+        self._rows.append(write)
+        if not write.later:
+            self._record, self._append = self._staged, None
+            self._write_rows()
+
+    def _write_rows(self) -> None:
+        for keep in self._rows:
+            session = keep.record.session
+            if keep.raw is not None and session is not None:
+                self._raws[session, keep.raw.j] = keep.raw
+            over = {j for gone in keep.settled for j in gone}
+            for at in [at for at in self._raws if at[0] != session or at[1] in over]:
+                del self._raws[at]
+        self._rows.clear()
+
+    def raws(self, session: str | None) -> list[Raw]:
+        """Rows of the session's key blocks that are not settled, in order."""
+        return [raw for (whose, _), raw in sorted(self._raws.items()) if whose == session]
+
+    def load(self) -> R | None:
+        """The record as last written, as after a restart; None in a new journal."""
+        self._staged = self._record
+        self._rows.clear()
+        return self._record
+
+    def forget(self) -> None:
+        """Lose the record."""
+        self._record = self._staged = self._append = None
+        self._rows.clear()
+        self._raws.clear()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class MemoryControllerJournal(_MemoryJournal[SenderRecord]):
+    """The controller's; :meth:`forget` leaves the queue of messages, which is the operator's.
+
+    Parameters
+    ----------
+    payloads : sequence of bytes
+        Messages queued already.
+    """
+
+    def __init__(self, *payloads: bytes) -> None:
+        super().__init__()
+        self._queue = [(f"{number}", payload) for number, payload in enumerate(payloads)]
+        self.queued = len(payloads)
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for."""
+        super().write(write)
+        if not isinstance(write, Append) and write.queued is not None:
+            self._queue.append(write.queued)
+            self.queued += 1
+
+    def step(self) -> SenderStep | None:
+        """The step that followed the record, to be counted again; None where none did."""
+        if self._append is None:
+            return None
+        heard, said, _coin = self._append
+        return SenderStep(Measurement.model_validate_json(heard), Offer.model_validate_json(said))
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
+        return self._queue[number][1] if number < len(self._queue) else None
+
+    def identifier(self, number: int) -> str:
+        """Identifier of the queued message ``number``."""
+        return self._queue[number][0]
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        """The message that was ever queued under this identifier, or None."""
+        return dict(self._queue).get(identifier)
+
+
+class MemoryPlantJournal(_MemoryJournal[ReceiverRecord]):
+    """The plant's, with the symbols of the frame under way and the messages received."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._chunks = ""
+        self._inbox: list[bytes] = []
+
+    def write(self, write: Write) -> None:
+        """Keep what the endpoint asks for."""
+        super().write(write)
+        if not isinstance(write, Append):
+            self._chunks = write.chunk if write.drop_chunks else self._chunks + write.chunk
+            if write.received is not None:
+                self._inbox.append(write.received)
+
+    def step(self) -> ReceiverStep | None:
+        """The step that followed the record, to be counted again; None where none did."""
+        if self._append is None or not self._append.said:
+            return None
+        heard, said, coin = self._append
+        return ReceiverStep(
+            Offer.model_validate_json(heard), Measurement.model_validate_json(said), coin
+        )
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun and not read, if any: after the record, or as the record says."""
+        if self._append is None:
+            return None if self._record is None else self._record.begun
+        if self._append.said:
+            return None
+        return BegunStep(Offer.model_validate_json(self._append.heard), self._append.coin)
+
+    def chunks(self) -> str:
+        """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
+        return self._chunks
+
+    def inbox(self, last: int = 100) -> list[bytes]:
+        """The last messages received, oldest first."""
+        return self._inbox[-last:]
+
+    def forget(self) -> None:
+        """Lose everything."""
+        super().forget()
+        self._chunks, self._inbox = "", []

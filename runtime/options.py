@@ -1,0 +1,199 @@
+"""Options that services have in common: messages, run folders, paces, seeds."""
+
+import argparse
+import fcntl
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from protocol.schemes.framing import MAX_PAYLOAD
+from runtime.errors import UsageError
+from runtime.files import PRIVATE_FOLDER, make_folder, open_private
+from runtime.pace import Pace
+
+STDIN: Final = "-"
+"""In place of a text or a file: no other process can read it, as all can a command line."""
+
+
+def add_message_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--message`` and ``--message-file``."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--message",
+        metavar="TEXT",
+        help="the message to deliver; - reads standard input, without its last newline",
+    )
+    group.add_argument(
+        "--message-file",
+        metavar="F",
+        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
+        "- as above",
+    )
+
+
+def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--fleet`` and ``--loops``: many loops in one process."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--fleet", metavar="FILE", help="run all loops of this file (docs/fleet.md)")
+    group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
+
+
+def add_check_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--check``: what is asked for is looked at, and nothing is started."""
+    parser.add_argument(
+        "--check", action="store_true", help="check options and scenario, and start nothing"
+    )
+
+
+def add_bounds_arguments(parser: argparse._ActionsContainer) -> None:
+    """Add ``--part-bytes`` and ``--total-bytes``: what a recording may take on disk."""
+    parser.add_argument(
+        "--part-bytes", type=int, metavar="N", help="size at which a part of the recording ends"
+    )
+    parser.add_argument(
+        "--total-bytes",
+        type=int,
+        metavar="N",
+        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
+    )
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def checked(kind: type[M], **values: object) -> M:
+    """A model of options, of those that were given.
+
+    Raises
+    ------
+    UsageError
+        With a line for each option whose value is wrong.
+    """
+    try:
+        return kind.model_validate({k: v for k, v in values.items() if v is not None})
+    except ValidationError as error:
+        lines = []
+        for e in error.errors(include_url=False):
+            field = str(e["loc"][0])
+            option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
+            lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
+        raise UsageError(lines) from None
+
+
+def message_of(text: str | None, file: str | None) -> bytes | None:
+    """The message given as text or as a file, if any; `STDIN` for either is standard input.
+
+    Standard input ends without its last newline, of which ``echo`` and a terminal's Enter leave
+    one. A file's bytes stay as they are, and ``/dev/stdin`` names such a file.
+
+    Raises
+    ------
+    UsageError
+        When the file cannot be read, or the message is empty or too long for one frame.
+    """
+    if text is None and file is None:
+        return None
+    if text is not None and text != STDIN:
+        payload = text.encode("utf-8", errors="surrogateescape")
+    else:
+        given = file in (None, STDIN)
+        path = "/dev/stdin" if given else file
+        if given and os.isatty(0):
+            print("type the message; Enter, then Ctrl-D end it", file=sys.stderr, flush=True)
+        try:
+            with Path(str(path)).open("rb") as source:
+                payload = source.read(MAX_PAYLOAD + 2)
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+        if given:
+            payload = payload.removesuffix(b"\n")
+        if len(payload) > MAX_PAYLOAD:
+            raise UsageError(f"message: got more than {MAX_PAYLOAD} bytes, expected 1 to so many")
+    if not 0 < len(payload) <= MAX_PAYLOAD:
+        raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
+    return payload
+
+
+def pace_of(text: str) -> Pace:
+    """The checked ``--pace``."""
+    try:
+        return Pace(text)
+    except ValueError as error:
+        raise UsageError(f"--pace: {error}") from None
+
+
+def run_dir_of(text: str | None) -> Path:
+    """The run's folder: the one given, or a new one below ``runs``, made."""
+    if text is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+        for attempt in range(1000):
+            path = Path("runs") / (stamp if attempt == 0 else f"{stamp}-{attempt}")
+            try:
+                make_folder(path.parent)
+                path.mkdir(mode=PRIVATE_FOLDER)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise _unusable(path, error) from None
+            return path
+    if not text:
+        raise UsageError("--run-dir: got '', expected a folder")
+    path = Path(text)
+    try:
+        make_folder(path)
+    except OSError as error:
+        raise _unusable(path, error) from None
+    return path
+
+
+def _unusable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
+
+
+def unwritable(path: Path, error: OSError) -> UsageError:
+    """What is said of a run folder that takes no file."""
+    return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold a service's folder; the lock goes with the process, however that one ends.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be made or written to, or another process holds it.
+    """
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    lock = folder / "lock"
+    try:
+        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
+    except OSError as error:
+        raise unwritable(lock, error) from None
+    with file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(f"--run-dir: {folder}: another process is using it") from None
+        yield
+
+
+def at_least(option: str, value: int | None, least: int) -> None:
+    """Check a whole number that an option may give.
+
+    Raises
+    ------
+    UsageError
+        When it is smaller.
+    """
+    if value is not None and value < least:
+        raise UsageError(f"{option}: got {value}, expected at least {least}")

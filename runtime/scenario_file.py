@@ -1,0 +1,82 @@
+"""Scenarios as a command line names them, and the copy that a run keeps."""
+
+import tomllib
+from pathlib import Path
+
+from protocol.scenario.reading import ScenarioError, parse_scenario
+from protocol.scenario.system import Scenario
+from runtime.errors import UsageError
+from runtime.files import write_atomically
+from runtime.options import unwritable
+from runtime.run_folder import SCENARIO
+from runtime.shipped import SCENARIOS, scenario_file_of
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario file.
+
+    Raises
+    ------
+    ScenarioError
+        When the file cannot be read, is not TOML, or has a wrong field.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also of a huge number, or of nested brackets
+        raise ScenarioError([f"{path}: not TOML: {error}"]) from None
+    return parse_scenario(data, str(path))
+
+
+def scenario_of(text: str) -> Scenario:
+    """The scenario of a file, or of a name that stands for a shipped one.
+
+    Raises
+    ------
+    UsageError
+        With one line for each wrong field.
+    """
+    path = scenario_file_of(text)
+    if not path.exists():
+        raise UsageError(f"{text}: no such file{_others(path)}")
+    try:
+        return load_scenario(path)
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+
+
+def _others(path: Path) -> str:
+    """What there is instead: beside a path with a folder the files there, else what is shipped."""
+    beside = path.parent != Path()
+    names = ", ".join(sorted(p.stem for p in (path.parent if beside else SCENARIOS).glob("*.toml")))
+    if not names:
+        return ""
+    if beside:
+        return f"; {path.parent} has {names}"
+    return f", and no shipped scenario; shipped are {names}"
+
+
+def keep_scenario(run_dir: Path, text: str) -> None:
+    """Put the scenario's file into a run's folder that has none yet: ``wyner check`` reads it.
+
+    Raises
+    ------
+    UsageError
+        When the folder cannot be written to, or has a scenario under which the loop runs otherwise.
+    """
+    kept = run_dir / SCENARIO
+    try:
+        if not kept.exists():
+            write_atomically(kept, scenario_file_of(text).read_bytes())
+    except OSError as error:
+        raise unwritable(kept, error) from None
+    there = scenario_of(str(kept))
+    if there.loop_fingerprint() != scenario_of(text).loop_fingerprint():
+        raise UsageError(
+            f"--run-dir: {run_dir}: holds a run of another scenario ({there.name}), "
+            f"expected a new folder, or --scenario {kept}"
+        )

@@ -1,0 +1,67 @@
+"""Code that a scenario names: ``module:attribute`` or ``file.py:attribute``.
+
+A plant's is loaded by the plant's process alone, a model's by the controller's; it runs with that
+process's rights.
+"""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+from protocol.registry import load_file
+from runtime.errors import Failure
+
+
+class UserCodeError(Failure):
+    """Code that is not there, or cannot be loaded; one line."""
+
+
+def load_attribute(name: str, folder: Path) -> Any:
+    """The object that ``name`` stands for.
+
+    Parameters
+    ----------
+    name : str
+        ``module:attribute``, or ``file.py:attribute`` with the file relative to ``folder``.
+    folder : Path
+        Where the scenario is.
+
+    Raises
+    ------
+    UserCodeError
+        When there is no such file, module or attribute, or loading it fails.
+    """
+    where, colon, attribute = name.rpartition(":")
+    if not colon or not where or not attribute:
+        raise UserCodeError(f"got {name!r}, expected 'file.py:attribute' or 'module:attribute'")
+    try:
+        module = (
+            load_file(folder / where) if where.endswith(".py") else importlib.import_module(where)
+        )
+    except FileNotFoundError:
+        raise UserCodeError(f"{folder / where}: no such file") from None
+    except ModuleNotFoundError as error:
+        raise UserCodeError(f"{where}: {error}") from None
+    except Exception as error:
+        raise UserCodeError(
+            f"{where}: cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+    try:
+        return getattr(module, attribute)
+    except AttributeError:
+        raise UserCodeError(f"{where}: has no {attribute!r}") from None
+
+
+def made(found: Any, name: str) -> Any:
+    """``found`` itself, or an instance of it where it is a class.
+
+    Raises
+    ------
+    UserCodeError
+    """
+    if not isinstance(found, type):
+        return found
+    try:
+        return found()
+    except Exception as error:
+        raise UserCodeError(f"{name}: {type(error).__name__}: {error}") from error

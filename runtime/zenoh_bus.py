@@ -1,0 +1,405 @@
+"""The bus that carries messages between processes, over Zenoh.
+
+This is the only file that imports zenoh, and it does so when a session is opened, so that
+importing :mod:`protocol` stays cheap.
+"""
+
+import json
+import os
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from math import inf
+from typing import TYPE_CHECKING, Any, Final
+
+from runtime.bus import Bus, ChannelClosed, Deliver, TransportError
+from runtime.endpoints import Endpoints, TlsFiles, appearances, check_endpoint, is_group
+from runtime.zenoh_settings import ONE_THREAD, settings_of
+
+if TYPE_CHECKING:
+    import zenoh
+
+LARGEST_MESSAGE: Final = 2**18
+"""Bytes of a message at most: three times the longest message to deliver, in base64."""
+
+SHOWN: Final = 64
+"""Bytes of a longer one that are delivered."""
+
+NAP_S: Final = 0.01
+"""A nap of a patient subscriber; the kernel's buffer of a connection holds what comes meanwhile."""
+
+YOUNG_NS: Final = 1_000_000
+"""A message so little older than the youngest of late was not kept waiting."""
+
+AGES: Final = 4096
+"""Messages over which the youngest is remembered, and over as many again."""
+
+_JSON: Final = "application/json"
+
+
+class _Nap:
+    """When a patient subscriber may nap: while messages are about as young as they ever are.
+
+    The smallest age holds for a while only, for a clock that was set makes all later ages larger.
+    """
+
+    def __init__(self) -> None:
+        self._smallest_ns = 1 << 62
+        self._before_ns = 1 << 62
+        self._looked = 0
+
+    def due(self, age_ns: int) -> bool:
+        """Whether whoever hears a message of this age is up to date."""
+        self._looked += 1
+        if self._looked % AGES == 0:
+            self._before_ns, self._smallest_ns = self._smallest_ns, age_ns
+        self._smallest_ns = min(self._smallest_ns, age_ns)
+        return age_ns - min(self._smallest_ns, self._before_ns) <= YOUNG_NS
+
+
+class ZenohPublisher:
+    """A `Publisher` over Zenoh: it drops rather than blocks.
+
+    One of ``many`` is not declared. Zenoh searches a message's matches among all keys that the
+    receiver has declared, each time: with 400 of them a message cost its receiver 78
+    microseconds of processor time, with one 18. A put to an undeclared key costs 9 more.
+    """
+
+    def __init__(self, session: "zenoh.Session", key: str, *, many: bool) -> None:
+        import zenoh
+
+        # Every message names its key a second time: see `ZenohBus.subscribe`.
+        settings: dict[str, Any] = {
+            "encoding": zenoh.Encoding(f"{_JSON};{key}"),
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "express": not many,
+            "allowed_destination": zenoh.Locality.REMOTE,
+        }
+        self._session = session
+        self._key = key
+        self._refused = zenoh.ZError
+        self._put: Callable[[bytes], object]
+        if many:
+            self._declared = None
+            self._put = partial(session.put, zenoh.KeyExpr(key), **settings)
+        else:
+            self._declared = session.declare_publisher(key, **settings)
+            self._put = self._declared.put
+
+    def put(self, payload: bytes) -> None:
+        """Send ``payload`` to whoever is connected and ready; it never waits.
+
+        Raises
+        ------
+        TransportError
+            When the bus has been closed.
+        """
+        try:
+            self._put(payload)
+        except self._refused as error:
+            raise TransportError(f"key {self._key}: {_reason(error)}") from None
+
+
+class ZenohChannel:
+    """A `Channel` over Zenoh: the waiting thread is woken by the transport, and by nobody else."""
+
+    def __init__(self, subscriber: Any) -> None:
+        import zenoh
+
+        self._subscriber = subscriber
+        self._handler = subscriber.handler
+        self._key = str(subscriber.key_expr)
+        self._encoding = f"{_JSON};{self._key}"
+        self._ended = zenoh.ZError
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        """All that wait; with ``wait`` at least one, or an empty list where that one was dropped.
+
+        Raises
+        ------
+        ChannelClosed
+            When the channel or its bus has been closed.
+        """
+        taken: list[tuple[str, bytes]] = []
+        try:
+            sample = self._handler.recv() if wait else self._handler.try_recv()
+            while sample is not None:
+                if str(sample.encoding) == self._encoding:  # of a wildcard it never is
+                    taken.append((self._key, _bounded(sample)))
+                elif _named_alike(sample, key := str(sample.key_expr)):
+                    taken.append((key, _bounded(sample)))
+                sample = self._handler.try_recv()
+        except self._ended:
+            if not taken:
+                raise ChannelClosed from None
+        return taken
+
+    def close(self) -> None:
+        """End the subscription."""
+        with suppress(self._ended):
+            self._subscriber.undeclare()
+
+
+def _bounded(sample: "zenoh.Sample") -> bytes:
+    """The payload; of one that is too long its size and its first bytes, which is garbage."""
+    size = len(sample.payload)
+    payload = sample.payload.to_bytes()
+    return payload if size <= LARGEST_MESSAGE else b"%d bytes: " % size + payload[:SHOWN]
+
+
+def _named_alike(sample: "zenoh.Sample", key: str) -> bool:
+    """Whether the encoding names the key that the sample came under, or none."""
+    encoding, _, named = str(sample.encoding).partition(";")
+    return encoding != _JSON or named in ("", key)
+
+
+class ZenohBus(Bus):
+    """A `Bus` over one Zenoh session; opened by the constructor.
+
+    Peers talk only to peers they are connected with (nothing is relayed), so every pair needs one
+    side that listens and one that connects. A peer opens at once and looks for its partners in
+    the background for as long as it lives: services start in any order. A client waits here until
+    a router answers.
+
+    Parameters
+    ----------
+    listen, connect : sequence of str
+        Endpoints, ``tcp/HOST:PORT`` or, with ``tls``, ``tls/HOST:PORT``.
+    client : bool
+        Talk through the router at ``connect`` only.
+    tls : TlsFiles, optional
+        Mutual TLS: both sides show a certificate of the same authority.
+    scouting : bool
+        Find peers of the local network by multicast as well.
+    patience_s : float
+        How long a client waits for its router.
+    extra : mapping, optional
+        More Zenoh configuration, key to JSON value; wins over what is set here.
+
+    Raises
+    ------
+    TransportError
+        When an endpoint is malformed, in use or cannot be opened, or no router answered in time.
+    """
+
+    def __init__(
+        self,
+        *,
+        listen: Sequence[str] = (),
+        connect: Sequence[str] = (),
+        client: bool = False,
+        tls: TlsFiles | None = None,
+        scouting: bool = False,
+        patience_s: float = inf,
+        extra: Mapping[str, Any] | None = None,
+    ) -> None:
+        if client and (listen or not connect):
+            raise TransportError("client: expected endpoints to connect to, and none to listen on")
+        for endpoint in (*listen, *connect):
+            check_endpoint(endpoint, tls=tls is not None)
+        for endpoint in filter(is_group, connect):
+            raise TransportError(f"{endpoint}: a multicast group: expected it to be listened on")
+        import zenoh
+
+        self._refused = zenoh.ZError
+        self._client = client
+        self._groups = sum(map(is_group, listen))
+        endpoints = Endpoints(tuple(listen), tuple(connect), client, tls, scouting)
+        settings = settings_of(endpoints) | dict(extra or {})
+        until = time.monotonic() + patience_s if client else -inf
+        self._session = _open(settings, (*listen, *connect), retry_until=until)
+        self._links: tuple[tuple[str, str], ...] = ()
+        self._appearances = self._count()
+
+    def _count(self) -> int:
+        return appearances(self._links, self._groups, routed=self._client)
+
+    def appearances(self) -> int:
+        """How often a message that is put now leaves, by the links that are open; 1 at least.
+
+        A link counts whether or not its other side asks for the message: that is not known. Nor are
+        retransmissions of TCP's, and what a router does beyond sending a message on once. Zenoh is
+        asked each time (2 microseconds): its events of links come up to 25 ms after the first
+        message that has left by a link.
+        """
+        try:
+            links = tuple((x.src, x.dst) for x in self._session.info.links() if x.group is None)
+        except self._refused:  # closed
+            return self._appearances
+        if links != self._links:
+            self._links = links
+            self._appearances = self._count()
+        return self._appearances
+
+    def publisher(self, key: str, *, many: bool = False) -> ZenohPublisher:
+        """A publisher on one key: congestion control DROP, remote subscribers only.
+
+        Raises
+        ------
+        TransportError
+            When ``key`` is no key.
+        """
+        import zenoh
+
+        try:
+            return ZenohPublisher(self._session, key, many=many)
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key!r}: {_reason(error)}") from None
+
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
+        """Call ``deliver`` on Zenoh's thread with every message of others that fits.
+
+        Of a message beyond `LARGEST_MESSAGE` its size and its first bytes are delivered: garbage,
+        which whoever gets it counts.
+
+        A ``patient`` one naps there as soon as it is up to date: the kernel keeps what comes
+        meanwhile, and one wake takes dozens of messages. Whether it is up to date it knows from
+        the age of a message, which is as small as any before: so it never naps while it is behind.
+
+        A message whose encoding names another key than the one it came under is dropped. Peers
+        agree on numbers for keys, and where one of them was frozen and the other has connected
+        anew, Zenoh 1.10 now and then reads a number as it was before.
+
+        Raises
+        ------
+        TransportError
+            When ``key_expr`` is no key expression.
+        """
+        import zenoh
+
+        nap = _Nap()
+
+        def receive(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr)
+            if not _named_alike(sample, key):
+                return
+            stamp = sample.timestamp
+            t_ns = time.time_ns() if stamp is None else stamp.get_time_as_ntp64().as_nanos()
+            deliver(key, _bounded(sample), t_ns)
+            if patient and nap.due(time.time_ns() - t_ns):
+                time.sleep(NAP_S)
+
+        try:
+            self._session.declare_subscriber(
+                key_expr,
+                zenoh.handlers.Callback(receive, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+
+    def channel(self, key_expr: str, capacity: int) -> ZenohChannel:
+        """The messages of others that fit, on a ring of Zenoh's own; keys are checked as ever.
+
+        Raises
+        ------
+        TransportError
+            When ``key_expr`` is no key expression.
+        """
+        import zenoh
+
+        try:
+            return ZenohChannel(
+                self._session.declare_subscriber(
+                    key_expr,
+                    zenoh.handlers.RingChannel(capacity),
+                    allowed_origin=zenoh.Locality.REMOTE,
+                )
+            )
+        except zenoh.ZError as error:
+            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+
+    def close(self) -> None:
+        """Close the session; an attempt to connect that is under way can hold this up for 1 s."""
+        session: Any = self._session  # its stub leaves close() untyped
+        session.close()
+
+
+def open_bus(endpoints: Endpoints, patience_s: float = inf) -> ZenohBus:
+    """Open the bus that ``endpoints`` describe; a client waits so long for its router.
+
+    Raises
+    ------
+    TransportError
+        As :class:`ZenohBus` does.
+    """
+    return ZenohBus(
+        listen=endpoints.listen,
+        connect=endpoints.connect,
+        client=endpoints.client,
+        tls=endpoints.tls,
+        scouting=endpoints.scouting,
+        patience_s=patience_s,
+    )
+
+
+def open_router(
+    listen: Sequence[str],
+    tls: TlsFiles | None = None,
+    access_control: Mapping[str, Any] | None = None,
+) -> ZenohBus:
+    """Open a Zenoh router for clients; it relays until it is closed.
+
+    Parameters
+    ----------
+    listen : sequence of str
+        Endpoints.
+    tls : TlsFiles, optional
+        Mutual TLS; without it nobody can be told apart by certificate.
+    access_control : mapping, optional
+        Zenoh's table ``access_control``.
+
+    Raises
+    ------
+    TransportError
+        As :class:`ZenohBus` does.
+    """
+    extra: dict[str, Any] = {"mode": "router"}
+    if access_control is not None:
+        extra["access_control"] = dict(access_control)
+    return ZenohBus(listen=listen, tls=tls, extra=extra)
+
+
+def log_access() -> None:
+    """Have Zenoh write a line to standard output for each message that access control judges.
+
+    Once in a process, and before its first session opens; an environment's RUST_LOG wins.
+    """
+    import zenoh
+
+    zenoh.init_log_from_env_or("zenoh::net::routing::interceptor::access_control=trace")
+
+
+def _open(
+    settings: Mapping[str, Any], endpoints: Sequence[str], *, retry_until: float
+) -> "zenoh.Session":
+    import zenoh
+
+    if settings["mode"] != "router":  # which has the messages of many to relay
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read when the first session opens
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise TransportError(f"zenoh setting {key}: {_reason(error)}") from None
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if time.monotonic() < retry_until and "Unable to connect" in str(error):
+                continue
+            named = [one for one in endpoints if one.partition("#")[0] in str(error)]
+            where = ", ".join(named or endpoints) or "zenoh"
+            raise TransportError(f"{where}: cannot be opened: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """The cause in Zenoh's message, without its source locations."""
+    text = " ".join(str(error).split())
+    system = re.search(r"([A-Z][^:\[\]]*) \(os error \d+\)", text)
+    if system:
+        return system[1].lower()
+    return re.split(r" at \S+\.rs:\d+", text)[0].rstrip(". ")

@@ -1,0 +1,284 @@
+"""The order of effects, and every death that a short run has room for."""
+
+from collections import deque
+from collections.abc import Callable
+
+import pytest
+
+from protocol.link.endpoint import Actions, Append, Endpoint, Keep, Notice, Outgoing, Write
+from protocol.link.events import Applied, Event, Missed, Recovered
+from protocol.link.records import SenderRecord
+from protocol.link.session import CountedTransition
+from protocol.messages import ControllerStatus, Measurement, Message, Status
+from protocol.secret.blocks import Judgement
+from protocol.secret.tasks import BlockVerdict, Done, Task
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import Killed, Mortal, perform
+from tests.support.line_ends import ToldPorts, line_controller, line_plant
+from tests.support.line_plant import line_rules
+from tools.rehearsal import Rehearsal
+
+STEP = Append(b"heard", b"said")
+RECORD = Keep(SenderRecord(), later=True)
+VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed"))
+WELL = next(
+    arrival.message
+    for arrival in next(Rehearsal().arrivals(10))
+    if isinstance(arrival.message, ControllerStatus)
+)
+EVENT = Missed("1" * 16, 0, (0.0,), (0.0,), (0.0,))
+
+
+class Script:
+    """An endpoint that has one thing to settle."""
+
+    hears: tuple[type[Message], ...] = ()
+    says: tuple[type[Message], ...] = ()
+    code: int | None = None
+
+    def __init__(self, done: list[object]) -> None:
+        self._done = done
+
+    def start(self, now: float) -> Actions:
+        raise NotImplementedError
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        raise NotImplementedError
+
+    def wake_at(self) -> float:
+        raise NotImplementedError
+
+    def wake(self, now: float) -> Actions:
+        raise NotImplementedError
+
+    def settle(self) -> Actions:
+        self._done.append("settle")
+        return Actions(
+            events=(EVENT,),
+            write=RECORD,
+            notices=(Notice("told"),),
+            health=WELL,
+            keys=(VERDICT,),
+        )
+
+    def kept(self, done: Done, now: float) -> Actions:
+        raise NotImplementedError
+
+    def appear(self, count: int) -> Actions:
+        raise NotImplementedError
+
+    def stop(self, now: float) -> Actions:
+        raise NotImplementedError
+
+
+class Listing:
+    """Ports that list what is asked of them."""
+
+    def __init__(self, done: list[object]) -> None:
+        self._done = done
+
+    def write(self, write: Write) -> None:
+        self._done.append(write)
+
+    def publish(self, kind: type[Message], payload: bytes) -> None:
+        self._done.append(Outgoing(kind, payload))
+
+    def keep(self, task: Task) -> None:
+        self._done.append(task)
+
+    def trace(self, event: Event) -> None:
+        self._done.append(event)
+
+    def tell(self, notice: Notice) -> None:
+        self._done.append(notice.text)
+
+    def health(self, status: Status) -> None:
+        self._done.append(status)
+
+
+def test_save_publish_settle_trace_keep_tell() -> None:
+    done: list[object] = []
+    said = Outgoing(Measurement, b"said")
+    actions = Actions(write=STEP, publish=(said,), settle=True)
+    perform(actions, Script(done), Listing(done))
+    assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, "told", WELL]
+
+
+@pytest.mark.parametrize(("before", "done"), [
+    ("writing", []),
+    ("publishing", [STEP]),
+    ("tracing", [STEP, Outgoing(Measurement, b"said"), "settle"]),
+    ("keeping", [STEP, Outgoing(Measurement, b"said"), "settle", EVENT, RECORD]),
+])  # fmt: skip
+def test_who_dies_before_something_has_done_all_that_comes_before_it(
+    before: str, done: list[object]
+) -> None:
+    happened: list[object] = []
+    ports = Mortal(Listing(happened))
+    ports.doom(before=before)  # type: ignore[arg-type]
+    actions = Actions(write=STEP, publish=(Outgoing(Measurement, b"said"),), settle=True)
+    with pytest.raises(Killed):
+        perform(actions, Script(happened), ports)
+    assert happened == done
+
+
+EVERYTHING = Actions(
+    events=(EVENT, EVENT),
+    write=STEP,
+    publish=(Outgoing(Measurement, b"said"),),
+    notices=(Notice("told"),),
+    health=WELL,
+    keys=(VERDICT,),
+)
+DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", WELL]
+
+
+@pytest.mark.parametrize("after", range(5))
+def test_who_dies_after_so_many_things_has_done_as_many(after: int) -> None:
+    """Notices and the status count for nothing."""
+    happened: list[object] = []
+    ports = Mortal(Listing(happened))
+    ports.doom(after=after)
+    with pytest.raises(Killed):
+        perform(EVERYTHING, Script(happened), ports)
+    assert happened == DONE[:after]
+
+
+def test_who_is_not_doomed_or_no_longer_lives_on() -> None:
+    for doom in (lambda _: None, lambda ports: ports.doom(after=5)):
+        happened: list[object] = []
+        ports = Mortal(Listing(happened))
+        doom(ports)
+        perform(EVERYTHING, Script(happened), ports)
+        assert happened == DONE
+    ports.doom()
+    perform(EVERYTHING, Script(happened), ports)
+    ports.doom("tracing")
+    with pytest.raises(Killed):
+        perform(EVERYTHING, Script(happened), ports)
+    ports.doom()
+    perform(EVERYTHING, Script(happened), ports)
+    assert happened == DONE * 3
+
+
+# --- every death ----------------------------------------------------------------------------------
+
+RULES = line_rules(alpha=4.0, largest_input=1e9)
+PAYLOAD = b"a"
+
+
+class Draws:
+    """Random symbols, every draw another one."""
+
+    def __init__(self) -> None:
+        self._drawn = 0
+
+    def symbol(self, transition: int, size: int) -> int:
+        self._drawn += 1
+        return self._drawn * 7 // 3 % size
+
+
+class Pair:
+    """Both ends on a network without faults; the ``doomed`` side dies once, at its nth act."""
+
+    def __init__(self, doomed: str, nth: int) -> None:
+        self.names = 0
+        self.now = 0.0
+        self.acts = 0
+        self.died = False
+        self.doomed, self.nth = doomed, nth
+        self.draws = Draws()
+        self.inbox: list[bytes] = []
+        self.counted: dict[str, dict[tuple[str, int], CountedTransition]] = {
+            "controller": {},
+            "plant": {},
+        }
+        self.mail: dict[str, deque[Outgoing]] = {"controller": deque(), "plant": deque()}
+        self.queue = MemoryControllerJournal(PAYLOAD)
+        self.plant_journal = MemoryPlantJournal()
+        self.ends: dict[str, tuple[Endpoint, Mortal]] = {}
+        for side in ("controller", "plant"):
+            self.start(side)
+
+    def name(self) -> str:
+        self.names += 1
+        return f"{self.names:016x}"
+
+    def propose(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+        return ((-x[0] - 1.5,), (-x[0] + 1.5,))
+
+    def start(self, side: str) -> None:
+        partner = "plant" if side == "controller" else "controller"
+        ports = ToldPorts(
+            self.queue if side == "controller" else self.plant_journal,
+            self.mail[partner].append,
+            lambda event: self.note(side, event),
+        )
+        endpoint: Endpoint
+        if side == "controller":
+            endpoint = line_controller(RULES, self.propose, self.queue, self.draws, self.name())
+        else:
+            endpoint, self.line = line_plant(
+                RULES, self.plant_journal, self.name, self.name(), self.now, None
+            )
+        self.ends[side] = (endpoint, Mortal(ports))
+        self.do(side, lambda: endpoint.start(self.now))
+
+    def note(self, side: str, event: Event) -> None:
+        if isinstance(event, Applied):
+            t = event.transition
+            self.counted[side][t.session, t.j] = t
+        elif isinstance(event, Recovered):
+            self.inbox.append(event.payload)
+        elif isinstance(event, CountedTransition):
+            self.counted[side][event.session, event.j] = event
+
+    def do(self, side: str, act: Callable[[], Actions]) -> None:
+        """One act of one side: if it is the fatal one, the side dies in it and comes back."""
+        endpoint, ports = self.ends[side]
+        actions = act()
+        things = 5 if actions != Actions() else 0
+        if side == self.doomed and not self.died:
+            if self.acts <= self.nth < self.acts + things:
+                ports.doom(after=self.nth - self.acts)
+                self.died = True
+            self.acts += things
+        try:
+            perform(actions, endpoint, ports)
+        except Killed:
+            self.mail[side].clear()
+            self.start(side)
+
+    def run(self, transitions: int) -> None:
+        while len(self.counted["controller"]) < transitions:
+            assert self.now < 60, "the link stands still"
+            for side in ("plant", "controller"):
+                endpoint, _ = self.ends[side]
+                if self.mail[side]:
+                    self.line.coin = len(self.counted["plant"]) % 2
+                    self.line.d = 0.5 if self.line.coin else -0.5
+                    kind, payload = self.mail[side].popleft()
+                    self.do(side, lambda e=endpoint, m=(kind, payload): e.receive(*m, self.now))  # type: ignore[misc]
+            if not any(self.mail.values()):
+                self.now = max(self.now, self.ends["plant"][0].wake_at())
+                self.do("plant", lambda: self.ends["plant"][0].wake(self.now))
+
+
+def test_a_run_without_a_death_delivers() -> None:
+    pair = Pair("nobody", -1)
+    pair.run(150)
+    assert pair.inbox == [PAYLOAD]
+
+
+@pytest.mark.parametrize("doomed", ["controller", "plant"])
+def test_no_death_of_a_short_run_changes_what_is_counted_or_ends_the_session(doomed: str) -> None:
+    """One death at each thing that an end does in its first 25 acts, some hundred runs in all."""
+    deaths = 0
+    for nth in range(125):
+        pair = Pair(doomed, nth)
+        pair.run(25)
+        mine, theirs = pair.counted["plant"], pair.counted["controller"]
+        assert all(mine[at] == t for at, t in theirs.items()), nth
+        assert len({session for session, _ in mine}) == 1, nth
+        deaths += pair.died
+    assert deaths > 100
