@@ -11,6 +11,7 @@ RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-ch
         --only-binary :all: --require-hashes --requirement requirements/image.txt
 COPY pyproject.toml LICENSE README.md ./
 COPY protocol protocol
+COPY runtime runtime
 COPY controller_service controller_service
 COPY plant_service plant_service
 COPY tap_service tap_service

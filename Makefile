@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
-PACKAGES := protocol controller_service plant_service tap_service wyner benchmarks tools
+PACKAGES := protocol runtime controller_service plant_service tap_service wyner benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-ROOM_TARGETS := test-protocol test-controller test-plant test-tap test-wyner test-house
+ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-wyner test-house
 .PHONY: $(ROOM_TARGETS)
 .PHONY: demo dev test test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
@@ -65,7 +65,8 @@ test-compose: $(STAMPS)/dev
 test-fast: $(STAMPS)/dev
 	$(BIN)/pytest -m "not slow" -n auto --dist loadfile --no-loadscope-reorder
 
-ROOM_protocol := protocol link schemes runtime secret
+ROOM_protocol := protocol link schemes secret
+ROOM_runtime := runtime
 ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap

@@ -42,7 +42,14 @@ apidoc_modules = [
         "separate_modules": True,
         "module_first": True,
     }
-    for room in ("protocol", "controller_service", "plant_service", "tap_service", "wyner")
+    for room in (
+        "protocol",
+        "runtime",
+        "controller_service",
+        "plant_service",
+        "tap_service",
+        "wyner",
+    )
 ]
 
 

@@ -152,7 +152,14 @@ class Carried:
         return False
 
 
-_ROOMS: Final = ("protocol", "controller_service", "plant_service", "tap_service", "wyner")
+_ROOMS: Final = (
+    "protocol",
+    "runtime",
+    "controller_service",
+    "plant_service",
+    "tap_service",
+    "wyner",
+)
 
 
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:

@@ -132,14 +132,22 @@ def test_documents_point_at_what_exists(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
         assert (path.parent / target).exists(), target
-    for target in re.findall(r"`((?:protocol|wyner|tests|docs|\w+_service)/[\w/.-]+\.\w+)`", text):
+    for target in re.findall(
+        r"`((?:protocol|runtime|wyner|tests|docs|\w+_service)/[\w/.-]+\.\w+)`", text
+    ):
         assert (ROOT / target).exists(), target
 
 
 def test_nobody_is_told_to_fetch_this_project_from_an_index() -> None:
     """It would replace the checkout by something else; what is lacking is named by itself."""
     files = [ROOT / "README.md", *DOCUMENTS, *(ROOT / "examples").iterdir()]
-    for room in ("protocol", "wyner", "plant_service", "tap_service", "controller_service"):
+    rooms = [
+        "protocol",
+        "runtime",
+        "wyner",
+        *("plant_service", "tap_service", "controller_service"),
+    ]
+    for room in rooms:
         files += (ROOT / room).rglob("*.py")
     told = re.compile(r"pip install [^\n]*(?:wyner\[|\.\[)")
     assert [path.name for path in files if path.is_file() and told.search(path.read_text())] == []

@@ -1,4 +1,4 @@
-"""The wheel: five names, and what the command needs, away from the source tree."""
+"""The wheel: six names, and what the command needs, away from the source tree."""
 
 import json
 import os
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILT = ("build", "*.egg-info", "__pycache__", ".*", "runs", "tests")
-NAMES = {"protocol", "controller_service", "plant_service", "tap_service", "wyner"}
+NAMES = {"protocol", "runtime", "controller_service", "plant_service", "tap_service", "wyner"}
 
 
 @pytest.fixture(scope="module")

@@ -292,7 +292,14 @@ def imported(statement: str) -> set[Path]:
         "list(sys.modules.values())), sep='\\n')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    packages = ("wyner", "controller_service", "plant_service", "protocol", "tap_service")
+    packages = (
+        "wyner",
+        "controller_service",
+        "plant_service",
+        "protocol",
+        "runtime",
+        "tap_service",
+    )
     return {
         path
         for line in done.stdout.splitlines()
