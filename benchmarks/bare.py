@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from protocol.messages import Measurement, Offer
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.addresses import free_endpoints
 from runtime.bus import ChannelClosed
 from runtime.collection import freeze_startup
-from runtime.endpoints import free_endpoints
 from runtime.errors import Failure
 from runtime.zenoh_bus import ZenohBus
 

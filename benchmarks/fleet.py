@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from benchmarks.loop import EAVESDROPPERS, ServiceProcess
 from protocol.messages import LATENCY_BOUNDS_S
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.errors import Failure
 from runtime.files import write_atomically
 from runtime.run_folder import PLANT_STATUS, PLANT_TRACE

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from benchmarks.bare import bare_round
 from protocol.messages import Measurement, Offer
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.errors import Failure
 from runtime.run_folder import CAPTURE
 

@@ -13,12 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from protocol.link.endpoint import Append, Outgoing
+from protocol.link.peer import Append, Outgoing
 from runtime.host import FIELD
 
 if TYPE_CHECKING:
-    from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
+    from protocol.link.peer import Notice, Peer, Write
     from protocol.messages import Message, Status
     from protocol.scenario import Scenario
     from protocol.secret.tasks import Task
@@ -112,7 +112,7 @@ class TimedPorts:
         """Leave it for the partner."""
         self._partner.append(Outgoing(kind, payload))
 
-    def keep(self, task: "Task") -> None:
+    def submit_key_task(self, task: "Task") -> None:
         """Hand it to the keeper's thread."""
         raise AssertionError(f"this scenario makes no keys: {task}")
 
@@ -120,7 +120,7 @@ class TimedPorts:
         """Write it to the trace."""
         self.files.trace.write(event.as_event())
 
-    def tell(self, notice: "Notice") -> None:
+    def log_notice(self, notice: "Notice") -> None:
         """Nobody reads the log."""
 
     def health(self, status: "Status") -> None:
@@ -129,8 +129,8 @@ class TimedPorts:
 
 def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> dict[str, float]:
     """Plant and controller in lock-step, everything but transport and telemetry."""
-    from controller_service.endpoint import ControllerEndpoint
     from controller_service.laws.registry import cached_design, make_law
+    from controller_service.peer import ControllerPeer
     from plant_service.from_journal import plant_endpoint
     from protocol.link.pacing import Pacing
     from protocol.link.sender import Sender
@@ -159,7 +159,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
         symbols(None, CIPHER),
         new_id(),
     )
-    controller = ControllerEndpoint(sender, queue, scenario.plant.period_s, message=MESSAGE)
+    controller = ControllerPeer(sender, queue, scenario.plant.period_s, message=MESSAGE)
     journal = PlantJournal(folder / PLANT_JOURNAL, fingerprint)
     coin, disturbances = symbols(None, COIN), noise(None, scenario.n)
     now = time.monotonic()
@@ -170,7 +170,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
         TraceWriter(folder / PLANT_TRACE, "plant", {}),
     ]
     mail: dict[str, list[Outgoing]] = {"controller": [], "plant": []}
-    ends: list[tuple[str, Endpoint, TimedPorts]] = [
+    ends: list[tuple[str, Peer, TimedPorts]] = [
         (name, endpoint, TimedPorts(name, mail[partner], watch, files))
         for name, partner, endpoint, files in (
             ("controller", "plant", controller, Files(queue, traces[0], folder)),
@@ -193,9 +193,9 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
                 actions = watch.time(step, receive) if kind in FIELD else receive()
                 if name == "controller" and kind in FIELD:
                     watch.take_off(step, "controller: law")
-                perform(actions._replace(settle=False), endpoint, ports)
-                if actions.settle:
-                    rest = partial(lambda e, p: perform(e.settle(), e, p), endpoint, ports)
+                perform(actions._replace(finish_step=False), endpoint, ports)
+                if actions.finish_step:
+                    rest = partial(lambda e, p: perform(e.finish_step(), e, p), endpoint, ports)
                     watch.time(f"{WHILE_WAITING}{name}: count and trace", rest)
     for _name, _endpoint, ports in ends:
         ports.files.close()

@@ -34,8 +34,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
-    from protocol.link.endpoint import Endpoint, Notice, Write
     from protocol.link.events import Event
+    from protocol.link.peer import Notice, Write
     from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
     from protocol.messages import Message, Status
@@ -124,7 +124,7 @@ class TimingPorts:
 
     def __init__(self, files: "Files") -> None:
         self.files = files
-        self.keeper = None if files.keeper is None else files.keeper.open()
+        self.key_maker = None if files.key_maker is None else files.key_maker.open()
         self.left_ns = 0
         self.mail: list[tuple[type[Message], bytes]] = []
         self.kept: list[Done] = []
@@ -141,18 +141,18 @@ class TimingPorts:
             self.said.update(payload)
         self.mail.append((kind, payload))
 
-    def keep(self, task: "Task") -> None:
+    def submit_key_task(self, task: "Task") -> None:
         """Make and store keys, which the services leave to a process of its own."""
-        from runtime.keys.keeper import work
+        from runtime.keys.key_maker import work
 
-        assert self.keeper is not None
-        self.kept.append(work(self.keeper, task))
+        assert self.key_maker is not None
+        self.kept.append(work(self.key_maker, task))
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
         self.files.trace.write(event.as_event())
 
-    def tell(self, notice: "Notice") -> None:
+    def log_notice(self, notice: "Notice") -> None:
         """Nobody reads the log."""
 
     def health(self, status: "Status") -> None:
@@ -228,19 +228,19 @@ class LivingEnd:
                 while time.perf_counter_ns() < began + added_ns:
                     pass
             actions = endpoint.receive(heard.kind, heard.payload, heard.now)
-            self._perform(actions._replace(settle=False), endpoint, ports)
+            self._perform(actions._replace(finish_step=False), endpoint, ports)
             answered = ports.left_ns - began if heard.kind in FIELD and ports.left_ns else 0
-            if actions.settle:
-                self._perform(endpoint.settle(), endpoint, ports)
+            if actions.finish_step:
+                self._perform(endpoint.finish_step(), endpoint, ports)
             while ports.kept:
-                self._perform(endpoint.kept(ports.kept.pop(0), heard.now), endpoint, ports)
+                self._perform(endpoint.key_task_done(ports.kept.pop(0), heard.now), endpoint, ports)
         return answered
 
     def close(self) -> None:
         """Close its files."""
         self.ports.files.close()
-        if self.ports.keeper is not None:
-            self.ports.keeper.store.close()
+        if self.ports.key_maker is not None:
+            self.ports.key_maker.store.close()
 
 
 def open_end(
@@ -250,7 +250,7 @@ def open_end(
     from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
-    from plant_service.endpoint import PlantEndpoint
+    from plant_service.peer import PlantPeer
     from protocol.scenario import parse_scenario
     from protocol.streams import noise
     from runtime.pace import Pace
@@ -269,7 +269,7 @@ def open_end(
             return controller, files, controller.sender
         fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))
         plant, files = plants.open_plant(fast, now)
-        assert isinstance(plant, PlantEndpoint)
+        assert isinstance(plant, PlantPeer)
         return plant, files, plant.plant.receiver
 
 

@@ -3,4 +3,4 @@
 from protocol.registry import provide
 
 provide("law", "controller_service.laws.registry")
-provide("service", "controller_service.row")
+provide("service", "controller_service.service_spec")

@@ -54,7 +54,7 @@ PRIOR_POWER: Final = 1.15
 
 
 @dataclass(slots=True)
-class Outlook:
+class Forecast:
     """Foresees the time of a design from the facets of its sets and when they were done.
 
     Parameters
@@ -146,7 +146,7 @@ def shown_progress(
 
     terminal = sys.stderr.isatty()
     begin = clock()
-    outlook = Outlook(begin)
+    outlook = Forecast(begin)
     due = begin + QUIET_S
     width = 0
 

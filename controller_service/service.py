@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from controller_service.endpoint import ControllerEndpoint
 from controller_service.laws.online import OnlineLaw
+from controller_service.peer import ControllerPeer
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.pacing import STATUS_S
 from protocol.link.sender import Sender
@@ -54,7 +54,7 @@ class ControllerConfig(EndConfig):
 
 def open_controller(
     config: ControllerConfig, *, status_s: float = STATUS_S
-) -> tuple[ControllerEndpoint, Files]:
+) -> tuple[ControllerPeer, Files]:
     """The controller's end of one loop as its journal has it, and its files.
 
     Parameters
@@ -72,8 +72,8 @@ def open_controller(
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         record, step = journal.load(), journal.step()
-        raws = journal.raws(None if record is None else record.session)
-        keeper = open_keeper(
+        contributions = journal.contributions(None if record is None else record.session)
+        key_maker = open_keeper(
             *(config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed),
             *(config.secret, record),
         )
@@ -87,9 +87,9 @@ def open_controller(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )
     rules, fresh = rules_of(scenario), symbols(config.seed, CIPHER)
-    endpoint = ControllerEndpoint(
+    endpoint = ControllerPeer(
         Sender(
-            *(rules, config.law.candidates, journal, fresh, new_id(), record, step, raws),
+            *(rules, config.law.candidates, journal, fresh, new_id(), record, step, contributions),
             predict=predict,
         ),
         journal,
@@ -101,10 +101,10 @@ def open_controller(
         ),
         status_s=status_s,
     )
-    return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, keeper)
+    return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
 
 
-class ControllerService(EndService[ControllerEndpoint]):
+class ControllerService(EndService[ControllerPeer]):
     """Answers one plant's measurements with offers until it is told to stop.
 
     Its parameters are those of :class:`EndService`.
@@ -150,7 +150,7 @@ def run_controllers(
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
     laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
 
-    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerEndpoint, Files]:
+    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerPeer, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         if loop.scenario not in laws:

@@ -41,7 +41,7 @@ class ControllerTelemetry:
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
         self._seq = 0
 
-    def status(self, sender: Sender, messages: Messages, garbage: int) -> ControllerStatus:
+    def status(self, sender: Sender, messages: Messages, malformed: int) -> ControllerStatus:
         """What the dashboard is told now."""
         record = sender.record
         idle = record.message >= messages.queued
@@ -65,7 +65,7 @@ class ControllerTelemetry:
             set_index=set_index,
             transitions=record.transitions,
             agreements=record.agreements,
-            garbage=garbage,
+            malformed=malformed,
             automaton=record.s,
             sending="" if payload is None else self._sending.text(payload),
             frame_symbols=length if idle else record.offset,

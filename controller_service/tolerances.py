@@ -18,7 +18,7 @@ CONDITION = 1e8
 GROWTH = 1e-8
 """The recursion ends when no facet of T_i moves by more than this fraction of its distance."""
 
-LARGEST = 1e150
+LARGEST_OFFSET = 1e150
 """A set larger than this is refused: squares of its offsets would overflow."""
 
 TERMINAL_MARGIN = 1e-4

@@ -3,4 +3,4 @@
 from protocol.registry import provide
 
 provide("plant", "plant_service.adapters.registry")
-provide("service", "plant_service.row")
+provide("service", "plant_service.service_spec")

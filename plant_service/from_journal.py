@@ -7,14 +7,14 @@ from typing import Protocol
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.operated import Operated
 from plant_service.adapters.registry import is_model, open_plant
-from plant_service.driven import DrivenEndpoint, DrivenPlant
-from plant_service.endpoint import PlantEndpoint
+from plant_service.device import DevicePeer, DevicePlant
+from plant_service.peer import PlantPeer
 from plant_service.plant import Move, Plant, first_record, resuming_advance
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.records import BegunStep, ReceiverRecord
 from protocol.scenario import Scenario
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -36,7 +36,7 @@ class PlantDisk(Protocol):
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record."""
 
-    def raws(self, session: str | None) -> list[Raw]:
+    def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are not settled."""
 
 
@@ -55,7 +55,7 @@ def plant_endpoint(
     folder: Path = Path(),
     seed: int | None = None,
     own: Stepped | PlantAdapter | None = None,
-) -> PlantEndpoint:
+) -> PlantPeer:
     """The endpoint of a scenario's plant, as its journal has it; the parameters are the classes'.
 
     Parameters
@@ -125,16 +125,18 @@ def _endpoint(
     record: ReceiverRecord | None,
     step: ReceiverStep | None,
     x: Vector | None,
-) -> PlantEndpoint:
+) -> PlantPeer:
     """The endpoint of a plant that was started and reads ``x``, or of a computed one."""
     first = record or first_record(scenario, new_id(), x)
     said = None if step is None else step.measurement
-    chunks, raws = journal.chunks(), journal.raws(first.session)
+    chunks, contributions = journal.chunks(), journal.contributions(first.session)
     pending = None if step is None else Move(step.offer, step.coin, step.measurement.x)
     watchdog_s = scenario.link.watchdog_s
     if operated is not None and (operated.device or not operated.resumable):
-        return DrivenEndpoint(
-            DrivenPlant(scenario, new_id(), coin, noise, first, chunks, raws, said, operated),
+        return DevicePeer(
+            DevicePlant(
+                scenario, new_id(), coin, noise, first, chunks, contributions, said, operated
+            ),
             pacing,
             new_id,
             now,
@@ -149,8 +151,8 @@ def _endpoint(
     advance = None
     if operated is not None:
         advance = resuming_advance(operated, scenario.plant.disturbance.enters or "state")
-    return PlantEndpoint(
-        Plant(scenario, new_id(), coin, noise, first, chunks, raws, said, advance),
+    return PlantPeer(
+        Plant(scenario, new_id(), coin, noise, first, chunks, contributions, said, advance),
         pacing,
         new_id,
         now,

@@ -18,7 +18,7 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import Failure
@@ -121,11 +121,11 @@ class Plant:
         noise: Stream,
         record: ReceiverRecord,
         chunks: str,
-        raws: Iterable[Raw] = (),
+        contributions: Iterable[Contribution] = (),
         said: Measurement | None = None,
         advance: Advance | None = None,
     ) -> None:
-        self.receiver = Receiver(rules_of(scenario), instance, record, chunks, raws, said)
+        self.receiver = Receiver(rules_of(scenario), instance, record, chunks, contributions, said)
         self._plant = scenario.plant
         self._advance = advance or linear_advance(scenario)
         self._fallback = Fallback.of(scenario)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
-from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
+from plant_service.peer import PlantPeer
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.streams import COIN, noise, symbols
@@ -52,7 +52,7 @@ class PlantConfig(EndConfig):
 
 def open_plant(
     config: PlantConfig, now: float, *, phase: float | None = None, status_s: float = STATUS_S
-) -> tuple[PlantEndpoint, Files]:
+) -> tuple[PlantPeer, Files]:
     """The plant's end of one loop as its journal has it, and its files.
 
     Parameters
@@ -79,7 +79,7 @@ def open_plant(
     return endpoint, files
 
 
-def let_go(endpoint: PlantEndpoint) -> None:
+def let_go(endpoint: PlantPeer) -> None:
     """Leave a plant safe whose service does not come to run."""
     endpoint.plant.safe("its service could not start")
     endpoint.plant.close()
@@ -87,13 +87,13 @@ def let_go(endpoint: PlantEndpoint) -> None:
 
 def _opened(
     config: PlantConfig, now: float, phase: float | None, status_s: float, undone: ExitStack
-) -> tuple[PlantEndpoint, Files]:
+) -> tuple[PlantPeer, Files]:
     """As :func:`open_plant`; ``undone`` closes what is open where something fails."""
     scenario, seeded = config.scenario, config.seed is not None
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
-    keeper = open_keeper(
+    key_maker = open_keeper(
         *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
         *(config.secret, journal.load()),
     )
@@ -118,10 +118,10 @@ def _opened(
     )
     undone.callback(let_go, endpoint)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, keeper)
+    return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
 
 
-class PlantService(EndService[PlantEndpoint]):
+class PlantService(EndService[PlantPeer]):
     """Runs one plant until it is told to stop, or has made its steps.
 
     Its parameters are those of :class:`EndService`.
@@ -195,7 +195,7 @@ def run_plants(
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
 
-    def open_end(loop: FleetLoop, number: int) -> tuple[PlantEndpoint, Files]:
+    def open_end(loop: FleetLoop, number: int) -> tuple[PlantPeer, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         scenario = scenario_of(loop.scenario)

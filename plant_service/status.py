@@ -64,7 +64,7 @@ class PlantTelemetry:
         return self.watch.counted(step.effects.transition, step.coin)
 
     def status(
-        self, receiver: Receiver, garbage: int, now_s: float, *, whole: bool = True
+        self, receiver: Receiver, malformed: int, now_s: float, *, whole: bool = True
     ) -> PlantStatus:
         """What the dashboard is told at monotonic time ``now_s``.
 
@@ -94,7 +94,7 @@ class PlantTelemetry:
             transitions=record.transitions,
             missed=record.missed,
             late=self.late,
-            garbage=garbage,
+            malformed=malformed,
             agreements=record.agreements,
             symbol_errors=record.symbol_errors,
             rate_hz=self._rate_hz,

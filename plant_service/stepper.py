@@ -8,7 +8,7 @@ from protocol.messages import Offer
 
 
 class Stepper(Protocol):
-    """A plant as :class:`plant_service.plant.Plant`, or one that acts (`plant_service.driven`).
+    """A plant as :class:`plant_service.plant.Plant`, or one that acts (`plant_service.device`).
 
     ``move`` must come to the same end when it is called again for a step that was not counted.
     """

@@ -5,9 +5,9 @@ from typing import Final
 
 from plant_service.plant import PlantStep
 from plant_service.status import Phase, PlantTelemetry
-from protocol.link.endpoint import Outgoing
 from protocol.link.events import Timing
 from protocol.link.pacing import HEALTH_S, next_turn, phase_of
+from protocol.link.peer import Outgoing
 from protocol.link.receiver import Receiver
 from protocol.messages import PlantModel, PlantStatus, Status
 from protocol.text import readable
@@ -19,7 +19,7 @@ MODEL_AFTER: Final = 4
 """Where they come seldom: the model goes before every so manieth status."""
 
 
-class Telling:
+class Telemetry:
     """Statuses in their time, and what they tell beside the record.
 
     Parameters
@@ -96,16 +96,16 @@ class Telling:
         return () if event is None else (event,)
 
     def due(
-        self, receiver: Receiver, garbage: int, now: float
+        self, receiver: Receiver, malformed: int, now: float
     ) -> tuple[tuple[Outgoing, ...], Status | None]:
         """As :meth:`status`, if its time has come."""
         if now < self.at:
             return (), None
         self.at = next_turn(now, self._status_s, self._phase)
-        return self.status(receiver, garbage, now, force=False)
+        return self.status(receiver, malformed, now, force=False)
 
     def status(
-        self, receiver: Receiver, garbage: int, now: float, *, force: bool
+        self, receiver: Receiver, malformed: int, now: float, *, force: bool
     ) -> tuple[tuple[Outgoing, ...], Status | None]:
         """A status to publish, at times with the model, and once in :data:`HEALTH_S` to be kept.
 
@@ -115,7 +115,7 @@ class Telling:
             return (), None
         whole = self._said % self._model_every == 0
         self._said += 1
-        status = self.news.status(receiver, garbage, now, whole=whole)
+        status = self.news.status(receiver, malformed, now, whole=whole)
         publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
         if whole:  # who hears this one lacks nothing
             publish = (Outgoing(PlantModel, self.news.model), *publish)

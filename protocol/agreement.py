@@ -98,7 +98,7 @@ class Gauge:
         return largest
 
 
-class Verdict(NamedTuple):
+class AgreementResult(NamedTuple):
     """What the test says of one transition.
 
     ``gauges`` holds g(x_next - c_i) for each candidate; ``symbol`` is the key symbol, or
@@ -149,24 +149,26 @@ class AgreementRule:
 
     def verdict(
         self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
-    ) -> Verdict:
+    ) -> AgreementResult:
         """Evaluate the test for x(k) = ``x``, the offered inputs and x(k+1) = ``x_next``."""
         A, B = self.A, self.B
         return self.verdict_at([predict(A, B, x, u) for u in candidates], x_next)
 
-    def widest(self, centres: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
+    def widest(self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
         """The largest gauge of D_e over alpha: up to alpha she finds every candidate possible."""
         gauge = self.gauge if self.reach is None else self.reach
-        return max(gauge(tuple(map(sub, x_next, centre))) for centre in centres)
+        return max(gauge(tuple(map(sub, x_next, centre))) for centre in predictions)
 
-    def verdict_at(self, centres: Iterable[Sequence[float]], x_next: Sequence[float]) -> Verdict:
+    def verdict_at(
+        self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]
+    ) -> AgreementResult:
         """Evaluate it for centres c_i = f_c(x(k), u_i) that are given."""
         gauges = []
         symbol = NO_SYMBOL
         inside = 0
         possible = True
         gauge, alpha, reach = self.gauge, self.alpha, self.reach
-        for i, centre in enumerate(centres):
+        for i, centre in enumerate(predictions):
             difference = tuple(map(sub, x_next, centre))
             g = gauge(difference)
             gauges.append(g)
@@ -174,4 +176,6 @@ class AgreementRule:
             inside += fits
             symbol = i if fits else symbol
             possible &= (g if reach is None else reach(difference)) <= alpha
-        return Verdict(tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside)
+        return AgreementResult(
+            tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside
+        )

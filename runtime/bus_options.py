@@ -15,8 +15,8 @@ from runtime.services import SERVICES
 from runtime.signals import stop_on_signals
 
 if TYPE_CHECKING:
+    from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from runtime.endpoints import Endpoints
     from runtime.fleet import Fleet
 
 
@@ -90,7 +90,7 @@ def loop_of(args: argparse.Namespace) -> str:
         raise UsageError(f"--{error}") from None
 
 
-def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints":
+def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Addresses":
     """The endpoints of one bus of a service, after the defaults and the options.
 
     Raises
@@ -98,8 +98,8 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints
     UsageError
         When an option names a bus that the service does not have, or what is no endpoint.
     """
+    from runtime.addresses import Addresses, TlsFiles, check_endpoint
     from runtime.bus import TransportError
-    from runtime.endpoints import Endpoints, TlsFiles, check_endpoint
 
     defaults = SERVICES[service].ends
     listens = _split("--listen", args.listen, defaults)
@@ -118,7 +118,7 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Endpoints
     if any(name == bus for name, _ in (*listens, *connects)):
         listen = tuple(endpoint for name, endpoint in listens if name == bus)
         connect = tuple(endpoint for name, endpoint in connects if name == bus)
-    return Endpoints(
+    return Addresses(
         listen=listen,
         connect=connect,
         client=bus in args.client,

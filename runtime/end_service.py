@@ -8,9 +8,8 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from protocol.link.endpoint import Endpoint
+from protocol.link.peer import Peer
 from protocol.scenario import Scenario
-from runtime.beside import Beside
 from runtime.bus import Bus
 from runtime.host import Host
 from runtime.keys.sealed_book import SealedBook
@@ -18,8 +17,9 @@ from runtime.keys.sealing import End
 from runtime.keys.store import KeyStore
 from runtime.parts import Bounds
 from runtime.ports import Files
+from runtime.sealed_thread import SealedThread
 
-E = TypeVar("E", bound=Endpoint)
+E = TypeVar("E", bound=Peer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,11 @@ class EndService(Generic[E]):
         self._host = Host(field, ops, stopping, clock)
         self._host.add(config.loop, self.endpoint, files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
-        if files.keeper is not None:
-            store = KeyStore(files.keeper.path, files.keeper.side)
-            self._beside = Beside(sealed(SealedBook(store)), store, config.loop, field, ops, log)
+        if files.key_maker is not None:
+            store = KeyStore(files.key_maker.path, files.key_maker.side)
+            self._beside = SealedThread(
+                sealed(SealedBook(store)), store, config.loop, field, ops, log
+            )
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
 

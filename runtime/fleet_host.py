@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
-from protocol.link.endpoint import Endpoint
+from protocol.link.peer import Peer
 from runtime.bus import Bus
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
@@ -15,7 +15,7 @@ from runtime.fleet import Fleet, FleetLoop
 from runtime.host import Host
 from runtime.ports import Files
 
-Open = Callable[[FleetLoop, int], tuple[Endpoint, Files]]
+Open = Callable[[FleetLoop, int], tuple[Peer, Files]]
 """Opens one end of a loop, the nth of its host, as its journal has it.
 
 It raises UsageError, Failure or OSError where that cannot be.
@@ -26,7 +26,7 @@ class _Opened(NamedTuple):
     """A loop, and its end or why there is none."""
 
     loop: FleetLoop
-    end: tuple[Endpoint, Files] | Exception
+    end: tuple[Peer, Files] | Exception
 
 
 class _Opener:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from protocol.messages import PlantStatus, Status
 from runtime.files import StatusFile
-from runtime.pulse import Pulse, Space
+from runtime.liveness import DiskSpace, Liveness
 from runtime.run_folder import HEALTH
 
 
@@ -30,8 +30,8 @@ class HealthFiles:
     def __init__(self, path: Path, log: logging.Logger) -> None:
         self._status = StatusFile(path)
         self._line = StatusFile(path.with_name(HEALTH))
-        self._pulse = Pulse()
-        self._space = Space(path.parent)
+        self._pulse = Liveness()
+        self._space = DiskSpace(path.parent)
         self.log = log
 
     def write(self, status: Status, now_s: float) -> None:

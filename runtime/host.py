@@ -18,7 +18,7 @@ from functools import partial
 from math import inf
 from typing import Final, NamedTuple
 
-from protocol.link.endpoint import Actions, Endpoint, Notice
+from protocol.link.peer import Actions, Notice, Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.tasks import Done
@@ -73,7 +73,7 @@ class _Unwritten(NamedTuple):
 
 @dataclass(slots=True)
 class _Loop:
-    endpoint: Endpoint
+    endpoint: Peer
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
@@ -95,7 +95,7 @@ class _Sparing:
             self._put(payload)
 
 
-class Turns:
+class FairLock:
     """A lock that two threads take in turns: who lets go of it cannot be first again."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class Host:
         self._health = HealthWriter(
             lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
         )
-        self._turns = Turns()
+        self._turns = FairLock()
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -177,27 +177,27 @@ class Host:
         """The loops that run."""
         return tuple(self._loops)
 
-    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
+    def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self._turns:
             publishers = {
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
             }
-            keeper = None
-            if files.keeper is not None:
+            key_maker = None
+            if files.key_maker is not None:
                 crowding = partial(self._crowding, loop)
                 for kind in publishers.keys() & FIELD:
                     publishers[kind] = _Sparing(publishers[kind], crowding)
                 if self._worker is None:
                     self._worker = KeyWorker()
-                keeper = partial(
+                key_maker = partial(
                     self._worker.put,
-                    files.keeper,
+                    files.key_maker,
                     lambda done: self._inbox.put(_Kept(loop, done), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, keeper))
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, key_maker))
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
@@ -324,7 +324,7 @@ class Host:
             self._dropped = self._inbox.dropped
             text = f"messages come faster than they are taken: {self._dropped} dropped so far"
             for loop in list(self._loops.values())[:1]:
-                loop.ports.tell(Notice(text, "warning", "flood"))
+                loop.ports.log_notice(Notice(text, "warning", "flood"))
         if item is None:
             return
         with self._turns:
@@ -332,7 +332,7 @@ class Host:
                 self._hear(*item)
             elif item.loop in self._loops:
                 if isinstance(item, _Kept):
-                    act = partial(self._loops[item.loop].endpoint.kept, item.done)
+                    act = partial(self._loops[item.loop].endpoint.key_task_done, item.done)
                 else:
                     act = partial(_cannot, item.error)
                 self._do(item.loop, act)
@@ -360,7 +360,7 @@ class Host:
     def _do(self, name: str, act: Callable[[float], Actions]) -> None:
         loop = self._loops[name]
         try:
-            if loop.started and loop.ports.keeper is not None:
+            if loop.started and loop.ports.key_maker is not None:
                 self._look_at_links(loop)
             actions = act(self._clock())
             perform(actions, loop.endpoint, loop.ports)
@@ -399,8 +399,8 @@ class Host:
         except (OSError, Failure) as error:
             loop.ports.log.warning("the last word is lost: %s", error)
         finally:
-            if self._worker is not None and loop.ports.files.keeper is not None:
-                self._worker.leave(loop.ports.files.keeper)
+            if self._worker is not None and loop.ports.files.key_maker is not None:
+                self._worker.leave(loop.ports.files.key_maker)
             loop.ports.close()
             self._field.left(name)
             self._ops.left(name)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter
 
-from protocol.link.endpoint import Keep
+from protocol.link.peer import Save
 from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from runtime.journal_files import JournalError, JournalFiles
@@ -56,7 +56,7 @@ class ControllerJournal(JournalFiles[SenderRecord]):
         found = self._step(Measurement, Offer)
         return None if found is None else SenderStep(*found[:2])
 
-    def _add_to_tables(self, keep: Keep) -> None:
+    def _add_to_tables(self, keep: Save) -> None:
         if keep.queued is not None:
             self.enqueue(*keep.queued)
 
@@ -131,11 +131,11 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
             When it is not one.
         """
         last = self._last
-        if last is None or last.said:
+        if last is None or last.response:
             return None
         with self._readable():
             if last.begun:
-                return BegunStep(Offer.model_validate_json(last.heard), last.coin)
+                return BegunStep(Offer.model_validate_json(last.request), last.coin)
             record: ReceiverRecord = self.adapter.validate_json(last.record)
             return record.begun
 
@@ -151,7 +151,7 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
         )
         return [payload for (payload,) in reversed(rows)]
 
-    def _add_to_tables(self, keep: Keep) -> None:
+    def _add_to_tables(self, keep: Save) -> None:
         if keep.drop_chunks:
             self._execute("DELETE FROM chunk")
         if keep.chunk:

@@ -22,13 +22,13 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.endpoint import Append, Keep, Write
+from protocol.link.peer import Append, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 from runtime.keys.store_file import check_of
-from runtime.step_log import LARGEST, STEPS, TAG_BYTES, Damaged, Step, StepLog
+from runtime.step_log import LARGEST_STEP, STEPS, TAG_BYTES, Damaged, Step, StepLog
 
 JOURNAL_VERSION: Final = 8
 
@@ -72,7 +72,7 @@ class JournalFiles(ABC, Generic[R]):
         self.path = path
         self._beside = path.with_name(path.name + STEPS)
         self._body: bytes | None = None
-        self._rows: list[Keep] = []
+        self._rows: list[Save] = []
         self._rows_of: str | None = None
         self._forget = True
         try:
@@ -177,12 +177,15 @@ class JournalFiles(ABC, Generic[R]):
             record: R = self.adapter.validate_json(self._body)
         return record
 
-    def _step(self, heard: type[_M], said: type[_N]) -> tuple[_M, _N, int] | None:
+    def _step(self, request: type[_M], response: type[_N]) -> tuple[_M, _N, int] | None:
         last = self._last
-        if last is None or not last.said:
+        if last is None or not last.response:
             return None
         with self._readable():
-            both = heard.model_validate_json(last.heard), said.model_validate_json(last.said)
+            both = (
+                request.model_validate_json(last.request),
+                response.model_validate_json(last.response),
+            )
         return *both, last.coin
 
     @contextmanager
@@ -194,12 +197,12 @@ class JournalFiles(ABC, Generic[R]):
                 f"{self.path}: record: {error.error_count()} fields are not as expected"
             ) from None
 
-    def raws(self, session: str | None) -> list[Raw]:
+    def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are not settled, in order."""
         self._rows_of = session
         rows = self._rows_kept("SELECT session, j, steps, offer, measurement, check_ FROM raw")
-        found = {row[0]: Raw(*row) for of, *row in rows if of == session}
-        found |= {raw.j: raw for raw in self._logged}
+        found = {row[0]: Contribution(*row) for of, *row in rows if of == session}
+        found |= {contribution.j: contribution for contribution in self._logged}
         return [found[j] for j in sorted(found)]
 
     def write(self, write: Write) -> None:
@@ -216,17 +219,17 @@ class JournalFiles(ABC, Generic[R]):
         self._steps.make_ready()
 
     @abstractmethod
-    def _add_to_tables(self, keep: Keep) -> None:
+    def _add_to_tables(self, keep: Save) -> None:
         """Put what ``keep`` has beside its record into this side's own tables."""
 
-    def _stage(self, keep: Keep) -> None:
+    def _stage(self, keep: Save) -> None:
         """What ``keep`` has goes with the next write, its record as what the next step follows."""
         self._body = self.adapter.dump_json(keep.record)
         session = keep.record.session
         if session != self._rows_of:
             self._rows_of, self._forget = session, True
             self._logged.clear()
-        if keep.raw is not None or keep.settled:
+        if keep.contribution is not None or keep.obsolete_rows:
             self._rows.append(keep)
 
     def _write_rows(self) -> None:
@@ -234,12 +237,15 @@ class JournalFiles(ABC, Generic[R]):
         if self._forget:
             self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
         staged = [keep for keep in self._rows if keep.record.session == self._rows_of]
-        for raw in (*self._logged, *(keep.raw for keep in staged if keep.raw is not None)):
-            row = (self._rows_of, *raw)
+        for contribution in (
+            *self._logged,
+            *(keep.contribution for keep in staged if keep.contribution is not None),
+        ):
+            row = (self._rows_of, *contribution)
             self._execute(
                 "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?, ?)", (*row, check_of(*row))
             )
-        for over in (over for keep in staged for over in keep.settled):
+        for over in (over for keep in staged for over in keep.obsolete_rows):
             self._execute(
                 "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
                 (self._rows_of, over.start, over.stop),
@@ -261,17 +267,17 @@ class JournalFiles(ABC, Generic[R]):
         with self._named():
             self._steps.clear()
 
-    def _following(self, heard: bytes, said: bytes, coin: int) -> Step:
+    def _following(self, request: bytes, response: bytes, coin: int) -> Step:
         assert self._body is not None, "the step before has not been counted"
         number = 1 if self._last is None else self._last.number + 1
-        return Step(number, self._body, heard, said, coin)
+        return Step(number, self._body, request, response, coin)
 
-    def _append(self, heard: bytes, said: bytes, coin: int) -> None:
+    def _append(self, request: bytes, response: bytes, coin: int) -> None:
         """The staged record and what followed it."""
         if self._rare and not (self._last is not None and self._last.begun):
             self._keep()
-        self._log(self._following(heard, said, coin))
-        if said:
+        self._log(self._following(request, response, coin))
+        if response:
             self._body = None
 
     def _keep(self) -> None:
@@ -289,13 +295,13 @@ class JournalFiles(ABC, Generic[R]):
         return (
             self._forget
             or len(rows) > 1
-            or any(keep.settled for keep in rows)
-            or self._steps.size > LARGEST
+            or any(keep.obsolete_rows for keep in rows)
+            or self._steps.size > LARGEST_STEP
         )
 
     def _log(self, step: Step) -> None:
         if len(self._rows) == 1:
-            step = step._replace(row=self._rows[0].raw)
+            step = step._replace(row=self._rows[0].contribution)
         with self._named():
             self._steps.append(step)
         self._last = step

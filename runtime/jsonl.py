@@ -36,7 +36,7 @@ END_BYTES: Final = 256
 HEADER_BYTES: Final = 1 << 16
 """A file without a whole line is a torn header only where it is smaller than this."""
 
-CHUNK: Final = 1 << 20
+READ_BYTES: Final = 1 << 20
 """Bytes that are read at once."""
 
 LONGEST: Final = 1 << 25
@@ -183,7 +183,7 @@ class LineReader:
         self.rest = b""
 
     def more(self) -> list[bytes] | None:
-        """The whole lines within the next `CHUNK` bytes; None where there is nothing to read.
+        """The whole lines within the next `READ_BYTES` bytes; None where there is nothing to read.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class LineReader:
         """
         with self.path.open("rb") as file:
             file.seek(self.offset)
-            chunk = file.read(CHUNK)
+            chunk = file.read(READ_BYTES)
         self.offset += len(chunk)
         if not chunk:
             return None

@@ -6,7 +6,7 @@ from typing import Protocol
 from protocol.scenario import Scenario
 from protocol.secret.records import Side, StoreError
 from runtime.errors import UsageError
-from runtime.keys.keeper import KeeperAt
+from runtime.keys.key_maker import KeyMakerAt
 from runtime.keys.ledger import take_secret
 from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
@@ -41,7 +41,7 @@ def open_keeper(
     seed: int | None,
     secret: Path | None,
     record: Counting | None = None,
-) -> KeeperAt | None:
+) -> KeyMakerAt | None:
     """Make a side's key store ready for its keeper; None where the scenario has no table ``keys``.
 
     A store is there also where no key will be: it says why. ``record`` is the journal's: a new
@@ -75,4 +75,4 @@ def open_keeper(
         raise UsageError(str(error)) from None
     finally:
         store.close()
-    return KeeperAt(path, side)
+    return KeyMakerAt(path, side)

@@ -6,10 +6,10 @@ that was only staged: who dies comes back with the record before the step, and t
 
 from typing import Generic
 
-from protocol.link.endpoint import Append, Keep, Write
+from protocol.link.peer import Append, Save, Write
 from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from runtime.journal import ReceiverStep, SenderStep
 from runtime.journal_files import R
 
@@ -21,15 +21,15 @@ class _MemoryJournal(Generic[R]):
         self._record: R | None = None
         self._staged: R | None = None
         self._append: Append | None = None
-        self._raws: dict[tuple[str, int], Raw] = {}
-        self._rows: list[Keep] = []
+        self._contributions: dict[tuple[str, int], Contribution] = {}
+        self._rows: list[Save] = []
 
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for."""
         if isinstance(write, Append):
             assert self._staged is not None, "the step before has not been counted"
             self._record, self._append = self._staged, write
-            if write.said:
+            if write.response:
                 self._staged = None
             self._write_rows()
             return
@@ -42,16 +42,20 @@ class _MemoryJournal(Generic[R]):
     def _write_rows(self) -> None:
         for keep in self._rows:
             session = keep.record.session
-            if keep.raw is not None and session is not None:
-                self._raws[session, keep.raw.j] = keep.raw
-            over = {j for gone in keep.settled for j in gone}
-            for at in [at for at in self._raws if at[0] != session or at[1] in over]:
-                del self._raws[at]
+            if keep.contribution is not None and session is not None:
+                self._contributions[session, keep.contribution.j] = keep.contribution
+            over = {j for gone in keep.obsolete_rows for j in gone}
+            for at in [at for at in self._contributions if at[0] != session or at[1] in over]:
+                del self._contributions[at]
         self._rows.clear()
 
-    def raws(self, session: str | None) -> list[Raw]:
+    def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are not settled, in order."""
-        return [raw for (whose, _), raw in sorted(self._raws.items()) if whose == session]
+        return [
+            contribution
+            for (whose, _), contribution in sorted(self._contributions.items())
+            if whose == session
+        ]
 
     def load(self) -> R | None:
         """The record as last written, as after a restart; None in a new journal."""
@@ -63,7 +67,7 @@ class _MemoryJournal(Generic[R]):
         """Lose the record."""
         self._record = self._staged = self._append = None
         self._rows.clear()
-        self._raws.clear()
+        self._contributions.clear()
 
     def close(self) -> None:
         """Nothing is open."""
@@ -94,8 +98,10 @@ class MemoryControllerJournal(_MemoryJournal[SenderRecord]):
         """The step that followed the record, to be counted again; None where none did."""
         if self._append is None:
             return None
-        heard, said, _coin = self._append
-        return SenderStep(Measurement.model_validate_json(heard), Offer.model_validate_json(said))
+        request, response, _coin = self._append
+        return SenderStep(
+            Measurement.model_validate_json(request), Offer.model_validate_json(response)
+        )
 
     def payload(self, number: int) -> bytes | None:
         """Message ``number``, or None while it is not queued."""
@@ -128,20 +134,20 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord]):
 
     def step(self) -> ReceiverStep | None:
         """The step that followed the record, to be counted again; None where none did."""
-        if self._append is None or not self._append.said:
+        if self._append is None or not self._append.response:
             return None
-        heard, said, coin = self._append
+        request, response, coin = self._append
         return ReceiverStep(
-            Offer.model_validate_json(heard), Measurement.model_validate_json(said), coin
+            Offer.model_validate_json(request), Measurement.model_validate_json(response), coin
         )
 
     def begun(self) -> BegunStep | None:
         """The step that was begun and not read, if any: after the record, or as the record says."""
         if self._append is None:
             return None if self._record is None else self._record.begun
-        if self._append.said:
+        if self._append.response:
             return None
-        return BegunStep(Offer.model_validate_json(self._append.heard), self._append.coin)
+        return BegunStep(Offer.model_validate_json(self._append.request), self._append.coin)
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

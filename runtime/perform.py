@@ -11,14 +11,14 @@ traced, and then saved with the next step. So a process may die between any two 
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
-puts it into the ports (:class:`Mortal`): every one of them is called by :func:`perform` alone. A
-device is no port; a make-believe one asks :meth:`Mortal.passes` itself.
+puts it into the ports (:class:`CrashingPorts`): every one of them is called by :func:`perform` alone. A
+device is no port; a make-believe one asks :meth:`CrashingPorts.passes` itself.
 """
 
 from typing import Literal, Protocol
 
-from protocol.link.endpoint import Actions, Endpoint, Notice, Write
 from protocol.link.events import Event
+from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 
@@ -35,17 +35,17 @@ class Ports(Protocol):
     def trace(self, event: Event) -> None:
         """Write it down for whoever checks the run."""
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         """Hand it to the keeper of keys, without waiting for it."""
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         """Log it."""
 
     def health(self, status: Status) -> None:
         """Replace the status in the run's folder."""
 
 
-def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+def perform(actions: Actions, endpoint: Peer, ports: Ports) -> None:
     """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
     while True:
         for event in actions.events:
@@ -55,26 +55,26 @@ def perform(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
         for kind, payload in actions.publish:
             ports.publish(kind, payload)
         for task in actions.keys:
-            ports.keep(task)
+            ports.submit_key_task(task)
         for notice in actions.notices:
-            ports.tell(notice)
+            ports.log_notice(notice)
         if actions.health is not None:
             ports.health(actions.health)
-        if not actions.settle:
+        if not actions.finish_step:
             return
-        actions = endpoint.settle()
+        actions = endpoint.finish_step()
 
 
 CrashPoint = Literal["writing", "publishing", "tracing", "keeping", "acting"]
 """The call before which a simulated process dies; ``acting`` is the device's, actuated or read."""
 
 
-class Killed(BaseException):
+class Crashed(BaseException):
     """The process is dead: everything but its journal is gone, and no handler sees it coming."""
 
 
-class Mortal:
-    """Ports of a process that dies within the events that :meth:`doom` picks.
+class CrashingPorts:
+    """Ports of a process that dies within the events that :meth:`crash_at` picks.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Mortal:
         self._before: CrashPoint | None = None
         self._left = -1
 
-    def doom(self, before: CrashPoint | None = None, after: int = -1) -> None:
+    def crash_at(self, before: CrashPoint | None = None, after: int = -1) -> None:
         """Die ``before`` the next thing of that kind, or ``after`` so many things of any kind.
 
         The two defaults together take the sentence back.
@@ -98,7 +98,7 @@ class Mortal:
     def passes(self, point: CrashPoint) -> None:
         """Die, or go on."""
         if point == self._before or self._left == 0:
-            raise Killed
+            raise Crashed
         self._left -= 1
 
     def write(self, write: Write) -> None:
@@ -116,14 +116,14 @@ class Mortal:
         self.passes("tracing")
         self._ports.trace(event)
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         """Die, or hand it over."""
         self.passes("keeping")
-        self._ports.keep(task)
+        self._ports.submit_key_task(task)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         """Log it: nobody's fate hangs on that."""
-        self._ports.tell(notice)
+        self._ports.log_notice(notice)
 
     def health(self, status: Status) -> None:
         """Replace the status, which nobody goes on from."""

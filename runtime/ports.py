@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from protocol.link.endpoint import Notice, Write
 from protocol.link.events import Event
+from protocol.link.peer import Notice, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 from runtime.bus import Publisher
-from runtime.keys.keeper import KeeperAt
+from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.trace import TraceWriter
@@ -35,7 +35,7 @@ class Files:
     journal: Journal
     trace: TraceWriter
     health: Path
-    keeper: KeeperAt | None = None
+    key_maker: KeyMakerAt | None = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -53,7 +53,7 @@ class LoopPorts:
     publishers: dict[type[Message], Publisher]
     log: logging.Logger
     tell_health: Callable[[Status], None]
-    keeper: Callable[[Task], None] | None = None
+    key_maker: Callable[[Task], None] | None = None
     limited: dict[str, RateLimitedLog] = field(default_factory=dict)
     burst: Burst = field(default_factory=Burst)
 
@@ -69,12 +69,12 @@ class LoopPorts:
         """Append to the trace."""
         self.files.trace.write(event.as_event())
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         """Hand it to whoever keeps keys."""
-        assert self.keeper is not None, "keys are made, and nobody keeps them"
-        self.keeper(task)
+        assert self.key_maker is not None, "keys are made, and nobody keeps them"
+        self.key_maker(task)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""
         if not notice.subject:
             if self.burst.allows(time.monotonic()):

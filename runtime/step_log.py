@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 from protocol.agreement import NO_SYMBOL
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from runtime.files import open_private
 
 TAG_BYTES: Final = 8
@@ -22,7 +22,7 @@ TAG_BYTES: Final = 8
 STEPS: Final = "-steps"
 """What the file is called, after its journal's name."""
 
-LARGEST: Final = 1 << 20
+LARGEST_STEP: Final = 1 << 20
 """Bytes of steps after which the journal's next write should be a rare one."""
 
 READY: Final = bytes(1 << 16)
@@ -43,20 +43,20 @@ class Damaged(Exception):
 class Step(NamedTuple):
     """One write: a record, what was heard and said after it (or nothing), and a key block's row.
 
-    ``heard`` and ``said`` are messages as they travelled.
+    ``request`` and ``response`` are messages as they travelled.
     """
 
     number: int
     record: bytes
-    heard: bytes = b""
-    said: bytes = b""
+    request: bytes = b""
+    response: bytes = b""
     coin: int = NO_SYMBOL
-    row: Raw | None = None
+    row: Contribution | None = None
 
     @property
     def begun(self) -> bool:
         """Whether the step after the record is under way, with nothing said yet."""
-        return bool(self.heard) and not self.said
+        return bool(self.request) and not self.response
 
 
 class StepLog:
@@ -131,20 +131,20 @@ class StepLog:
         check = _CHECK.unpack_from(data, at + TAG_BYTES)[0]
         if place > len(data) or crc32(data[at + _HEAD_AT : place]) != check:
             return None
-        record, heard, said, *nonces = parts
-        row = Raw(j, steps, nonces[0] or None, nonces[1] or None) if has_row else None
-        return Step(number, record, heard, said, coin, row), place
+        record, request, response, *nonces = parts
+        row = Contribution(j, steps, nonces[0] or None, nonces[1] or None) if has_row else None
+        return Step(number, record, request, response, coin, row), place
 
     def append(self, step: Step) -> None:
         """Write one more step; on return it survives the death of this process."""
-        number, record, heard, said, coin, row = step
+        number, record, request, response, coin, row = step
         j, steps, offer, measurement = row or (0, 0, None, None)
         offer, measurement = offer or b"", measurement or b""
         head = _HEAD.pack(
-            *(number, coin, len(record), len(heard), len(said)),
+            *(number, coin, len(record), len(request), len(response)),
             *(row is not None, j, steps, len(offer), len(measurement)),
         )
-        body = b"".join((head, record, heard, said, offer, measurement))
+        body = b"".join((head, record, request, response, offer, measurement))
         data = self._tag + _CHECK.pack(crc32(body)) + body
         if os.pwrite(self._file, data, self.size) < len(data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))

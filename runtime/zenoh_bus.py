@@ -14,8 +14,8 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
+from runtime.addresses import Addresses, TlsFiles, appearances, check_endpoint, is_group
 from runtime.bus import Bus, ChannelClosed, Deliver, TransportError
-from runtime.endpoints import Endpoints, TlsFiles, appearances, check_endpoint, is_group
 from runtime.zenoh_settings import ONE_THREAD, settings_of
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ class ZenohBus(Bus):
         self._refused = zenoh.ZError
         self._client = client
         self._groups = sum(map(is_group, listen))
-        endpoints = Endpoints(tuple(listen), tuple(connect), client, tls, scouting)
+        endpoints = Addresses(tuple(listen), tuple(connect), client, tls, scouting)
         settings = settings_of(endpoints) | dict(extra or {})
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(settings, (*listen, *connect), retry_until=until)
@@ -317,7 +317,7 @@ class ZenohBus(Bus):
         session.close()
 
 
-def open_bus(endpoints: Endpoints, patience_s: float = inf) -> ZenohBus:
+def open_bus(endpoints: Addresses, patience_s: float = inf) -> ZenohBus:
     """Open the bus that ``endpoints`` describe; a client waits so long for its router.
 
     Raises

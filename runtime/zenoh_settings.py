@@ -2,7 +2,7 @@
 
 from typing import Any, Final
 
-from runtime.endpoints import Endpoints
+from runtime.addresses import Addresses
 
 LEASE_MS: Final = 2000
 """A partner silent for so long counts as gone: the loop freezes no longer than this."""
@@ -26,7 +26,7 @@ JOIN_MS: Final = 250
 of it, and greetings get lost like everything else."""
 
 
-def settings_of(endpoints: Endpoints) -> dict[str, Any]:
+def settings_of(endpoints: Addresses) -> dict[str, Any]:
     """What a session with these endpoints is told, key to JSON value."""
     client, tls = endpoints.client, endpoints.tls
     settings: dict[str, Any] = {

@@ -2,4 +2,4 @@
 
 from protocol.registry import provide
 
-provide("service", "tap_service.row")
+provide("service", "tap_service.service_spec")

@@ -23,7 +23,7 @@ from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 from tap_service.status import Listener, belief_record, guess_line, status_of
 
 SLICE_S: Final = 0.05
@@ -80,7 +80,7 @@ class Listeners:
                 guess = listener.observe(transition)
                 if guess is not None and self._log is not None:
                     self._log.write(guess_line(transition.session, listener.name, guess))
-                self._note(listener, listener.settled())
+                self._note(listener, listener.final_guesses())
 
     def review(self, listener: Listener) -> None:
         """Log one's second thoughts."""
@@ -179,7 +179,7 @@ def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, la
         if last:
             listeners.review(listener)
         belief = listener.belief()
-        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "garbage"), 0) | {
+        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "malformed"), 0) | {
             "behind": behind,
             "dropped": reader.skipped,
         }

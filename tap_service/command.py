@@ -205,7 +205,7 @@ def run_told(
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
-    from tap_service.guests import guarded
+    from tap_service.sandboxed import guarded
     from tap_service.service import run_tap
 
     limits = checked(

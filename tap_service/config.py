@@ -7,11 +7,11 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.topics import DEFAULT_LOOP
-from runtime.endpoints import Endpoints
+from runtime.addresses import Addresses
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 
 FINISH_S: Final = 20.0
 """Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
@@ -43,8 +43,8 @@ class TapConfig:
 
     run_dir: Path
     knowledge: Knowledge
-    field: Endpoints
-    intel: Endpoints
+    field: Addresses
+    intel: Addresses
     oracle_knowledge: Knowledge | None = None
     names: tuple[str, ...] = DEFAULT
     view: View = default(default_factory=View)

@@ -24,8 +24,8 @@ from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import NICENESS, Note, TapService
 
 if TYPE_CHECKING:
+    from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from runtime.endpoints import Endpoints
 
 TELL_S: Final = 2.0
 """Between two statuses of one loop's tap, and between two writings of its beliefs."""
@@ -157,8 +157,8 @@ def _tell_of(tap: TapService) -> None:
 def run_taps(
     fleet: Fleet,
     config_of: Callable[[FleetLoop], TapConfig],
-    field: "Endpoints",
-    intel: "Endpoints",
+    field: "Addresses",
+    intel: "Addresses",
     note: Note,
 ) -> int:
     """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.

@@ -32,8 +32,8 @@ from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
-from tap_service.guests import each_once, guarded
 from tap_service.heavy import HeavyProcess
+from tap_service.sandboxed import each_once, guarded
 from tap_service.status import (
     absent_record,
     absent_status,
@@ -267,7 +267,7 @@ class TapService:
             "t_ns": time.time_ns(),
             "mirrored": self._capture.written,
             "dropped": self._queue.dropped + self._capture.dropped + self._unheard,
-            "garbage": self._complaints.total,
+            "malformed": self._complaints.total,
         }
 
     def _note(self, status: TapStatus, record: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.text import printable, readable
-from runtime.guest import GuestError
+from runtime.sandbox import SandboxError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -25,7 +25,7 @@ TAIL: Final = 32
 SHOWN_TEXT: Final = 2000
 """Characters of a message that a status shows."""
 
-MOST: Final = 1.0 + 1e-9
+LARGEST_CONFIDENCE: Final = 1.0 + 1e-9
 """A probability at most; a sum of shares may exceed 1 by a rounding."""
 
 
@@ -103,7 +103,7 @@ class Listener:
         except Exception as error:
             self._fail("a message", error)
 
-    def settled(self) -> Sequence[Guess]:
+    def final_guesses(self) -> Sequence[Guess]:
         """Take off her last thoughts on the transitions that she has let go."""
         found = getattr(self.tap, "settled", None)
         if not found or self.failed:
@@ -143,7 +143,7 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
-    if isinstance(error, GuestError):
+    if isinstance(error, SandboxError):
         return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
@@ -160,7 +160,7 @@ def sound_guess(guess: object, size: int) -> Guess:
         raise TypeError(f"expected a Guess, got {guess!r}")
     symbol = tuple(map(float, guess.symbol))
     agreed = float(guess.agreed)
-    if len(symbol) != size or not all(0.0 <= p <= MOST for p in (*symbol, agreed)):
+    if len(symbol) != size or not all(0.0 <= p <= LARGEST_CONFIDENCE for p in (*symbol, agreed)):
         raise ValueError(f"expected {size} probabilities and that of an agreement, got {guess}")
     return Guess(index(guess.k), symbol, agreed, str(guess.session))
 
@@ -179,7 +179,7 @@ def sound_belief(belief: object) -> Belief:
         if not isinstance(payload, bytes):
             raise TypeError(f"expected messages as bytes, got {payload!r}")
     confidence = float(belief.confidence)
-    if not 0.0 <= confidence <= MOST:
+    if not 0.0 <= confidence <= LARGEST_CONFIDENCE:
         raise ValueError(f"expected a confidence from 0 to 1, got {confidence}")
     left = None if belief.bits_left is None else float(belief.bits_left)
     if left is not None and not (isfinite(left) and left >= 0.0):
@@ -307,7 +307,7 @@ def absent_status(name: str) -> TapStatus:
     return TapStatus(
         **dict.fromkeys(("seq", "t_ns", "steps", "lost", "mirrored", "dropped", "behind"), 0),
         name=name,
-        garbage=0,
+        malformed=0,
         message="",
         confidence=0.0,
         candidates_left=0,

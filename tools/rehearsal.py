@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, Verdict, predict
+from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, Gauge, predict
 from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
@@ -102,8 +102,8 @@ class Rehearsal:
             return tuple(c + v for c, v in zip(centre, d, strict=True))
 
         def judge(
-            x: Vector, offered: tuple[Vector, ...], _centres: object, x_next: Vector
-        ) -> Verdict:
+            x: Vector, offered: tuple[Vector, ...], _predictions: object, x_next: Vector
+        ) -> AgreementResult:
             return rule.verdict(x, offered, x_next)
 
         for step in closed_loop(candidates, judge, toss, move, x, steps):
@@ -155,7 +155,7 @@ class Rehearsal:
                 "transitions": k + 1,
                 "missed": 0,
                 "late": 0,
-                "garbage": 0,
+                "malformed": 0,
                 "agreements": agreements,
                 "symbol_errors": 0,
                 "rate_hz": 100.0,
@@ -178,7 +178,7 @@ class Rehearsal:
                 "set_index": max(0, 40 - k),
                 "transitions": k + 1,
                 "agreements": agreements,
-                "garbage": 0,
+                "malformed": 0,
                 "automaton": state.s,
                 "sending": self.message,
                 "frame_symbols": min(p, len(frame)),
@@ -228,7 +228,7 @@ class Rehearsal:
             mirrored=2 * k,
             dropped=0,
             behind=0,
-            garbage=0,
+            malformed=0,
             message=message,
             confidence=1.0 if sure else 0.1,
             candidates_left=1 if sure else (k if name == "list-decoder" else 0),

@@ -12,7 +12,7 @@ import plant_service as _plant_service  # noqa: F401
 import tap_service as _tap_service  # noqa: F401
 from protocol.registry import provide as _provide
 
-_provide("service", "wyner.people")
+_provide("service", "wyner.clients")
 
 if TYPE_CHECKING:
     from wyner.api import *  # noqa: F403

@@ -13,7 +13,7 @@ from controller_service.sets.terminal import SynthesisError, input_interval, set
 from controller_service.tolerances import (
     CONDITION,
     GROWTH,
-    LARGEST,
+    LARGEST_OFFSET,
     LEAST_DEFLATION,
     ROUNDINGS,
     SOLVED_DEFLATION,
@@ -94,8 +94,8 @@ class Recursion(ABC):
         rows, previous = T0, None
         for i in range(horizon + 1):
             try:
-                if not rows.h.max() < LARGEST:
-                    raise SetError(f"it is larger than {LARGEST:g}")
+                if not rows.h.max() < LARGEST_OFFSET:
+                    raise SetError(f"it is larger than {LARGEST_OFFSET:g}")
                 T, S, deflation = self.settle(rows)
                 if previous is not None and _same(previous, T):
                     return

@@ -1,4 +1,4 @@
-"""A plant of the user's own in a process of its own (:mod:`runtime.guest`).
+"""A plant of the user's own in a process of its own (:mod:`runtime.sandbox`).
 
 Whatever it does, it stops itself alone, within its time and memory: the plant service says why in a
 line, and goes to the end that a failed plant has. One process serves the plants that are opened one
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Sample, SimulatedPlant, floats
 from protocol.vectors import Vector
-from runtime.guest import START_S, GuestError, borrowed, give_back, serve
+from runtime.sandbox import START_S, SandboxError, acquire, give_back, serve
 from runtime.user_code import UserCodeError
 
 PLANT: Final = "plant"
@@ -21,12 +21,12 @@ ABILITIES: Final = ("resume", "displace", "safe")
 """What a plant may be able to do beyond what every plant is."""
 
 
-class _Far:
+class RemotePlant:
     """The plant's process, and what was said to it."""
 
     def __init__(self, table: Any, start: Vector, folder: Path) -> None:
         self._within_s = table.answer_s
-        self._process = borrowed(__name__, memory=table.memory_mib << 20)
+        self._process = acquire(__name__, memory=table.memory_mib << 20)
         self._open = True
         self._unsaid: list[tuple[str, tuple[Any, ...]]] = []
         try:
@@ -63,14 +63,14 @@ class _Far:
     def _ask(self, what: str, argument: Any, within_s: float) -> Any:
         try:
             return self._process.ask(what, argument, within_s)
-        except GuestError as error:
+        except SandboxError as error:
             raise PlantError(str(error)) from None
 
 
 class _Device:
     """A device that is somewhere else."""
 
-    def __init__(self, far: _Far) -> None:
+    def __init__(self, far: RemotePlant) -> None:
         self._far = far
 
     def start(self, seed: int | None) -> Sample:
@@ -92,7 +92,7 @@ class _Device:
 class _Plant:
     """A stepped plant that is somewhere else."""
 
-    def __init__(self, far: _Far) -> None:
+    def __init__(self, far: RemotePlant) -> None:
         self._far = far
         self.close = far.close
 
@@ -112,7 +112,7 @@ def isolated(table: Any, start: Vector, folder: Path) -> PlantAdapter:
     PlantError
         When it cannot be made there.
     """
-    far = _Far(table, start, folder)
+    far = RemotePlant(table, start, folder)
     if far.told["device"]:
         return _Device(far)
     plant = _Plant(far)
@@ -134,7 +134,7 @@ def _sample(told: Any) -> Sample:
 # --- its side -------------------------------------------------------------------------------------
 
 
-class _There:
+class PlantServer:
     """The plant that is open."""
 
     def __init__(self) -> None:
@@ -176,4 +176,4 @@ def _call(adapter: PlantAdapter, method: str, arguments: tuple[Any, ...]) -> obj
 
 
 if __name__ == "__main__":
-    serve(_There().answer, ((PlantError, PLANT), (UserCodeError, PLANT)))
+    serve(PlantServer().answer, ((PlantError, PLANT), (UserCodeError, PLANT)))

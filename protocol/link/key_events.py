@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Notice
 from protocol.link.events import Event
 from protocol.link.keying import Keying
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.secret.blocks import Stored
 from protocol.secret.tasks import Broken, Done, Judged
 

@@ -8,9 +8,16 @@ from collections.abc import Iterable
 from math import inf
 from typing import Any, Final
 
-from protocol.messages import BlockWord, Measurement, Offer
-from protocol.secret.blocks import NO_TAG, Blocks, Judgement, Schedule, Stored
-from protocol.secret.nonces import FIRST, Copy, NonceSource, Raw, contribution, fresh_nonce
+from protocol.messages import BlockAnnouncement, Measurement, Offer
+from protocol.secret.blocks import NO_TAG, BlockResult, Blocks, Schedule, Stored
+from protocol.secret.nonces import (
+    FIRST,
+    Contribution,
+    Copy,
+    NonceSource,
+    contribution_of,
+    fresh_nonce,
+)
 from protocol.secret.records import Side
 from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
 
@@ -54,10 +61,16 @@ class Keying:
         """The tag while no block is announced."""
         return NO_TAG if self.on else ""
 
-    def begin(self, session: str, block: int = -1, tag: str = "", raws: Iterable[Raw] = ()) -> None:
+    def begin(
+        self,
+        session: str,
+        block: int = -1,
+        tag: str = "",
+        contributions: Iterable[Contribution] = (),
+    ) -> None:
         """Begin a session, or go on with it from what was read back."""
         if self.schedule is not None:
-            self.blocks = Blocks(self.schedule, session, block, tag, raws)
+            self.blocks = Blocks(self.schedule, session, block, tag, contributions)
             self._newest = -1.0
             if self.stopped != NO_PAD_LEFT:  # what became of a former session's blocks is past
                 self.stopped = ""
@@ -106,7 +119,7 @@ class Keying:
 
     def count(
         self, j: int, steps: int, offer: Offer, applied_copy: int, measurement: str
-    ) -> Raw | None:
+    ) -> Contribution | None:
         """What transition ``j`` contributes (rule 9).
 
         Parameters
@@ -119,7 +132,7 @@ class Keying:
         """
         if self.blocks is None or j == 0:
             return None  # a session's first transition only fixes where block 0 begins
-        raw = contribution(
+        contribution = contribution_of(
             j=j,
             steps=steps,
             offer=offer.nonce,
@@ -127,10 +140,10 @@ class Keying:
             measurement=measurement,
             heard=offer.heard,
         )
-        self.blocks.count(raw)
-        return raw
+        self.blocks.count(contribution)
+        return contribution
 
-    def heard(self, message: Measurement | Offer | BlockWord) -> tuple[Judgement, ...]:
+    def heard(self, message: Measurement | Offer | BlockAnnouncement) -> tuple[BlockResult, ...]:
         """What the partner's word says of the blocks here."""
         return () if self.blocks is None else self.blocks.heard(message.block, message.tag)
 
@@ -139,10 +152,12 @@ class Keying:
         """Blocks that are whole and that the partner has not confirmed."""
         return 0 if self.blocks is None or self.broken else self.blocks.waiting
 
-    def block_word(self, side: Side, session: str) -> BlockWord:
+    def block_announcement(self, side: Side, session: str) -> BlockAnnouncement:
         """The word on blocks where no step is left to carry it."""
         block, tag = self.word()
-        return BlockWord(side=side, session=session, block=block, tag=tag, waiting=self.waiting)
+        return BlockAnnouncement(
+            side=side, session=session, block=block, tag=tag, waiting=self.waiting
+        )
 
     @property
     def began(self) -> bool:
@@ -151,7 +166,7 @@ class Keying:
 
     # --- the keeper's side ------------------------------------------------------------------------
 
-    def tasks(self, judged: Iterable[Judgement] = ()) -> tuple[Task, ...]:
+    def tasks(self, judged: Iterable[BlockResult] = ()) -> tuple[Task, ...]:
         """What the keeper must do now: write verdicts down, store blocks."""
         blocks = self.blocks
         if blocks is None or self.broken:
@@ -163,7 +178,7 @@ class Keying:
 
     def done(self, done: Done) -> tuple[Task, ...]:
         """The keeper has done a task; what it must do next."""
-        judged: tuple[Judgement, ...] = ()
+        judged: tuple[BlockResult, ...] = ()
         if isinstance(done, Broken):
             self.broken = done.reason
         elif self.blocks is not None and isinstance(done, Stored):
@@ -199,9 +214,9 @@ class Keying:
             "appearances": self.appearances,
         }
 
-    def settled(self) -> tuple[range, ...]:
+    def obsolete_rows(self) -> tuple[range, ...]:
         """Transitions whose rows the journal may drop; named once."""
-        return () if self.blocks is None else self.blocks.settled()
+        return () if self.blocks is None else self.blocks.obsolete_rows()
 
 
 def _why_not(block: Stored) -> str:

@@ -11,11 +11,11 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
-from protocol.secret.blocks import Judgement
-from protocol.secret.nonces import NonceSource, Raw, fresh_nonce
+from protocol.secret.blocks import BlockResult
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.vectors import Vector
 
-CHUNK: Final = 64
+CHUNK_SYMBOLS: Final = 64
 """Symbols of the frame under way that the record holds before they go to the journal's own table.
 Within a chunk a save is one statement in every state of the scheme, so that none takes longer."""
 
@@ -29,15 +29,15 @@ class ReceiverEffects(NamedTuple):
     """What the plant's shell must save and trace after a transition.
 
     ``chunk`` has symbols of the frame under way that leave the record for the journal's own table;
-    ``frame`` is a frame that ended, whose symbols the journal may drop. ``raw`` is what the
+    ``frame`` is a frame that ended, whose symbols the journal may drop. ``contribution`` is what the
     transition contributes to its key block, ``judged`` what the offer's word says of blocks.
     """
 
     transition: CountedTransition
     chunk: str = ""
     frame: Frame | None = None
-    raw: Raw | None = None
-    judged: tuple[Judgement, ...] = ()
+    contribution: Contribution | None = None
+    judged: tuple[BlockResult, ...] = ()
 
 
 @dataclass(slots=True)
@@ -73,7 +73,7 @@ class Receiver:
         instance: str,
         record: ReceiverRecord,
         chunks: str = "",
-        raws: Iterable[Raw] = (),
+        contributions: Iterable[Contribution] = (),
         said: Measurement | None = None,
         fresh: NonceSource = fresh_nonce,
     ) -> None:
@@ -94,7 +94,7 @@ class Receiver:
         self._report = said
         self._left = True  # copy 0 of the newest measurement may have left
         word = said or record
-        self.keying.begin(record.session, word.block, word.tag, raws)
+        self.keying.begin(record.session, word.block, word.tag, contributions)
         self.record = self.record._replace(tag=record.tag or self.keying.no_tag)
 
     @property
@@ -118,7 +118,7 @@ class Receiver:
             instance=self.instance,
             session=self.record.session,
             controller=None if self._anyone else self._met.controller,
-            life=self.record.life,
+            incarnation=self.record.incarnation,
             fingerprint=self.rules.fingerprint,
             transitions=self.record.transitions,
             applied_k=self.record.applied_k,
@@ -134,8 +134,8 @@ class Receiver:
         """The controller spoke on ops; says what the shell must do next.
 
         ``greet``: save the record and answer with :meth:`hello`. ``ended``: a new session,
-        ``new_session``, has begun; drop the journal's partial frame as well. ``rival``: a second
-        controller; answer, so that it learns whose the session is. ``stranger``: a controller of
+        ``new_session``, has begun; drop the journal's partial frame as well. ``competing``: a second
+        controller; answer, so that it learns whose the session is. ``incompatible``: a controller of
         another model beside the one known, answer a greeting of it. ``refused``: the models differ.
         """
         record = self.record
@@ -168,12 +168,12 @@ class Receiver:
         record = self.record
         asked = self._met.controller
         returned = hello.session == record.session
-        over = returned and hello.life < record.life
+        over = returned and hello.incarnation < record.incarnation
         if over or not (hello.instance == asked or returned or self._anyone):
             return "nothing" if asked is None else "rival"
         self._anyone = False
         taken = record.controller not in ("", hello.instance)
-        self.record = record._replace(controller=hello.instance, life=hello.life)
+        self.record = record._replace(controller=hello.instance, incarnation=hello.incarnation)
         if hello.instance == asked:
             return "greet"
         self._met = _Acquaintance(hello.instance)
@@ -249,7 +249,7 @@ class Receiver:
             raise ValueError(f"offer.candidates: expected {rules.inputs} inputs in each")
         if not all(map(rules.admissible, offer.candidates)):
             raise ValueError("offer.candidates: expected inputs in U")
-        if wrong := rules.foreign_centres(offer.centres):
+        if wrong := rules.malformed_predictions(offer.predictions):
             raise ValueError(wrong)
         if offer.cipher >= rules.size:
             raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
@@ -268,7 +268,7 @@ class Receiver:
         report = self.moved(offer, x_next)
         self._anyone = False
         scheme = self.rules.scheme
-        verdict = self.rules.judge(record.x, offer.candidates, offer.centres, x_next)
+        verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next)
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
         symbol = decrypt(offer.cipher, pad, scheme.alphabet)
@@ -278,14 +278,16 @@ class Receiver:
         kept, full = f"{record.partial}{symbol:0{self._digits}x}", ""
         if not deframer.symbols:
             kept = ""
-        if len(kept) >= CHUNK * self._digits:
+        if len(kept) >= CHUNK_SYMBOLS * self._digits:
             kept, full = "", kept
         both = (NO_SYMBOL, None, record.partial, ""), (symbol, ended, kept, full)
         recovered, frame, partial, chunk = both[carried]
         steps = record.k - record.applied_k
-        raw = self.keying.count(record.transitions, steps, offer, offer.copy_number, record.nonce)
+        contribution = self.keying.count(
+            record.transitions, steps, offer, offer.copy_number, record.nonce
+        )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, recovered, raw
+            scheme, record, offer, x_next, verdict, after, carry, recovered, contribution
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -306,9 +308,9 @@ class Receiver:
             applied_copy=report.applied_copy,
             block=report.block,
             tag=report.tag,
-            blocks_begun=record.blocks_begun + (raw is not None and self.keying.began),
+            blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
         )
-        return ReceiverEffects(transition, chunk, frame, raw, self.keying.heard(offer))
+        return ReceiverEffects(transition, chunk, frame, contribution, self.keying.heard(offer))
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer came in time: the fallback input ``u`` was applied (rule 4)."""

@@ -24,7 +24,7 @@ class SenderRecord(NamedTuple):
     came from there or is idle.
     ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
     answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
-    ``life`` counts the processes that had this journal.
+    ``incarnation`` counts the processes that had this journal.
     """
 
     session: str | None = None
@@ -45,7 +45,7 @@ class SenderRecord(NamedTuple):
     nonce: str = ""
     block: int = -1
     tag: str = ""
-    life: int = 0
+    incarnation: int = 0
 
     @property
     def s(self) -> int:
@@ -60,7 +60,7 @@ class ReceiverRecord(NamedTuple):
     ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
     the frame under way in hexadecimal digits. Counters run over all sessions but ``transitions``
     and ``p``, which begin with the session. ``controller`` is the process that was asked last to
-    take the session up, ``life`` the one of its journal's that it was. ``nonce`` belongs to copy 0
+    take the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy 0
     of Measurement(k); the three fields behind it are those of that message. ``blocks_begun`` counts
     key blocks that were begun, in all sessions, whatever became of them. ``begun`` is there only in
     what is written while a plant acts: the step that is under way. The session of its offer may be
@@ -88,7 +88,7 @@ class ReceiverRecord(NamedTuple):
     applied_copy: Copy = 0
     block: int = -1
     tag: str = ""
-    life: int = 0
+    incarnation: int = 0
     blocks_begun: int = 0
     begun: BegunStep | None = None
 

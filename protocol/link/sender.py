@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
-from protocol.agreement import NO_SYMBOL, Verdict
+from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.ciphering import Ciphering, Decision, Outbox
 from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
@@ -11,11 +11,11 @@ from protocol.link.sender_session import NOTHING, SenderEffects, SenderSession
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import Carry
-from protocol.secret.nonces import NonceSource, Raw, fresh_nonce
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 
-LARGEST: Final = 1e150
+LARGEST_STATE: Final = 1e150
 """No number of a state is larger: sums and quotients of larger ones need not be finite."""
 
 STALE: Final = 64
@@ -31,7 +31,7 @@ Predict = Callable[[Vector, Vector], Vector]
 class Counted(NamedTuple):
     """What a measurement made of the transition it reports: verdict, state, the next symbol."""
 
-    verdict: Verdict
+    verdict: AgreementResult
     after: tuple[int, ...]
     carry: Carry
     message: int
@@ -80,7 +80,7 @@ class Sender(SenderSession):
         instance: str,
         record: SenderRecord | None = None,
         step: tuple[Measurement, Offer] | None = None,
-        raws: Iterable[Raw] = (),
+        contributions: Iterable[Contribution] = (),
         nonces: NonceSource = fresh_nonce,
         predict: Predict | None = None,
     ) -> None:
@@ -96,7 +96,7 @@ class Sender(SenderSession):
         self._stale = 0
         if self.record.session is not None:
             word = self.record if step is None else step[1]
-            self.keying.begin(self.record.session, word.block, word.tag, raws)
+            self.keying.begin(self.record.session, word.block, word.tag, contributions)
         self._answer: Answer | None = None
         self._aim()
         if step is not None:
@@ -112,7 +112,7 @@ class Sender(SenderSession):
         """A measurement arrived: count what it reports, decide, offer (rules 2 and 3).
 
         With ``append`` among the effects, what the offer hangs on is done and the rest is left to
-        :meth:`settle`, which must come before the next event.
+        :meth:`finish_step`, which must come before the next event.
 
         Raises
         ------
@@ -129,8 +129,8 @@ class Sender(SenderSession):
             raise ValueError(
                 f"measurement.x_after: got {len(measurement.x_after)} states, expected {n} or none"
             )
-        if max(map(abs, measurement.x + measurement.x_after)) > LARGEST:
-            raise ValueError(f"measurement: got a state beyond {LARGEST:g}")
+        if max(map(abs, measurement.x + measurement.x_after)) > LARGEST_STATE:
+            raise ValueError(f"measurement: got a state beyond {LARGEST_STATE:g}")
         if self._plant is None or measurement.session != record.session:
             return SenderEffects(greet=measurement.session != self._elsewhere)
         if measurement.k < record.k:
@@ -149,16 +149,16 @@ class Sender(SenderSession):
             counted = self._count(measurement)
         try:
             candidates = self._propose(measurement.x)
-            centres = self._centres(measurement.x, candidates)
+            predictions = self._predictions(measurement.x, candidates)
         except LookupError as error:
             self._answer = Answer(measurement, counted, None)
-            return self.settle()._replace(save=True, refusal=str(error))
+            return self.finish_step()._replace(save=True, refusal=str(error))
         block, tag = self.keying.word()
         offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
-            centres=centres,
+            predictions=predictions,
             cipher=record.cipher if counted is None else counted.following.cipher,
             copy_number=self.keying.copy(),
             nonce=self.keying.nonce(),
@@ -169,7 +169,7 @@ class Sender(SenderSession):
         self._answer = Answer(measurement, counted, offer)
         return SenderEffects(append=True, offer=offer)
 
-    def _centres(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
+    def _predictions(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
         """f_c(x, u_i) where f_c is not linear; raises LookupError where it has no answer."""
         if not self.rules.predicted:
             return ()
@@ -177,11 +177,11 @@ class Sender(SenderSession):
         return tuple([self._predict(x, u) for u in candidates])
 
     @property
-    def unsettled(self) -> bool:
-        """Whether an answer, given now or read back from the journal, waits for `settle`."""
+    def unfinished(self) -> bool:
+        """Whether an answer, given now or read back from the journal, waits for `finish_step`."""
         return self._answer is not None
 
-    def settle(self) -> SenderEffects:
+    def finish_step(self) -> SenderEffects:
         """Bring the record up to the answer given: the transition it counted, if any."""
         assert self._answer is not None, "there is no answer to settle"
         (measurement, counted, offer), self._answer = self._answer, None
@@ -196,7 +196,7 @@ class Sender(SenderSession):
         following = counted.following
         applied = before.offer
         assert applied is not None
-        raw = self.keying.count(
+        contribution = self.keying.count(
             before.transitions,
             applied.k - before.applied_k,
             applied,
@@ -212,7 +212,7 @@ class Sender(SenderSession):
             counted.after,
             counted.carry,
             before.message_symbol,
-            raw,
+            contribution,
         )
         self.record = said._replace(
             state=counted.after,
@@ -234,7 +234,7 @@ class Sender(SenderSession):
             save=counted.delivered is not None,
             transition=transition,
             delivered=counted.delivered,
-            raw=raw,
+            contribution=contribution,
             judged=judged,
         )
 
@@ -248,7 +248,9 @@ class Sender(SenderSession):
         offer = record.offer
         if offer is None or measurement.applied_k == record.applied_k:
             return None
-        verdict = self.rules.judge(record.x, offer.candidates, offer.centres, measurement.x_after)
+        verdict = self.rules.judge(
+            record.x, offer.candidates, offer.predictions, measurement.x_after
+        )
         after, carry = self._arrows[verdict.symbol]
         delivered = None
         message, offset = record.message, record.offset

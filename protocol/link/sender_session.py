@@ -8,8 +8,8 @@ from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
-from protocol.secret.blocks import Judgement
-from protocol.secret.nonces import Raw
+from protocol.secret.blocks import BlockResult
+from protocol.secret.nonces import Contribution
 
 REMEMBERED_SESSIONS: Final = 16
 """Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
@@ -19,9 +19,9 @@ class SenderEffects(NamedTuple):
     """What the controller's shell must do, in this order: trace, save, publish.
 
     ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
-    the record before them, and then for the sender's ``settle``, once the offer is on its way.
+    the record before them, and then for the sender's ``finish_step``, once the offer is on its way.
     ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
-    session that is not this process's. ``raw`` is what the transition contributes to its key block,
+    session that is not this process's. ``contribution`` is what the transition contributes to its key block,
     ``judged`` what the measurement's word says of blocks.
     """
 
@@ -33,15 +33,15 @@ class SenderEffects(NamedTuple):
     reply: ControllerHello | None = None
     refusal: str = ""
     greet: bool = False
-    raw: Raw | None = None
-    judged: tuple[Judgement, ...] = ()
+    contribution: Contribution | None = None
+    judged: tuple[BlockResult, ...] = ()
 
 
 NOTHING: Final = SenderEffects()
 
 
-def _after(life: int) -> int:
-    return min(life + 1, LARGEST_COUNT)
+def _after(incarnation: int) -> int:
+    return min(incarnation + 1, LARGEST_COUNT)
 
 
 class SenderSession(ABC):
@@ -69,7 +69,7 @@ class SenderSession(ABC):
         self.rules = rules
         self.instance = instance
         state = rules.scheme.restore(record.state)
-        self.record = record._replace(state=state, life=_after(record.life))
+        self.record = record._replace(state=state, incarnation=_after(record.incarnation))
         self.keying = keying
         self._ciphering = ciphering
         self._plant: str | None = None
@@ -118,15 +118,15 @@ class SenderSession(ABC):
             )
         if hello.controller is None:
             self._elsewhere = None
-            behind = ours and hello.life > record.life
+            behind = ours and hello.incarnation > record.incarnation
             if behind:  # the plant knows lives of this journal which it does not know itself
-                self.record = record._replace(life=_after(hello.life))
+                self.record = record._replace(incarnation=_after(hello.incarnation))
             return SenderEffects(save=behind, reply=self.greeting())
         asked = hello.controller == self.instance
         late = ours and hello.applied_k < record.applied_k
         if late and (hello.instance == self._plant or not asked):
             return NOTHING  # it was overtaken
-        if not asked and ours and hello.life < record.life:
+        if not asked and ours and hello.incarnation < record.incarnation:
             self._elsewhere = None
             return SenderEffects(greet=True)  # it asks a former life of this controller
         if not asked:
@@ -158,7 +158,7 @@ class SenderSession(ABC):
             ended=self._ended_now(),
             message=self.record.message,
             k=-1,
-            life=self.record.life,
+            incarnation=self.record.incarnation,
         )
         first = self._ciphering.decide(fresh.state, 0, fresh.message, 0)
         self.record = fresh._replace(cipher=first.cipher)
@@ -180,7 +180,7 @@ class SenderSession(ABC):
             ended=self._ended_now(),
             state=self.rules.scheme.initial,
             message=self.record.message,
-            life=self.record.life,
+            incarnation=self.record.incarnation,
         )
         self._rewind()
         self.keying.end()
@@ -224,7 +224,7 @@ class SenderSession(ABC):
     ) -> ControllerHello:
         return ControllerHello(
             instance=self.instance,
-            life=self.record.life,
+            incarnation=self.record.incarnation,
             fingerprint=self.rules.fingerprint,
             verdict=verdict,
             session=hello.session if hello else self.record.session,

@@ -31,14 +31,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple, Self
 
-from protocol.agreement import INSIDE, NO_SYMBOL, AgreementRule, Gauge, Verdict
+from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult, AgreementRule, Gauge
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Offer
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
@@ -80,18 +80,22 @@ class Rules:
         return self.scheme.alphabet
 
     def judge(
-        self, x: Vector, candidates: tuple[Vector, ...], centres: tuple[Vector, ...], x_next: Vector
-    ) -> Verdict:
+        self,
+        x: Vector,
+        candidates: tuple[Vector, ...],
+        predictions: tuple[Vector, ...],
+        x_next: Vector,
+    ) -> AgreementResult:
         """The verdict of a transition: on the offer's predictions, or on A x + B u."""
         if self.predicted:
-            return self.agreement.verdict_at(centres, x_next)
+            return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
 
-    def foreign_centres(self, centres: tuple[Vector, ...]) -> str:
+    def malformed_predictions(self, predictions: tuple[Vector, ...]) -> str:
         """What is wrong with an offer's predictions; nothing where they are as the rules say."""
         if not self.predicted:
-            return "offer.centres: expected none, as f_c is linear" if centres else ""
-        if len(centres) != self.size or any(len(c) != self.states for c in centres):
+            return "offer.centres: expected none, as f_c is linear" if predictions else ""
+        if len(predictions) != self.size or any(len(c) != self.states for c in predictions):
             return f"offer.centres: expected {self.size} predictions of {self.states} states"
         return ""
 
@@ -130,7 +134,7 @@ class CountedTransition(NamedTuple):
     symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
     -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
     afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
-    1 the offer's, 2 that of the measurement it answers, 3 both. ``centres`` are the offer's
+    1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
     predictions, of an f_c that is not linear.
     """
 
@@ -142,7 +146,7 @@ class CountedTransition(NamedTuple):
     cipher: int
     x_next: Vector
     role: Literal["test", "message"]
-    verdict: Verdict
+    verdict: AgreementResult
     symbol: int
     key: int
     message_symbol: int
@@ -150,7 +154,7 @@ class CountedTransition(NamedTuple):
     s: int
     tested: bool
     counts: int = 0
-    centres: tuple[Vector, ...] = ()
+    predictions: tuple[Vector, ...] = ()
 
     @classmethod
     def of(
@@ -159,11 +163,11 @@ class CountedTransition(NamedTuple):
         record: SenderRecord | ReceiverRecord,
         offer: Offer,
         x_next: Vector,
-        verdict: Verdict,
+        verdict: AgreementResult,
         after: tuple[int, ...],
         carry: Carry,
         message_symbol: int,
-        raw: Raw | None,
+        contribution: Contribution | None,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         carried = carry.pad != NO_SYMBOL
@@ -183,8 +187,8 @@ class CountedTransition(NamedTuple):
             record.p + carried,
             after[0],
             scheme.tests(record.state),
-            0 if raw is None else raw.counts,
-            offer.centres,
+            0 if contribution is None else contribution.counts,
+            offer.predictions,
         )
 
     def as_event(self) -> dict[str, Any]:
@@ -207,6 +211,6 @@ class CountedTransition(NamedTuple):
             "s": self.s,
             "counts": self.counts,
         }
-        if self.centres:
-            event["centres"] = self.centres
+        if self.predictions:
+            event["predictions"] = self.predictions
         return event

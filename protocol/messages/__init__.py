@@ -13,7 +13,7 @@ from protocol.messages.intel import INTEL, TapStatus
 from protocol.messages.ops import (
     LATENCY_BOUNDS_S,
     OPS,
-    BlockWord,
+    BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
     KeyAnswer,
@@ -36,7 +36,7 @@ __all__ = [
     "LATENCY_BOUNDS_S",
     "OPS",
     "SCHEMA",
-    "BlockWord",
+    "BlockAnnouncement",
     "ControllerHello",
     "ControllerStatus",
     "FieldMessage",

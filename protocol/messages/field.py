@@ -43,7 +43,7 @@ class Measurement(Message):
 class Offer(Message):
     """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
 
-    ``centres`` are the predictions f_c(x, u_i) where f_c is not linear, else none. ``heard`` is the
+    ``predictions`` are the predictions f_c(x, u_i) where f_c is not linear, else none. ``heard`` is the
     copy of that measurement which came first; the other fields of keys are those
     of `Measurement`.
     """
@@ -53,7 +53,7 @@ class Offer(Message):
     k: Count
     candidates: tuple[FiniteVector, ...]
     cipher: Count
-    centres: tuple[FiniteVector, ...] = ()
+    predictions: tuple[FiniteVector, ...] = ()
     copy_number: Copy = 0
     nonce: Nonce = ""
     heard: Copy = 0

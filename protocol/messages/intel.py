@@ -37,7 +37,7 @@ class TapStatus(Message):
     mirrored: Count
     dropped: Count
     behind: Count
-    garbage: Count
+    malformed: Count
     message: str
     confidence: float
     candidates_left: Count

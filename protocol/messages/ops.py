@@ -22,14 +22,14 @@ class PlantHello(Message):
     """The plant asks ``controller`` to take up ``session``; repeated until it is answered.
 
     With None it looks for a controller: whoever greets is asked next. All others learn from it that
-    the session is not theirs. ``life`` is that of the controller asked last, as it greeted.
+    the session is not theirs. ``incarnation`` is that of the controller asked last, as it greeted.
     """
 
     topic: ClassVar[str] = "ops/plant/hello"
     instance: SessionId
     session: SessionId
     controller: SessionId | None = None
-    life: Count
+    incarnation: Count
     fingerprint: Fingerprint
     transitions: Count
     applied_k: Annotated[int, Field(ge=-1)]
@@ -39,12 +39,12 @@ class ControllerHello(Message):
     """The controller's answer to a plant's hello, or (``greeting``) its word after a start.
 
     A greeting names the session that the controller's journal holds, an answer the one asked for.
-    ``life`` counts the processes that had this journal.
+    ``incarnation`` counts the processes that had this journal.
     """
 
     topic: ClassVar[str] = "ops/controller/hello"
     instance: SessionId
-    life: Count
+    incarnation: Count
     fingerprint: Fingerprint
     verdict: Literal["greeting", "accepted", "unknown-session", "other-model"]
     session: SessionId | None = None
@@ -114,7 +114,7 @@ _Names = Annotated[
 _What = Literal["keys", "pads", "unused", "marked", "ready"]
 
 
-class BlockWord(Message):
+class BlockAnnouncement(Message):
     """An end's word on key blocks once no step is left to carry it: the other end answers it.
 
     ``waiting`` counts blocks that are whole there and not confirmed.
@@ -272,7 +272,7 @@ class PlantStatus(_Status):
     transitions: Count
     missed: Count
     late: Count
-    garbage: Count
+    malformed: Count
     agreements: Count
     symbol_errors: Count
     rate_hz: float
@@ -348,7 +348,7 @@ class ControllerStatus(_Status):
     set_index: Annotated[int, Field(ge=-1)]
     transitions: Count
     agreements: Count
-    garbage: Count
+    malformed: Count
     automaton: Count
     sending: str = ""
     frame_symbols: Count
@@ -376,7 +376,7 @@ OPS: tuple[type[Message], ...] = (
     SealCommand,
     SealReply,
     SealedReceipt,
-    BlockWord,
+    BlockAnnouncement,
     KeyRequest,
     KeyAnswer,
     PlantModel,

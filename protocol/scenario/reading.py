@@ -21,7 +21,7 @@ EXPECTED = {
 """What pydantic's errors are called where a scenario's reader would not know its words."""
 
 
-LARGEST: Final = 1e150
+LARGEST_NUMBER: Final = 1e150
 """Of every number in a scenario: the square of one beyond is no number to a computer."""
 
 
@@ -81,9 +81,9 @@ def _beyond(value: object, path: tuple[str, ...] = ()) -> Iterator[str]:
     elif isinstance(value, list | tuple):
         for number, item in enumerate(value):
             yield from _beyond(item, (*path, str(number)))
-    elif isinstance(value, int | float) and abs(value) > LARGEST and abs(value) != inf:
+    elif isinstance(value, int | float) and abs(value) > LARGEST_NUMBER and abs(value) != inf:
         what = f"got {value!r}" if isinstance(value, float) else "got a longer one"
-        yield f"{'.'.join(path)}: {what}, expected a number of at most {LARGEST:g}"
+        yield f"{'.'.join(path)}: {what}, expected a number of at most {LARGEST_NUMBER:g}"
 
 
 def parse_scenario(data: dict[str, Any], source: str) -> Scenario:

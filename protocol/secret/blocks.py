@@ -17,10 +17,10 @@ from hmac import compare_digest
 from typing import Final, Literal, NamedTuple
 
 from protocol.secret.bound import Assumption, least
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.secret.records import block_name
 
-LARGEST: Final = 16384
+LARGEST_BLOCK: Final = 16384
 """Transitions of a block: two nonces of each and the rows fit the field."""
 
 LARGEST_BY_WORDS: Final = 1024
@@ -83,7 +83,7 @@ def schedule_of(assumption: Assumption) -> Schedule | None:
     def enough(rows: int, n: int) -> bool:
         return assumption.rows(n, n, assumption.copies * n) >= rows
 
-    most = LARGEST_BY_WORDS if assumption.by_words else LARGEST
+    most = LARGEST_BY_WORDS if assumption.by_words else LARGEST_BLOCK
     first = least(lambda n: enough(2, n), most)
     if first is None:
         return None
@@ -93,7 +93,7 @@ def schedule_of(assumption: Assumption) -> Schedule | None:
     return Schedule(assumption, first, max(largest, first))
 
 
-class Closed(NamedTuple):
+class ClosedBlock(NamedTuple):
     """A block whose last transition has been counted: all that its keys are made of.
 
     Parameters
@@ -155,20 +155,20 @@ class OpenBlock:
         """Whether no row was taken yet."""
         return not self._pattern
 
-    def add(self, raw: Raw) -> None:
+    def add(self, contribution: Contribution) -> None:
         """Take the row of the next transition."""
-        counts = self._assumption.counting(raw.counts)
-        if counts & 1 and raw.offer is not None:
-            self._nonces.append(raw.offer)
-        if counts & 2 and raw.measurement is not None:
-            self._nonces.append(raw.measurement)
+        counts = self._assumption.counting(contribution.counts)
+        if counts & 1 and contribution.offer is not None:
+            self._nonces.append(contribution.offer)
+        if counts & 2 and contribution.measurement is not None:
+            self._nonces.append(contribution.measurement)
         self._pattern.append(str(counts))
-        self._steps += raw.steps
+        self._steps += contribution.steps
 
-    def close(self, session: str, number: int, last: int) -> Closed:
+    def close(self, session: str, number: int, last: int) -> ClosedBlock:
         """The block ``number`` once the row of transition ``last`` has been taken."""
         n, steps, counted = len(self._pattern), self._steps, len(self._nonces)
-        return Closed(
+        return ClosedBlock(
             session,
             number,
             n,
@@ -202,7 +202,7 @@ class Stored(NamedTuple):
     signed: str = ""
 
 
-class Judgement(NamedTuple):
+class BlockResult(NamedTuple):
     """What the partner's word says of a stored block."""
 
     number: int
@@ -233,7 +233,7 @@ class Blocks:
         session: str,
         block: int = -1,
         tag: str = NO_TAG,
-        raws: Iterable[Raw] = (),
+        contributions: Iterable[Contribution] = (),
     ) -> None:
         self.schedule = schedule
         self.session = session
@@ -244,29 +244,29 @@ class Blocks:
         self._settled: set[int] = set()
         self._confirmed = block
         self._unequal = False
-        self._closed: list[Closed] = []
+        self._closed: list[ClosedBlock] = []
         self._kept: set[int] = set()
         self._newest = -1
         self.began = False
-        for raw in raws:
-            self.count(raw)
+        for contribution in contributions:
+            self.count(contribution)
         # what stood before the block announced was confirmed, or it would not have been announced
         if any(closed.number == block and closed.makes_keys for closed in self._closed):
             self._confirmed = block - 1
 
-    def count(self, raw: Raw) -> None:
+    def count(self, contribution: Contribution) -> None:
         """Take the row of the next transition."""
         self.began = self._open.empty
-        self._open.add(raw)
-        self._newest = raw.j
-        number = self.schedule.block_of(raw.j)
-        if raw.j + 1 == self.schedule.begins(number + 1):
-            closed = self._open.close(self.session, number, raw.j)
+        self._open.add(contribution)
+        self._newest = contribution.j
+        number = self.schedule.block_of(contribution.j)
+        if contribution.j + 1 == self.schedule.begins(number + 1):
+            closed = self._open.close(self.session, number, contribution.j)
             self._open = OpenBlock(self.schedule.assumption)
             assert closed.transitions == self.schedule.length(number), "a row is missing"
             self._closed.append(closed)
 
-    def to_keep(self) -> Closed | None:
+    def to_keep(self) -> ClosedBlock | None:
         """The next block to be stored, once; None while there is none, or two are unconfirmed."""
         if not self._closed or sum(n > self._confirmed for n in self._kept) >= UNCONFIRMED:
             return None
@@ -274,7 +274,7 @@ class Blocks:
         self._kept.add(block.number)
         return block
 
-    def stored(self, block: Stored) -> tuple[Judgement, ...]:
+    def stored(self, block: Stored) -> tuple[BlockResult, ...]:
         """A block is on disk; those of a session that is over are of no concern.
 
         A verdict that was reached before a start, but not yet on disk, is told once more.
@@ -290,7 +290,7 @@ class Blocks:
             self._confirmed = max(self._confirmed, block.number)
             self._settled.add(block.number)
         elif block.number <= self._confirmed:
-            return (Judgement(block.number, "confirmed"),)
+            return (BlockResult(block.number, "confirmed"),)
         return ()
 
     def word(self) -> tuple[int, str]:
@@ -306,17 +306,17 @@ class Blocks:
                 self.block, self.tag = following, self._stored[following].tag
         return self.block, self.tag
 
-    def heard(self, block: int, tag: str) -> tuple[Judgement, ...]:
+    def heard(self, block: int, tag: str) -> tuple[BlockResult, ...]:
         """Judge the partner's word: which blocks it confirms, or that it differs."""
         mine = self._stored.get(block)
         if mine is None or block <= self._confirmed or self._unequal:
             return ()
         if not compare_digest(tag, mine.accepted):
             self._unequal = True
-            return (Judgement(block, "unequal"),)
+            return (BlockResult(block, "unequal"),)
         done = sorted(n for n in self._stored if self._confirmed < n <= block)
         self._confirmed = block
-        return tuple(Judgement(n, "confirmed") for n in done)
+        return tuple(BlockResult(n, "confirmed") for n in done)
 
     @property
     def waiting(self) -> int:
@@ -336,7 +336,7 @@ class Blocks:
         if session == self.session:
             self._settled.add(number)
 
-    def settled(self) -> tuple[range, ...]:
+    def obsolete_rows(self) -> tuple[range, ...]:
         """Transitions whose rows nobody needs any more; they are named once.
 
         A block's are kept until it is confirmed on disk and this end has announced it.

@@ -39,7 +39,7 @@ def as_bytes(nonce: str) -> bytes:
     return a2b_base64(nonce)
 
 
-class Raw(NamedTuple):
+class Contribution(NamedTuple):
     """What one counted transition contributes, as both ends know it.
 
     ``j`` is its number in the session and ``steps`` how many steps it came after the transition
@@ -58,9 +58,9 @@ class Raw(NamedTuple):
         return (self.offer is not None) + 2 * (self.measurement is not None)
 
 
-def contribution(
+def contribution_of(
     *, j: int, steps: int, offer: str, applied_copy: int, measurement: str, heard: int
-) -> Raw:
+) -> Contribution:
     """The raw row of transition ``j``.
 
     Parameters
@@ -75,7 +75,7 @@ def contribution(
     heard : int
         The copy of that measurement which the controller heard first.
     """
-    return Raw(
+    return Contribution(
         j,
         steps,
         as_bytes(offer) if offer and applied_copy == FIRST else None,

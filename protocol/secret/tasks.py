@@ -2,14 +2,14 @@
 
 from typing import NamedTuple
 
-from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 
 
 class BlockVerdict(NamedTuple):
     """What became of a block, to be written down."""
 
     session: str
-    judgement: Judgement
+    judgement: BlockResult
 
 
 class Judged(NamedTuple):
@@ -27,5 +27,5 @@ class Broken(NamedTuple):
     reason: str
 
 
-Task = Closed | BlockVerdict
+Task = ClosedBlock | BlockVerdict
 Done = Stored | Judged | Broken

@@ -13,7 +13,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from protocol.link.endpoint import Actions, Notice, Outgoing
+from protocol.link.peer import Actions, Notice, Outgoing
 from protocol.messages import KeyAnswer, KeyRequest, Message
 from runtime.keys import ledger
 from runtime.keys.giving import Asking, What, new_use, pending
@@ -86,7 +86,7 @@ class Asker:
             return self._answered(KeyAnswer.model_validate_json(payload))
         except ValidationError as error:
             text = f"keys: {error.error_count()} fields not as expected; ignored"
-            return Actions(notices=(Notice(text, "warning", "garbage"),))
+            return Actions(notices=(Notice(text, "warning", "malformed"),))
 
     def _asked(self, request: KeyRequest) -> Actions:
         if request.side == self._side:

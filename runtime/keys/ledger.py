@@ -193,7 +193,7 @@ class Authentication:
             )
             db.execute("DELETE FROM asked WHERE what = 'pads' AND use != ?", (session,))
 
-    def settle(self, session: str, block: int) -> None:
+    def confirm(self, session: str, block: int) -> None:
         """A block is confirmed for good: the set that signed it is erased."""
         origin = self.origin(session, block)
         with self._store.transaction() as db:

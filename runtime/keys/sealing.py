@@ -10,7 +10,7 @@ from typing import Protocol
 
 from pydantic import ValidationError
 
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Notice, Outgoing
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Outgoing
 from protocol.messages import Message, SealCommand, Sealed, SealedReceipt, SealReply
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.records import KeysRefused, UnknownKeys
@@ -64,7 +64,7 @@ class SealingEnd:
             receipt = SealedReceipt.model_validate_json(payload)
         except ValidationError as error:
             text = f"sealing: {error.error_count()} fields not as expected; ignored"
-            return Actions(notices=(Notice(text, "warning", "garbage"),))
+            return Actions(notices=(Notice(text, "warning", "malformed"),))
         if receipt.refused:
             if not self._book.give_up(receipt.id, receipt.key_ids):
                 return NOTHING_TO_DO
@@ -147,7 +147,7 @@ class OpeningEnd:
             message = Sealed.model_validate_json(payload)
         except ValidationError as error:
             why = f"sealed: {error.error_count()} fields not as expected; ignored"
-            return Actions(notices=(Notice(why, "warning", "garbage"),))
+            return Actions(notices=(Notice(why, "warning", "malformed"),))
         text = SealedText(message.id, message.key_ids, message.cipher, message.tag)
         receipt, told = SealedReceipt(id=message.id), ""
         try:

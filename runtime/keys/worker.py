@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from protocol.secret.tasks import Broken, Done, Task
-from runtime.keys.keeper import KeeperAt
+from runtime.keys.key_maker import KeyMakerAt
 
 TRIES: Final = 5
 """Deaths over one task after which it is given up, and with it all keys from here on."""
@@ -25,13 +25,13 @@ FINISH_S: Final = 20.0
 
 
 class _Asked(NamedTuple):
-    at: KeeperAt
+    at: KeyMakerAt
     task: Task | None
     done: Callable[[Done], None]
 
 
 class KeyWorker:
-    """Has tasks done in order in a process of its own, :mod:`runtime.keys.apart`.
+    """Has tasks done in order in a process of its own, :mod:`runtime.keys.key_process`.
 
     The process is started at once, one for all loops of a host, and has its libraries before there
     is a loop to disturb. Where it dies it is started again and asked again: a keeper does what it
@@ -45,7 +45,7 @@ class KeyWorker:
         self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._thread.start()
 
-    def put(self, at: KeeperAt, done: Callable[[Done], None], task: Task) -> None:
+    def put(self, at: KeyMakerAt, done: Callable[[Done], None], task: Task) -> None:
         """Hand over a task for a store; returns at once.
 
         Parameters
@@ -57,7 +57,7 @@ class KeyWorker:
         """
         self._asked.put(_Asked(at, task, done))
 
-    def leave(self, at: KeeperAt) -> None:
+    def leave(self, at: KeyMakerAt) -> None:
         """Close a store once all that was handed over for it is done; returns at once."""
         self._asked.put(_Asked(at, None, lambda _done: None))
 
@@ -123,7 +123,7 @@ def _start() -> "subprocess.Popen[bytes]":
     was half a millisecond late while both ends distilled.
     """
     return subprocess.Popen(
-        [sys.executable, "-m", "runtime.keys.apart", str(os.getpid())],
+        [sys.executable, "-m", "runtime.keys.key_process", str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         process_group=0,

@@ -37,7 +37,7 @@ SETTINGS: Final = ("loop", "knowledge", "view")
 class CaptureReader:
     """Reads a capture in order, part by part, also while it is being written.
 
-    Every line after a header is given out or counted once: as ``torn``, ``garbage`` or ``skipped``.
+    Every line after a header is given out or counted once: as ``torn``, ``malformed`` or ``skipped``.
     A part without a header is left out, its lines are ``torn``.
 
     Parameters
@@ -57,7 +57,7 @@ class CaptureReader:
     path: Path
     like: Mapping[str, Any] | None = None
     torn: int = 0
-    garbage: int = 0
+    malformed: int = 0
     parts_missing: int = 0
     skipped: int = 0
     ended: bool = False
@@ -175,8 +175,8 @@ class CaptureReader:
     def _decode(self, line: bytes) -> tuple[int, FieldMessage] | None:
         value = decode(line)
         try:
-            if value is not None and value["event"] == "garbage":
-                self.garbage += 1
+            if value is not None and value["event"] == "malformed":
+                self.malformed += 1
             elif value is not None and value["event"] == END:
                 self.ended = value.get("last") is True
                 self._went_on = not self.ended

@@ -210,7 +210,7 @@ def garbage_line(t_ns: int, key: str, payload: bytes) -> bytes:
     """The capture line of something on a field key that is no message."""
     return to_json(
         {
-            "event": "garbage",
+            "event": "malformed",
             "t_ns": t_ns,
             "key": key,
             "base64": base64.b64encode(payload).decode("ascii"),

@@ -66,7 +66,7 @@ class Transition:
     applied: bool = True
     start: bool = False
     gap: bool = False
-    centres: tuple[Vector, ...] = ()
+    predictions: tuple[Vector, ...] = ()
 
     @property
     def whole(self) -> bool:
@@ -186,7 +186,7 @@ class Transcript:
                     applied=after is not None,
                     start=self._start,
                     gap=self._gap,
-                    centres=() if offer is None else offer.centres,
+                    predictions=() if offer is None else offer.predictions,
                 )
             )
             self._start = self._gap = False

@@ -211,7 +211,7 @@ class Eavesdropper(ABC):
         except UnknownError as error:
             raise KnowledgeError(f"knowledge.scheme: {error}") from None
         self.certain = knowledge.policy is not None and knowledge.policy.certain
-        self.settled: list[Guess] = []
+        self.final_guesses: list[Guess] = []
 
     def hear(self, message: FieldMessage) -> None:  # noqa: B027
         """Take a message as it was heard, repeats and sealed ones included."""
@@ -275,12 +275,12 @@ class Model:
         x: Sequence[float],
         candidates: Sequence[Sequence[float]],
         x_next: Sequence[float],
-        centres: Sequence[Sequence[float]] = (),
+        predictions: Sequence[Sequence[float]] = (),
     ) -> list[float]:
         """g(x_next - c_i) for each candidate, in units of D_e; c_i as offered, if it was."""
         return [
             self.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
-            for centre in centres or [predict(self.A, self.B, x, u) for u in candidates]
+            for centre in predictions or [predict(self.A, self.B, x, u) for u in candidates]
         ]
 
 

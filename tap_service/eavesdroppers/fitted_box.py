@@ -71,7 +71,7 @@ class FittedBox(Following):
             self._fit()
             oldest, self._kept = self._kept[: KEPT // 2], self._kept[KEPT // 2 :]
             self._whole_past = False
-            self.settled += [self._guess(past, along) for past, along in oldest]
+            self.final_guesses += [self._guess(past, along) for past, along in oldest]
         return guess
 
     def judged(
@@ -79,8 +79,8 @@ class FittedBox(Following):
     ) -> tuple[int, Guess]:
         """Measure every candidate in the shape found so far; the nearest is the guess."""
         A, B = self.model.A, self.model.B
-        centres = t.centres or [predict(A, B, x, u) for u in candidates]
-        along = (np.array(x_next) - np.array(centres)) @ self._rows.T
+        predictions = t.predictions or [predict(A, B, x, u) for u in candidates]
+        along = (np.array(x_next) - np.array(predictions)) @ self._rows.T
         self._kept.append((t, along))
         self._heard += 1
         guess = self._guess(t, along)

@@ -21,7 +21,7 @@ from protocol.secret.galois import Words
 from protocol.secret.nonces import NONCE_BYTES, as_bytes
 from protocol.secret.records import key_id
 from protocol.secret.sealed import TAG_KEY_BYTES, keys_needed
-from runtime.keys.keeper import PUBLIC_TAG_BYTES
+from runtime.keys.key_maker import PUBLIC_TAG_BYTES
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
     Belief,
@@ -33,7 +33,7 @@ from tap_service.eavesdroppers.base import (
     ReadText,
     even,
 )
-from tap_service.inference.key_solver import Held, bits_held, held, within
+from tap_service.inference.key_solver import KnownCombinations, bits_held, held, within
 from tap_service.inference.miss_rate import Audit, worst
 
 KEPT_BLOCKS: Final = 64
@@ -77,7 +77,7 @@ class _Solved(NamedTuple):
 
     session: str
     number: int
-    held: Held
+    held: KnownCombinations
 
     def known(self, rows: tuple[int, ...], place: int, tag: bytes) -> tuple[Words, Words]:
         """Combinations of ``rows`` that she knows of their word ``place``, with the values."""
@@ -209,7 +209,7 @@ class KeySolver(Eavesdropper):
         bits = bits_held(rows, missed)
         if bits and self._claim.by_words and not missed:
             keys = words(extract([nonce for nonce in nonces if nonce], rows, by_words=True))
-            found = Held(rows, 0, bits, np.eye(rows, dtype=np.uint16), keys)
+            found = KnownCombinations(rows, 0, bits, np.eye(rows, dtype=np.uint16), keys)
             self._solved.append(_Solved(session, number, found))
         elif bits and not self._claim.by_words:  # by words the system is sixteen times as large
             self._solved.append(_Solved(session, number, held(nonces, rows)))

@@ -91,7 +91,7 @@ class Learning(Eavesdropper):
     def _let_go(self, count: int) -> None:
         """Learn from all that is kept once more, and keep the newer ones to learn from."""
         self.learn()
-        self.settled += map(self._second_thought, self._kept[:count])
+        self.final_guesses += map(self._second_thought, self._kept[:count])
         self._past_stays = self._model is not None
         self._kept = self._kept[count:]
 

@@ -44,7 +44,7 @@ class ListDecoder(Eavesdropper):
         if t.x is None or t.candidates is None or t.x_next is None or t.cipher is None:
             self.decoding.step_missed(t.k, t.cipher)
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.predictions)
         agreed = agreement_probability(self.decoding, gauges)
         self.decoding.step(t.k, gauges, t.cipher)
         return Guess(t.k, nearest(gauges), agreed)

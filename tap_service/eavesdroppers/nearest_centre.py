@@ -34,7 +34,7 @@ class NearestCentre(Following):
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
     ) -> tuple[int, Guess]:
         """Measure every candidate; the nearest is the guess."""
-        gauges = self.model.gauges(x, candidates, x_next, t.centres)
+        gauges = self.model.gauges(x, candidates, x_next, t.predictions)
         nearest = min(gauges)
         ties = gauges.count(nearest)
         self._largest = max(self._largest, nearest)

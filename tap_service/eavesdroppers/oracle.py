@@ -37,8 +37,8 @@ class Oracle(Following):
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
     ) -> tuple[int, Guess]:
         """Make the test."""
-        if t.centres:
-            verdict = self._rule.verdict_at(t.centres, x_next)
+        if t.predictions:
+            verdict = self._rule.verdict_at(t.predictions, x_next)
         else:
             verdict = self._rule.verdict(x, candidates, x_next)
         agreed = verdict.agreed and self.follower.tests

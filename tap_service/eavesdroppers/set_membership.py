@@ -30,7 +30,7 @@ class SetMembership(Following):
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
     ) -> tuple[int, Guess]:
         """Exclude, then guess evenly."""
-        possible = [g <= 1.0 for g in self.model.gauges(x, candidates, x_next, t.centres)]
+        possible = [g <= 1.0 for g in self.model.gauges(x, candidates, x_next, t.predictions)]
         count = sum(possible)
         if count == len(possible):
             return self._coin.randrange(self.size), Guess(t.k, self.even, 0.5)

@@ -98,7 +98,7 @@ class Smoother(Eavesdropper):
             self._let_go(KEPT // 2)
         if t.x is None or t.candidates is None or t.x_next is None:
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.predictions)
         return Guess(t.k, nearest(gauges), 0.5 if max(gauges) <= 1.0 else 0.0)
 
     def decode(self) -> None:
@@ -116,7 +116,7 @@ class Smoother(Eavesdropper):
         """Decode the oldest for good."""
         self.decode()
         oldest = self._steps[:count]
-        self.settled += [self._second_thought(step) for step in oldest]
+        self.final_guesses += [self._second_thought(step) for step in oldest]
         if any(t.cipher is not None for t in self._kept):
             self._before = self._follow(oldest)
         self._kept, self._steps = self._kept[count:], self._steps[count:]

@@ -86,7 +86,7 @@ class Text(Eavesdropper):
             self._let_go(KEPT // 2)
         if t.x is None or t.candidates is None or t.x_next is None:
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.centres)
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.predictions)
         agreed = 1.0 if self.certain else (0.5 if max(gauges) <= 1.0 else 0.0)
         return Guess(t.k, nearest(gauges), agreed)
 
@@ -100,7 +100,7 @@ class Text(Eavesdropper):
         self._inferred = self._inference.infer(self._kept)
         steps, among = self._inferred.steps, self._inferred.among
         self._open = []
-        settled = dict(self._after)
+        final_guesses = dict(self._after)
         for message in self._reader.read(steps, among, self._after):
             if message.whole and message.probability >= SURE:
                 self._take(message)
@@ -112,7 +112,7 @@ class Text(Eavesdropper):
                 self._next = min(self._next, self._heard + max(due, SOON))
         verdicts, _ = verdicts_of(steps, among, self.size, certain=self.certain)
         for step, row in zip(steps, verdicts.tolist(), strict=True):
-            if step.transition.k > settled.get(step.transition.session, -1):
+            if step.transition.k > final_guesses.get(step.transition.session, -1):
                 self._think(step.transition.session, step.transition.k, row)
         for stretch in self._reader.stretches:
             for i, row in enumerate(stretch.verdicts.tolist()):
@@ -146,7 +146,7 @@ class Text(Eavesdropper):
         self.decode()
         for t in self._kept[:count]:
             guess = self._thoughts.pop((t.session, t.k), None)
-            self.settled.append(guess or Guess(t.k, self._even, 0.5, t.session))
+            self.final_guesses.append(guess or Guess(t.k, self._even, 0.5, t.session))
         self._kept = self._kept[count:]
 
     def review(self) -> Sequence[Guess]:

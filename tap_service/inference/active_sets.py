@@ -33,7 +33,7 @@ POINTS: Final = 60
 ABOUT: Final = 1.5
 """Standard deviations of the noise by which they lie about it."""
 
-MOST: Final = 64
+MOST_SETS: Final = 64
 """Combinations of free and constrained items that are looked at."""
 
 REACH: Final = 4.5
@@ -147,24 +147,24 @@ class Explanations:
         self,
         items: Sequence[Item],
         state: Array | None,
-        centres: Array,
+        predictions: Array,
         Q: Array,
         scales: Scales,
     ) -> list[Ways]:
-        """All ways of an offer, or of a state that was heard, that ``centres`` do not rule out."""
+        """All ways of an offer, or of a state that was heard, that ``predictions`` do not rule out."""
         out: list[Ways] = []
         C, y = np.empty((1, 0, self._n)), np.empty((1, 0))
         if state is not None:
             C, y = np.eye(self._n)[None], state[None]
-            centres, Q = state[None], self._noise**2 * np.eye(self._n)
+            predictions, Q = state[None], self._noise**2 * np.eye(self._n)
         r = np.full(y.shape, self._noise**2 + (EXACT * self.spread) ** 2)
-        belief = centres, Q, scales, state is not None
+        belief = predictions, Q, scales, state is not None
         for inside in (True, False) if self._law.facets else (False,):
             chance = (1 - STRAY if inside else STRAY) if self._law.facets else 1.0
             ways = [Ways(C, y, r, float(np.log(chance)), inside)]
             for place in range(len(items)):
                 options = self._options(items, place, inside, belief)
-                ways = [way.times(option) for way in ways for option in options][:MOST]
+                ways = [way.times(option) for way in ways for option in options][:MOST_SETS]
             out += ways
         return out
 
@@ -176,7 +176,7 @@ class Explanations:
         belief: tuple[Array, Array, Scales, bool],
     ) -> list[Ways]:
         """The ways of one item."""
-        centres, Q, scales, heard = belief
+        predictions, Q, scales, heard = belief
         item = items[place]
         idle = bool(np.abs(item.u).max() <= self._tolerance)
         exact = self._noise**2 + (EXACT * self.spread) ** 2
@@ -207,10 +207,10 @@ class Explanations:
             y = item.u[0] - places
             r = exact + (SLACK * self.spread) ** 2 + (scales.doubt * places) ** 2
             S = ((facets.slopes @ Q) * facets.slopes).sum(axis=1) + r
-            off = np.abs(centres @ facets.slopes.T - y).min(axis=0)
+            off = np.abs(predictions @ facets.slopes.T - y).min(axis=0)
             near = off <= REACH * np.sqrt(S)
             if heard:  # the tightest somewhere about the state
-                limits = side * ((centres + self._about) @ facets.slopes.T + places)
+                limits = side * ((predictions + self._about) @ facets.slopes.T + places)
                 near &= np.isin(np.arange(len(places)), limits.argmin(axis=1))
             if near.any():
                 C = facets.slopes[near][:, None]

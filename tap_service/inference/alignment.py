@@ -12,7 +12,7 @@ from protocol.schemes.framing import IDLE
 from protocol.schemes.table import StateTable
 from tap_service.inference.lattice import BEGINS
 
-MOST: Final = 12_000_000
+MOST_CELLS: Final = 12_000_000
 """Steps times states times symbols at most; with more, nothing is aligned."""
 
 TINY: Final = 1e-300
@@ -49,7 +49,7 @@ def align(
         Of the message symbol carried: none, 0, 1, ...
     """
     K, M, E, P = len(verdicts), verdicts.shape[2] - 1, len(entry), len(stream)
-    if K * E * (P + 1) > MOST:
+    if K * E * (P + 1) > MOST_CELLS:
         return None
     idles = np.zeros(P + 1)
     idles[waits] = 1 - BEGINS

@@ -27,7 +27,7 @@ ENOUGH: Final = 16
 EXPLAINED: Final = 1e-3
 """Over the spread of the answers: within this the law explains an offer."""
 
-MOST: Final = 0.6
+MOST_ACTIVE_SHARE: Final = 0.6
 """Share of the offers that a law must explain."""
 
 SLACK: Final = 0.02
@@ -114,7 +114,7 @@ class Inference:
         if not self._noise and (not tried or (law.explains(x, u) <= room).mean() < 0.95):
             tried.append(learned_law(law, x, u))
         shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
-        if not shares or max(shares) < MOST:
+        if not shares or max(shares) < MOST_ACTIVE_SHARE:
             return None
         return tried[int(np.argmax(shares))]
 

@@ -16,7 +16,7 @@ from protocol.secret.galois import Words, eliminate, product
 from protocol.secret.nonces import NONCE_BYTES
 
 
-class Held(NamedTuple):
+class KnownCombinations(NamedTuple):
     """What she can compute of a block's rows.
 
     Parameters
@@ -39,7 +39,7 @@ class Held(NamedTuple):
     values: Words
 
 
-def held(nonces: Sequence[bytes | None], rows: int) -> Held:
+def held(nonces: Sequence[bytes | None], rows: int) -> KnownCombinations:
     """Solve the block's linear system for whatever the tap can.
 
     Parameters
@@ -57,7 +57,7 @@ def held(nonces: Sequence[bytes | None], rows: int) -> Held:
     combinations = reduced[rank:, len(missed) :]
     present = [nonce for nonce in nonces if nonce is not None]
     known = product(G[:, heard], words(present))
-    return Held(
+    return KnownCombinations(
         rows=rows,
         missed=len(missed),
         bits=8 * NONCE_BYTES * (rows - rank),

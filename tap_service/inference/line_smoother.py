@@ -105,7 +105,7 @@ class LineSmoother:
             return np.tile(np.array(t.candidates)[:, 0], (len(x), 1))
         return self._law.offers(x)
 
-    def _centres(self, x: Array, t: Transition) -> Array:
+    def _predictions(self, x: Array, t: Transition) -> Array:
         """Predictions of every particle under every candidate, shape (N, M, 2)."""
         u = self._inputs(x, t)
         out: Array = (x @ self._A.T)[:, None] + u[:, :, None] * self._b
@@ -135,9 +135,9 @@ class LineSmoother:
         state = None if t.x is None else np.array(t.x)
         if state is not None and not self._noise:
             return (state[None], np.ones(1)), 0.0
-        centres = self._centres(x, before)
-        size = centres.shape[1]
-        C, v = centres.reshape(-1, 2), np.repeat(w / size, size)
+        predictions = self._predictions(x, before)
+        size = predictions.shape[1]
+        C, v = predictions.reshape(-1, 2), np.repeat(w / size, size)
         if t.candidates is not None:
             found = self._on_lines(C, v, self._law.solved(np.array(t.candidates)), state)
             if found is not None:
@@ -315,10 +315,10 @@ class LineSmoother:
         end = None if last.x_next is None else np.array(last.x_next)
         if end is None:
             x, w = clouds[-1]
-            centres = self._centres(x, last).reshape(-1, 2)
-            size = len(centres) // len(x)
+            predictions = self._predictions(x, last).reshape(-1, 2)
+            size = len(predictions) // len(x)
             picked = self._picked(np.repeat(w, size), SAMPLES)
-            after = self._rng.permutation(centres[picked] + self._even(SAMPLES))
+            after = self._rng.permutation(predictions[picked] + self._even(SAMPLES))
         elif self._noise:
             after = end + self._noise * self._rng.standard_normal((SAMPLES, 2))
         else:
@@ -336,8 +336,8 @@ class LineSmoother:
     def _back(self, cloud: Cloud, t: Transition, after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""
         x, w = cloud
-        centres = self._centres(x, t)
-        d = after[:, None, None] - centres[None]
+        predictions = self._predictions(x, t)
+        d = after[:, None, None] - predictions[None]
         own = _largest(d, self._rows)
         if len(x) == 1:
             gauges = _largest(d[:, 0], self._shape)
@@ -355,7 +355,7 @@ class LineSmoother:
             d = np.broadcast_to(d, (SAMPLES, *d.shape[1:]))
         share = weights.cumsum(axis=1)
         at = self._rng.random((len(after), 1)) * share[:, -1:]
-        chosen = (share < at).sum(axis=1) // centres.shape[1]
+        chosen = (share < at).sum(axis=1) // predictions.shape[1]
         chosen = np.minimum(chosen, len(x) - 1)
         rows = np.arange(len(after))
         return x[chosen], _largest(d[rows, chosen], self._shape)

@@ -138,8 +138,8 @@ class ParticleSmoother:
     def _step(self, x: Array, before: Transition, t: Transition) -> tuple[Array, float]:
         """The cloud one step on, after the next offer; that offer's log evidence."""
         assert self._scales is not None
-        centres, shares, Q, plain = self._onward(x, before)
-        drawn, w, centre = self._draws(centres, shares - np.log(len(x)), Q, t)
+        predictions, shares, Q, plain = self._onward(x, before)
+        drawn, w, centre = self._draws(predictions, shares - np.log(len(x)), Q, t)
         if plain:
             d = drawn - centre
             normal = 0.5 * ((d * d) @ (1 / np.diag(Q))) + 0.5 * float(np.log(np.diag(Q)).sum())
@@ -150,11 +150,11 @@ class ParticleSmoother:
         return drawn[places], total - float(np.log(len(w)))
 
     def _draws(
-        self, centres: Array, w: Array, Q: Array, t: Transition
+        self, predictions: Array, w: Array, Q: Array, t: Transition
     ) -> tuple[Array, Array, Array]:
         """States after what was heard of an offer: draws, log weights, and whence they came.
 
-        ``centres``, shape (R, n), of log weights ``w``, stand for Gaussians of covariance ``Q``.
+        ``predictions``, shape (R, n), of log weights ``w``, stand for Gaussians of covariance ``Q``.
         The mean of the weights is the evidence.
         """
         assert self._scales is not None
@@ -164,13 +164,13 @@ class ParticleSmoother:
             items = self._ways.items(self._law.solved(np.array(t.candidates)))
         state = None if t.x is None else np.array(t.x)
         heard = bool(items) or state is not None
-        ways = self._ways.ways(items, state, centres, Q, self._scales) if heard else []
+        ways = self._ways.ways(items, state, predictions, Q, self._scales) if heard else []
         if not ways:  # nothing was heard, or what no way explains
             picked, total = self._picked(w, count)
             z = self._rng.standard_normal((count, self._n)) @ _factor(Q).T
             total += UNEXPLAINED if heard else 0.0
-            return centres[picked] + z, np.full(count, total), centres[picked]
-        groups = [self._weighed(way, centres, w, Q) for way in ways]
+            return predictions[picked] + z, np.full(count, total), predictions[picked]
+        groups = [self._weighed(way, predictions, w, Q) for way in ways]
         table = np.concatenate([g.ravel() for g, *_ in groups])
         flat, total = self._picked(table, count)
         parts, first = [], 0
@@ -178,16 +178,16 @@ class ParticleSmoother:
             mine = flat[(flat >= first) & (flat < first + g.size)] - first
             first += g.size
             centre, j = np.unravel_index(mine, g.shape)
-            mean = centres[centre] + np.einsum("pnr,pr->pn", K[j], e[centre, j])
+            mean = predictions[centre] + np.einsum("pnr,pr->pn", K[j], e[centre, j])
             z = self._rng.standard_normal(mean.shape)
             x = mean + np.einsum("pnm,pm->pn", factor[j], z)
             ok = self._ways.allowed(x, items, way, self._scales)
-            parts.append((x, np.where(ok, total, -np.inf), centres[centre]))
+            parts.append((x, np.where(ok, total, -np.inf), predictions[centre]))
         x, v, source = (np.concatenate(column) for column in zip(*parts, strict=True))
         return x, v, source
 
     def _weighed(
-        self, way: Ways, centres: Array, w: Array, Q: Array
+        self, way: Ways, predictions: Array, w: Array, Q: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Log weights of centres and ways, shape (R, H); gains, spreads and whitened residuals."""
         rows = way.y.shape[1]
@@ -196,7 +196,7 @@ class ParticleSmoother:
         white = np.linalg.inv(np.linalg.cholesky(S))  # of S; its rows make the readings independent
         y = (white @ way.y[:, :, None])[:, :, 0]
         C = (white @ way.C).reshape(-1, self._n)
-        e = y - (centres @ C.T).reshape(len(centres), *y.shape)
+        e = y - (predictions @ C.T).reshape(len(predictions), *y.shape)
         scale = np.log(white.diagonal(axis1=1, axis2=2)).sum(axis=1) - 0.5 * rows * LOG_2PI
         table = w[:, None] + (way.prior + scale)
         for q in range(rows):
@@ -228,23 +228,23 @@ class ParticleSmoother:
         """Trajectories by what came after too, shape (S, T + 1, n)."""
         assert self._scales is not None
         states = np.empty((SAMPLES, len(transitions) + 1, self._n))
-        centres, shares, Q, _ = self._onward(clouds[-1], transitions[-1])
+        predictions, shares, Q, _ = self._onward(clouds[-1], transitions[-1])
         picked, _ = self._picked(shares, SAMPLES)
         z = self._rng.standard_normal((SAMPLES, self._n)) @ _factor(Q).T
-        states[:, -1] = self._rng.permutation(centres[picked] + z)
+        states[:, -1] = self._rng.permutation(predictions[picked] + z)
         if transitions[-1].x_next is not None:
             z = self._rng.standard_normal((SAMPLES, self._n))
             states[:, -1] = np.array(transitions[-1].x_next) + self._noise * z
         for i in range(len(transitions) - 1, -1, -1):
-            centres, shares, Q, plain = self._onward(clouds[i], transitions[i])
-            d = states[:, i + 1, None] - centres
+            predictions, shares, Q, plain = self._onward(clouds[i], transitions[i])
+            d = states[:, i + 1, None] - predictions
             if plain:
                 w = shares + self._density(d, self._scales.size)
             else:
                 w = -0.5 * np.einsum("scn,nm,scm->sc", d, np.linalg.inv(Q), d)
             share = np.exp(w - w.max(axis=1, keepdims=True)).cumsum(axis=1)
             at = self._rng.random((SAMPLES, 1)) * share[:, -1:]
-            chosen = (share < at).sum(axis=1) // (len(centres) // len(clouds[i]))
+            chosen = (share < at).sum(axis=1) // (len(predictions) // len(clouds[i]))
             states[:, i] = clouds[i][chosen]
         return states
 

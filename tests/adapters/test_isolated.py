@@ -11,8 +11,7 @@ import pytest
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import KINDS, open_plant
 from protocol.scenario import Scenario
-from runtime import guest
-from tests.adapters.test_driven import line
+from tests.adapters.test_device import line
 
 PLANT = """
 import ctypes, os, subprocess, sys, threading, time
@@ -176,8 +175,8 @@ def test_what_it_started_ends_with_it(tmp_path: Path, leave: str, then: str) -> 
     plant.close()
 
 
-def guest_of(plant: Operated) -> guest.GuestProcess:
-    found: guest.GuestProcess = plant.adapter.plant._far._process  # type: ignore[attr-defined]
+def guest_of(plant: Operated) -> guest.SandboxProcess:
+    found: guest.SandboxProcess = plant.adapter.plant._far._process  # type: ignore[attr-defined]
     return found
 
 
@@ -203,11 +202,11 @@ def test_it_ends_with_a_service_that_is_killed(tmp_path: Path) -> None:
         cwd=Path(__file__).resolve().parents[2],
     ) as service:
         assert service.stdout is not None
-        warden, forked = int(service.stdout.readline()), int(written(tmp_path / "pid"))
-        assert alive(warden)
+        supervisor, forked = int(service.stdout.readline()), int(written(tmp_path / "pid"))
+        assert alive(supervisor)
         assert alive(forked)
         service.kill()
-    assert gone(warden)
+    assert gone(supervisor)
     assert gone(forked)
 
 

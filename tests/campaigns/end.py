@@ -10,19 +10,19 @@ import hashlib
 from math import inf
 from typing import Final, Literal, NamedTuple
 
-from controller_service.endpoint import ControllerEndpoint
-from plant_service.endpoint import PlantEndpoint
-from protocol.link.endpoint import Actions, Keep, Notice, Outgoing, Write
+from controller_service.peer import ControllerPeer
+from plant_service.peer import PlantPeer
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
+from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
-from protocol.secret.blocks import Closed
+from protocol.secret.blocks import ClosedBlock
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.tasks import Task
 from runtime import perform as shell
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from runtime.perform import CrashPoint, Killed, Mortal
+from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
@@ -119,7 +119,7 @@ class End:
             self.journal = MemoryControllerJournal(*PAYLOADS)
         else:
             self.journal = MemoryPlantJournal()
-        self.endpoint: ControllerEndpoint | PlantEndpoint
+        self.endpoint: ControllerPeer | PlantPeer
         self._line: LinePlant | ActingLine | None = None
         self.mortal()
         self._begin_event()
@@ -128,7 +128,7 @@ class End:
 
     def mortal(self) -> None:
         """It dies within what is asked of its ports, and of its device."""
-        self._ports = Mortal(self)
+        self._ports = CrashingPorts(self)
         if self.device is not None:
             self.device.passes = self._acts
 
@@ -187,7 +187,7 @@ class End:
     def nonce(self) -> str:
         """A nonce that tells what it is for."""
         if self.side == "controller":
-            assert isinstance(self.endpoint, ControllerEndpoint)
+            assert isinstance(self.endpoint, ControllerPeer)
             session, k = self.endpoint.sender.record.session, self._heard_k
         else:
             assert self._line is not None
@@ -203,7 +203,7 @@ class End:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
         self.journal.write(write)
-        if isinstance(write, Keep) and write.received is not None:
+        if isinstance(write, Save) and write.received is not None:
             place = self.view.received
             self.again = write.received in PAYLOADS[:place]
             if not self.again:
@@ -245,7 +245,7 @@ class End:
 
     def _offered(self, offer: Offer) -> None:
         """No transition is offered two cipher symbols."""
-        assert isinstance(self.endpoint, ControllerEndpoint)
+        assert isinstance(self.endpoint, ControllerPeer)
         sender = self.endpoint.sender
         answer = sender._answer
         # while an answer is not settled the record is the one before it
@@ -288,16 +288,16 @@ class End:
         window = 2 if self.side == "plant" else 1
         self.view = self.view._replace(counted=(*counted, mine)[-window:])
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         """A task for the keeper of keys; a nonce counts once, and a copy 1's never."""
         self.things += 1
-        if isinstance(task, Closed):
+        if isinstance(task, ClosedBlock):
             nonces = {*task.nonces, base64.b64decode(DUMMY)}
             if len(nonces) != task.counted + 1:
                 raise Broken(f"block {task.number} counts a nonce twice, or a copy 1's")
         self.tasks.append(task)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         """Nobody reads the log."""
 
     def health(self, status: Status) -> None:
@@ -315,21 +315,21 @@ class End:
             When a safety property does not hold any more.
         """
         self._begin_event()
-        self._ports.doom(after=doing.death)
+        self._ports.crash_at(after=doing.death)
         try:
             self._happens(doing, kind, payload)
-        except Killed:
-            self._ports.doom()
+        except Crashed:
+            self._ports.crash_at()
             self._start()
         finally:
-            self._ports.doom()
+            self._ports.crash_at()
         self._set_clock()
 
     def _happens(self, doing: Doing, kind: type[Message] | None, payload: bytes) -> None:
         endpoint = self.endpoint
         if doing.what == "hears":
             assert kind is not None
-            if isinstance(endpoint, ControllerEndpoint):
+            if isinstance(endpoint, ControllerPeer):
                 self._heard_k = _k_of(payload) if kind is Measurement else -1
                 self.now += LONG_S if doing.pace == "late" else 0.0
                 endpoint._greeting_at = inf if doing.pace == "soon" else -inf
@@ -337,14 +337,14 @@ class End:
                 self._line.coin, self._line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
-            if doing.pace == "late" and isinstance(endpoint, PlantEndpoint):
+            if doing.pace == "late" and isinstance(endpoint, PlantPeer):
                 endpoint._answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
         elif doing.what == "keeps":
             store, done = self.stores.work(self.side, self.view.store, self.tasks.pop(0))
             self.view = self.view._replace(store=store)
-            self._perform(endpoint.kept(done, self.now))
+            self._perform(endpoint.key_task_done(done, self.now))
         elif doing.what == "freezes":
             self.now += LONG_S if self._line is None else SILENCE_S + 5 * STEP_S
         else:
@@ -359,7 +359,7 @@ class End:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
         endpoint._now = 0.0
-        if isinstance(endpoint, ControllerEndpoint):
+        if isinstance(endpoint, ControllerPeer):
             away = now - endpoint._plant_at >= endpoint._running_s
             endpoint._plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all

@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Hashable, Iterator
 from typing import NamedTuple, TypeVar
 
-from protocol.link.endpoint import Outgoing
+from protocol.link.peer import Outgoing
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from tests.campaigns.end import Broken, Doing, End, Side, View

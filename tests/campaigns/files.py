@@ -210,10 +210,14 @@ def mutants(seed: int, original: bytes, name: str) -> Iterator[bytes]:
         elif kind < 0.05:
             yield draw.choice((b"", b"[" * 20_000, b"\xff\xfe", draw.randbytes(300), b"\n" * 50))
         elif kind < 0.35 or original[:1] == b"S":  # bytes, and all that one does to a database
-            raw = bytearray(original)
+            contribution = bytearray(original)
             for _ in range(draw.choice((1, 1, 3, 50))):
-                raw[draw.randrange(len(raw))] = draw.randrange(256)
-            yield bytes(raw[: draw.choice((len(raw), draw.randrange(len(raw) + 1)))])
+                contribution[draw.randrange(len(contribution))] = draw.randrange(256)
+            yield bytes(
+                contribution[
+                    : draw.choice((len(contribution), draw.randrange(len(contribution) + 1)))
+                ]
+            )
         elif kind < 0.5:
             at, n = draw.randrange(len(original)), draw.choice((1, 20, 2000))
             piece = draw.choice(

@@ -33,7 +33,7 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import DEFAULT_LOOP, key_of
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.files import write_atomically
 from runtime.run_folder import CAPTURE, PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
@@ -162,7 +162,7 @@ def heard_on(services: Services) -> dict[str, list[bytes]]:
     hello = PlantHello(
         instance=session,
         session=session,
-        life=0,
+        incarnation=0,
         fingerprint=fingerprint,
         transitions=0,
         applied_k=-1,

@@ -38,13 +38,13 @@ def payloads(seed: int, heard: list[bytes]) -> Iterator[bytes]:
         if kind < 0.1 or not heard:
             yield draw.randbytes(draw.choice((0, 1, 7, 100, 2000)))
         elif kind < 0.2:
-            raw = bytearray(draw.choice(heard))
+            contribution = bytearray(draw.choice(heard))
             for _ in range(draw.randint(1, 4)):
-                raw[draw.randrange(len(raw))] = draw.randrange(256)
-            yield bytes(raw)
+                contribution[draw.randrange(len(contribution))] = draw.randrange(256)
+            yield bytes(contribution)
         elif kind < 0.3:
-            raw = bytearray(draw.choice(heard))
-            yield bytes(raw[: draw.randrange(len(raw) + 1)])
+            contribution = bytearray(draw.choice(heard))
+            yield bytes(contribution[: draw.randrange(len(contribution) + 1)])
         elif kind < 0.3001:
             yield b"[" * draw.choice((1000, LARGEST))
         else:

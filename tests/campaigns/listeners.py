@@ -18,8 +18,8 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.addresses import Addresses
 from runtime.bus import Deliver
-from runtime.endpoints import Endpoints
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import OpeningEnd, SealingEnd
 from runtime.keys.store import KeyStore
@@ -67,7 +67,7 @@ class Tap:
         config = TapConfig(
             folder,
             law_of("sustained")[0].knowledge(),
-            *(Endpoints(), Endpoints()),
+            *(Addresses(), Addresses()),
             names=("set-membership", "nearest-centre"),
             limits=limits,
         )

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.keys.secret_file import make_secret
 from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from runtime.scenario_file import scenario_of

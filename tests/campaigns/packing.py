@@ -5,7 +5,7 @@ import pickle
 from functools import lru_cache
 from typing import Any, Final
 
-from plant_service.endpoint import PlantEndpoint
+from plant_service.peer import PlantPeer
 from protocol.link.session import Rules
 from protocol.messages import Message
 from protocol.secret.blocks import Schedule
@@ -109,7 +109,7 @@ def unpack(packed: bytes, stores: Stores) -> End:
     end.stores = stores
     end.mortal()
     end._line = None
-    if isinstance(end.endpoint, PlantEndpoint):
+    if isinstance(end.endpoint, PlantPeer):
         assert isinstance(end.endpoint.plant, LinePlant | ActingLine)
         end._line = end.endpoint.plant
     return end

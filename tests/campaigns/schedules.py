@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
-from plant_service.endpoint import PlantEndpoint
+from plant_service.peer import PlantPeer
 from protocol.agreement import predict
 from protocol.link.events import Applied, Event, Interrupted, Missed
 from protocol.messages import ControllerHello, Measurement, Message, Offer
@@ -158,7 +158,7 @@ class Watched(Simulation):
         """Steps that a session's end cut short."""
         super().__init__(*args, **kwargs)
 
-    def _new_plant(self, lives: int) -> PlantEndpoint:
+    def _new_plant(self, lives: int) -> PlantPeer:
         if self._device is not None:
             self._device.passes = self._ends["plant"].ports.passes
         return super()._new_plant(lives)
@@ -179,7 +179,7 @@ class Watched(Simulation):
         receiver = self._plant.plant.receiver
         word = ControllerHello(
             instance=receiver.controller or "",
-            life=receiver.record.life,
+            incarnation=receiver.record.incarnation,
             fingerprint=receiver.rules.fingerprint,
             verdict="unknown-session",
             session=receiver.record.session,

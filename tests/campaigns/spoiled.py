@@ -23,7 +23,7 @@ from wyner.verify import check
 from wyner.verify.evidence import read_evidence
 
 KINDS: Final = (
-    *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "garbage"),
+    *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "malformed"),
     "both restored",
 )
 SCENARIOS: Final = ("sustained", "keys")
@@ -47,7 +47,7 @@ def put_back(loop: RecordedLoop, side: Side, copy: Path) -> None:
 
 
 def damaged(whole: bytes, kind: str, draw: random.Random) -> tuple[bytes, int]:
-    """What is left of a file that is ``flipped``, ``truncated``, ``emptied`` or ``garbage``.
+    """What is left of a file that is ``flipped``, ``truncated``, ``emptied`` or ``malformed``.
 
     And from which place on; any other kind leaves it as it is.
     """
@@ -59,7 +59,7 @@ def damaged(whole: bytes, kind: str, draw: random.Random) -> tuple[bytes, int]:
         del data[place:]
     elif kind == "emptied":
         data.clear()
-    elif kind == "garbage":
+    elif kind == "malformed":
         end = min(len(data), place + draw.randrange(1, 2000))
         data[place:end] = draw.randbytes(end - place)
     return bytes(data), place

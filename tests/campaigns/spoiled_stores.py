@@ -25,7 +25,7 @@ from tests.support.giving import deliver, deliver_named
 from tests.support.recorded_loop import SIDES, RecordedLoop
 
 KINDS: Final = (
-    *("flipped", "flipped", "truncated", "deleted", "emptied", "garbage"),
+    *("flipped", "flipped", "truncated", "deleted", "emptied", "malformed"),
     *("restored", "one restored", "all restored"),
 )
 MOST_AT_ONCE: Final = 40

@@ -5,7 +5,7 @@ import zlib
 
 from protocol.secret.records import Side
 from protocol.secret.tasks import Done, Task
-from runtime.keys.keeper import Keeper, work
+from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 
 
@@ -48,6 +48,6 @@ class Stores:
         if known is None:
             with KeyStore(None, side) as store:
                 store._db.deserialize(zlib.decompress(self._images[side][number]))
-                done = work(Keeper(store), task)
+                done = work(KeyMaker(store), task)
                 known = self._worked[side, number, task] = self.put(store), done
         return known

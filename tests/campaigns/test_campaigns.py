@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.endpoints import Endpoints
+from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, schedules, spoiled, spoiled_stores
 
@@ -71,5 +71,5 @@ def test_a_run_whose_services_are_killed_delivers_once_and_passes(
 
 
 def test_a_live_loop_is_not_forked_beside_zenoh(tmp_path: Path) -> None:
-    with open_bus(Endpoints()), pytest.raises(RuntimeError, match="its forks could not"):
+    with open_bus(Addresses()), pytest.raises(RuntimeError, match="its forks could not"):
         live.fork(["--version"], tmp_path / "log")

@@ -8,12 +8,12 @@ import pytest
 
 from protocol.link import keying, sender_session
 from protocol.link.ciphering import Ciphering
-from protocol.link.endpoint import Actions, Endpoint
 from protocol.link.keying import Keying
+from protocol.link.peer import Actions, Peer
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
-from protocol.secret.nonces import Raw, contribution
+from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
 from runtime.perform import Ports
 from tests.campaigns.end import End
@@ -87,7 +87,7 @@ def publish_first(patch: Patch) -> None:
     """The shell publishes before it saves."""
     right = perform.perform
 
-    def wrong(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+    def wrong(actions: Actions, endpoint: Peer, ports: Ports) -> None:
         for kind, payload in actions.publish:
             ports.publish(kind, payload)
         right(actions._replace(publish=()), endpoint, ports)
@@ -124,7 +124,7 @@ def end_on_a_late_hello(patch: Patch) -> None:
 
 def count_no_lives(patch: Patch) -> None:
     """Rule 6: a controller that was started again takes itself for the one before."""
-    patch.setattr(sender_session, "_after", lambda life: life)
+    patch.setattr(sender_session, "_after", lambda incarnation: incarnation)
 
 
 def as_it_is(_: Patch) -> None:
@@ -161,8 +161,8 @@ def copy_0_after_a_death(patch: Patch) -> None:
 def count_any_copy(patch: Patch) -> None:
     """Rule 9: the plant counts an offer's nonce whichever copy it applied."""
 
-    def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Raw:
-        return contribution(applied_copy=0, measurement=measurement, **of)
+    def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Contribution:
+        return contribution_of(applied_copy=0, measurement=measurement, **of)
 
     patch.setattr(keying, "contribution", wrong)
 

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.messages import Measurement, Offer
 from protocol.topics import DEFAULT_LOOP, key_of
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.zenoh_bus import ZenohBus
 from tests.campaigns.endurance import judged
 from tests.campaigns.relay import Relay

@@ -7,10 +7,10 @@ It judges nothing: what an unreliable network may do to the link is tried in
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from controller_service.endpoint import ControllerEndpoint
-from plant_service.endpoint import PlantEndpoint
-from protocol.link.endpoint import Actions, Notice, Outgoing
+from controller_service.peer import ControllerPeer
+from plant_service.peer import PlantPeer
 from protocol.link.events import Applied, Event
+from protocol.link.peer import Actions, Notice, Outgoing
 from protocol.link.session import CountedTransition
 from protocol.messages import Offer
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -49,9 +49,9 @@ class World:
     to_controller: list[Outgoing] = field(default_factory=list)
     sent: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     got: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
-    plant: PlantEndpoint = field(init=False)
+    plant: PlantPeer = field(init=False)
     line: LinePlant = field(init=False)
-    controller: ControllerEndpoint = field(init=False)
+    controller: ControllerPeer = field(init=False)
 
     def __post_init__(self) -> None:
         self.controller_journal = MemoryControllerJournal(PAYLOAD)
@@ -97,8 +97,8 @@ class World:
         elif isinstance(event, CountedTransition):
             self.sent[event.session, event.j] = event
 
-    def _perform(self, endpoint: ControllerEndpoint | PlantEndpoint, actions: Actions) -> None:
-        mine = isinstance(endpoint, PlantEndpoint)
+    def _perform(self, endpoint: ControllerPeer | PlantPeer, actions: Actions) -> None:
+        mine = isinstance(endpoint, PlantPeer)
         perform(actions, endpoint, self._plant_ports if mine else self._controller_ports)
 
     def goes_on(self, events: int = 400) -> bool:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES

@@ -290,7 +290,7 @@ def under_way(
 FORGE = """
 import json, sys, threading, time
 from pathlib import Path
-from runtime.endpoints import TlsFiles
+from runtime.addresses import TlsFiles
 from runtime.zenoh_bus import ZenohBus
 connect, folder, *keys = sys.argv[1:]
 tls = TlsFiles.in_folder(Path(folder)) if folder else None

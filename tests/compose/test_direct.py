@@ -204,7 +204,7 @@ def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     all_healthy(direct, SERVICES)
     text = "she forges meanwhile, all the time"
     forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v1/loop/offer")
-    wait_for(lambda: direct.status("plant", "plant")["garbage"] >= 10, "garbage counted")
+    wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "garbage counted")
     forged_under_way(direct, forger, text, "controller")
     arrives(direct, "plant", text)
 

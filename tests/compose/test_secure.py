@@ -23,7 +23,7 @@ ROUTER = "tls/router.field:7447"
 OPEN = """
 import json, sys, time
 from pathlib import Path
-from runtime.endpoints import TlsFiles
+from runtime.addresses import TlsFiles
 from runtime.zenoh_bus import ZenohBus
 folder, *task = json.loads(sys.argv[1])
 with ZenohBus(
@@ -97,8 +97,8 @@ def test_forged_publications_from_the_tap_change_nothing(secure: Composition) ->
     forger = Beside(secure, "secure-tap", FORGE, ROUTER, certificates("tap"), *keys)
     forged_under_way(secure, forger, text, "secure-controller")
     arrives(secure, "secure-plant", text)
-    assert secure.status("secure-plant", "plant")["garbage"] == 0
-    assert secure.status("secure-controller", "controller")["garbage"] == 0
+    assert secure.status("secure-plant", "plant")["malformed"] == 0
+    assert secure.status("secure-controller", "controller")["malformed"] == 0
 
 
 def test_a_certificate_of_another_authority_opens_nothing(secure: Composition) -> None:

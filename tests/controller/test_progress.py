@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_service.progress import LINES_S, Outlook, in_words, shown_progress
+from controller_service.progress import LINES_S, Forecast, in_words, shown_progress
 from controller_service.sets.terminal import SynthesisError
 
 PENDULUM = (
@@ -22,7 +22,7 @@ def polytope(facets: int, states: int = 4) -> Any:
 
 
 def test_the_time_left_is_foreseen_within_a_factor_of_two_and_a_half() -> None:
-    outlook = Outlook(0.0)
+    outlook = Forecast(0.0)
     for i, (facets, done_s) in enumerate(zip(*PENDULUM, strict=True)):
         outlook.made(done_s, facets, 4)
         left, truth = outlook.left_s(12 - i), PENDULUM[1][-1] - done_s
@@ -31,7 +31,7 @@ def test_the_time_left_is_foreseen_within_a_factor_of_two_and_a_half() -> None:
 
 
 def test_sets_that_stop_growing_take_the_same_time_each() -> None:
-    outlook = Outlook(0.0)
+    outlook = Forecast(0.0)
     for i, facets in enumerate((8, 40, 120, 300, 500, 600, 600, 590, 580, 580, 580)):
         outlook.made(0.1 * i, facets, 4)
     assert outlook.left_s(100) == pytest.approx(10.0, rel=0.1)
@@ -39,7 +39,7 @@ def test_sets_that_stop_growing_take_the_same_time_each() -> None:
 
 @pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
 def test_growth_is_seen_and_carried_on(power: float) -> None:
-    outlook, now = Outlook(0.0), 0.0
+    outlook, now = Forecast(0.0), 0.0
     for i in range(1, 20):
         now += 0.1 * i**power
         outlook.made(now, round(10 * i**power), 5)
@@ -49,7 +49,7 @@ def test_growth_is_seen_and_carried_on(power: float) -> None:
 
 
 def test_two_states_are_no_matter_and_nothing_is_known_before_t_0() -> None:
-    outlook = Outlook(0.0)
+    outlook = Forecast(0.0)
     assert outlook.left_s(10) == 0
     outlook.made(0.0, 4, 2)
     assert outlook.left_s(250) == 0

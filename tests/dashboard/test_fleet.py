@@ -19,7 +19,7 @@ from wyner.dashboard.source import WAITING_AT_MOST
 
 TAP = TapStatus(
     seq=1, t_ns=1, name="nearest-centre", steps=9, lost=2, mirrored=20, dropped=0,
-    behind=0, garbage=0, message="hi", confidence=0.97, candidates_left=0,
+    behind=0, malformed=0, message="hi", confidence=0.97, candidates_left=0,
     solved_k=5,
 )  # fmt: skip
 
@@ -112,7 +112,7 @@ def test_garbage_and_terminal_codes_do_no_harm(
     looks = iter([False, True])
     watch(fleet.table, lambda: next(looks), screen=False)
     said = capsys.readouterr().out
-    assert fleet.table.garbage == 2
+    assert fleet.table.malformed == 2
     assert "1 of 1 loops run" in said
     assert "0 of them lately; 2 messages were garbage\n" in said
     assert "\x1b" not in said
@@ -141,4 +141,4 @@ def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPa
         fleet.ops.publisher(key_of(PlantStatus, "loop-0")).put(bytes(2**18))
     fleet.table.take(0.0)
     assert fleet.table.lines(0.0)[0].endswith("; 5 came faster than they were read")
-    assert fleet.table.garbage == beyond - 5
+    assert fleet.table.malformed == beyond - 5

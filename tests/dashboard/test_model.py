@@ -126,7 +126,7 @@ def test_the_board_stays_bounded() -> None:
     for i in range(TAPS_KEPT + 5):
         board = with_tap(board, f"tap-{i}")
     assert len(board.taps) == TAPS_KEPT
-    assert board.garbage == board.refused == 5 + 3
+    assert board.malformed == board.refused == 5 + 3
 
 
 def test_recovered_is_a_prefix_of_sent_all_the_way() -> None:
@@ -423,7 +423,7 @@ def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
     assert [a.message for a in arrivals] == [
         arrival.message for batch in batches(100) for arrival in batch
     ]
-    assert source.garbage == 2
+    assert source.malformed == 2
     assert "2 payloads" in source.problems()[0]
     assert source.drain() == []
 
@@ -437,7 +437,7 @@ def test_what_is_not_read_in_time_is_dropped_and_counted(monkeypatch: pytest.Mon
         put(b"x")
     source.drain()
     assert any("904 messages came faster" in line for line in source.problems())
-    assert source.garbage == 4096
+    assert source.malformed == 4096
 
 
 def test_watching_publishes_nothing_so_no_truth_reaches_a_tap() -> None:

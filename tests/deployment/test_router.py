@@ -16,7 +16,7 @@ from protocol.messages import (
     FIELD,
     INTEL,
     OPS,
-    BlockWord,
+    BlockAnnouncement,
     KeyAnswer,
     KeyRequest,
     Measurement,
@@ -24,8 +24,8 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import key_of
+from runtime.addresses import TlsFiles, free_endpoints
 from runtime.bus import Deliver
-from runtime.endpoints import TlsFiles, free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.services import BUSES, SERVICES, on_bus
 from runtime.trace import read_trace
@@ -40,7 +40,7 @@ from wyner.deployment.certificates import ensure_certificates
 
 TYPES = {"field": FIELD, "ops": OPS, "intel": INTEL}
 
-BOTH = {kind.topic for kind in (BlockWord, KeyRequest, KeyAnswer)}
+BOTH = {kind.topic for kind in (BlockAnnouncement, KeyRequest, KeyAnswer)}
 """What the two ends say to each other alike."""
 
 

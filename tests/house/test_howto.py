@@ -21,7 +21,7 @@ from protocol.scenario import ScenarioError
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
 from protocol.topics import DEFAULT_LOOP, key_of
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus

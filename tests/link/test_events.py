@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from protocol.agreement import Verdict
-from protocol.link.endpoint import Notice
+from protocol.agreement import AgreementResult
 from protocol.link.events import (
     Applied,
     Delivered,
@@ -20,6 +19,7 @@ from protocol.link.events import (
 )
 from protocol.link.key_events import BlockJudged, BlockStored, key_events, key_notices
 from protocol.link.keying import Keying
+from protocol.link.peer import Notice
 from protocol.link.session import CountedTransition
 from protocol.secret.blocks import Schedule, Stored
 from protocol.secret.bound import Assumption
@@ -36,7 +36,7 @@ TRANSITION = CountedTransition(
     cipher=1,
     x_next=(3.5,),
     role="test",
-    verdict=Verdict((0.5, 1.5), 0),
+    verdict=AgreementResult((0.5, 1.5), 0),
     symbol=0,
     key=-1,
     message_symbol=-1,
@@ -71,7 +71,7 @@ CENTRES = ((3.0,), (5.0,))
     [
         (SessionBegan(None, "lost"), {"event": "session", "session": None, "reason": "lost"}),
         (TRANSITION, TOLD),
-        (TRANSITION._replace(centres=CENTRES), {**TOLD, "centres": CENTRES}),
+        (TRANSITION._replace(predictions=CENTRES), {**TOLD, "predictions": CENTRES}),
         (Applied(TRANSITION, 0, (2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
         (Missed(**STEP), {"event": "missed", **STEP}),
         (

@@ -10,9 +10,9 @@ from protocol.link.receiver import Receiver
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.messages import Measurement, Offer
-from protocol.secret.blocks import NO_TAG, Closed, Judgement, Schedule, Stored
+from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Raw, as_bytes, fresh_nonce
+from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
 from protocol.secret.tasks import BlockVerdict, Broken, Judged
 from tests.support.line_plant import line_rules
 
@@ -45,7 +45,7 @@ def counting(until: int) -> Keying:
 def stored(keying: Keying, number: int = 0) -> Stored:
     """Its block ``number`` comes back from the keeper."""
     (closed,) = keying.tasks()
-    assert isinstance(closed, Closed)
+    assert isinstance(closed, ClosedBlock)
     assert (closed.session, closed.number) == (S, number)
     done = Stored(S, number, TAG, THEIRS, keys=5)
     keying.done(done)
@@ -65,9 +65,9 @@ def test_without_keys_everything_is_constant() -> None:
     assert keying.again(sent) is sent
     assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
     assert keying.heard(said(0, THEIRS)) == ()
-    assert keying.tasks([Judgement(0, "confirmed")]) == ()
+    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
     assert keying.done(Judged(S, 0, "confirmed", 5)) == ()
-    assert keying.settled() == ()
+    assert keying.obsolete_rows() == ()
     assert keying.told("") == {
         "keys_made": 0,
         "keys_of_block": 0,
@@ -98,8 +98,8 @@ def test_a_transition_contributes_the_copies_0_that_were_taken(
     applied_copy: int, heard: int
 ) -> None:
     keying = counting(1)
-    raw = keying.count(1, 7, offer(heard=heard), applied_copy, NONCES[1])
-    assert raw == Raw(
+    contribution = keying.count(1, 7, offer(heard=heard), applied_copy, NONCES[1])
+    assert contribution == Contribution(
         1,
         7,
         None if applied_copy else as_bytes(NONCES[0]),
@@ -114,7 +114,7 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
     assert keying.tasks() == ()
     assert keying.count(2, 1, offer(), 0, NONCES[1]) is not None
     (closed,) = keying.tasks()
-    assert isinstance(closed, Closed)
+    assert isinstance(closed, ClosedBlock)
     assert (closed.transitions, closed.steps, closed.pattern) == (2, 2, "33")
     assert keying.tasks() == ()
 
@@ -141,13 +141,13 @@ def test_the_partners_word_confirms_a_block_or_differs() -> None:
 
 
 def test_what_was_read_back_goes_on_where_it_was() -> None:
-    raws = [Raw(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
+    contributions = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
     keying = Keying(SCHEDULE)
-    keying.begin(S, 0, TAG, raws)
+    keying.begin(S, 0, TAG, contributions)
     assert keying.word() == (0, TAG)
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()
-    assert isinstance(closed, Closed)
+    assert isinstance(closed, ClosedBlock)
     assert (closed.number, closed.pattern, closed.last) == (1, "1113", 6)
 
 
@@ -156,7 +156,7 @@ def test_a_session_that_is_over_leaves_nothing() -> None:
     keying.end()
     assert keying.blocks is None
     assert keying.word() == (-1, NO_TAG)
-    assert keying.tasks([Judgement(0, "confirmed")]) == ()
+    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
     keying.begin(OTHER)
     assert keying.tasks() == ()
 
@@ -171,7 +171,7 @@ def test_a_verdict_goes_before_the_next_block() -> None:
         keying.count(j, 1, offer(), 0, NONCES[1])
     verdict, closed = keying.tasks(keying.heard(said(0, THEIRS)))
     assert isinstance(verdict, BlockVerdict)
-    assert isinstance(closed, Closed)
+    assert isinstance(closed, ClosedBlock)
     assert closed.number == 1
 
 
@@ -198,24 +198,24 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
 def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
     keying = counting(4)
     stored(keying)
-    assert keying.settled() == ()
+    assert keying.obsolete_rows() == ()
     keying.heard(said(0, THEIRS))
     keying.word()
-    assert keying.settled() == ()
+    assert keying.obsolete_rows() == ()
     keying.done(Judged(S, 0, "confirmed", 5))
-    assert keying.settled() == (range(1, 3),)
-    assert keying.settled() == ()
+    assert keying.obsolete_rows() == (range(1, 3),)
+    assert keying.obsolete_rows() == ()
 
 
 def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_once() -> None:
     keying = counting(7)
     first, second = keying.tasks()
-    assert isinstance(first, Closed)
-    assert isinstance(second, Closed)
+    assert isinstance(first, ClosedBlock)
+    assert isinstance(second, ClosedBlock)
     keying.done(Stored(S, 1, TAG, THEIRS, keys=5))
     keying.heard(said(1, THEIRS))
     late = Stored(S, 0, TAG, THEIRS, keys=5)
-    assert keying.done(late) == (BlockVerdict(S, Judgement(0, "confirmed")),)
+    assert keying.done(late) == (BlockVerdict(S, BlockResult(0, "confirmed")),)
 
 
 @pytest.mark.parametrize(
@@ -289,13 +289,13 @@ def test_a_new_session_without_pads_makes_no_keys_either() -> None:
 def test_a_broken_store_is_asked_for_nothing_more() -> None:
     keying = counting(3)
     assert keying.done(Broken("disk full")) == ()
-    assert keying.tasks([Judgement(0, "confirmed")]) == ()
+    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
     assert keying.told("why")["keys_refused"] == "disk full"
 
 
 # --- an end that comes back -----------------------------------------------------------------------
 
-ROWS = [Raw(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
+ROWS = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
 RULES = replace(line_rules(alpha=4.0, largest_input=5.0), schedule=SCHEDULE)
 
 
@@ -349,7 +349,7 @@ def test_an_end_goes_on_with_its_last_word_and_its_rows(
     assert keying.nonce() == NONCES[2]
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()
-    assert isinstance(closed, Closed)
+    assert isinstance(closed, ClosedBlock)
     assert (closed.session, closed.number, closed.pattern) == (S, 1, "1113")
 
 

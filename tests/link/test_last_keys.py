@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from plant_service.endpoint import LAST_KEYS_S, PlantEndpoint
-from protocol.messages import BlockWord, Message
+from plant_service.peer import LAST_KEYS_S, PlantPeer
+from protocol.messages import BlockAnnouncement, Message
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.records import Side
@@ -26,22 +26,22 @@ class Ending(World):
 
     deaf = False
 
-    def plant(self) -> PlantEndpoint:
+    def plant(self) -> PlantPeer:
         endpoint = super().plant()
         endpoint._steps = STEPS
         return endpoint
 
     @property
-    def end(self) -> PlantEndpoint:
+    def end(self) -> PlantPeer:
         endpoint = self.ends["plant"]
-        assert isinstance(endpoint, PlantEndpoint)
+        assert isinstance(endpoint, PlantPeer)
         return endpoint
 
     def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
-        if not (self.deaf and kind is BlockWord):
+        if not (self.deaf and kind is BlockAnnouncement):
             super().published(side, kind, payload)
 
-    def goes_on(self, *, keepers: bool) -> None:
+    def goes_on(self, *, key_makers: bool) -> None:
         """Everybody hears everything; keepers work, or are behind."""
         for side in SIDES:
             self.wake(side)
@@ -49,7 +49,7 @@ class Ending(World):
                 kind, payload = self.bag[side].pop(0)
                 if kind in self.ends[side].hears:
                     self.carry_out(side, self.ends[side].receive(kind, payload, self.now))
-            if keepers:
+            if key_makers:
                 self.keeps(side)
                 self.told(side)
 
@@ -62,7 +62,7 @@ def world() -> Ending:
 def ended(world: Ending) -> Ending:
     """Once all steps are made and none of its keepers has done a thing."""
     for _ in range(3000):
-        world.goes_on(keepers=False)
+        world.goes_on(key_makers=False)
         if world.end.plant.receiver.record.k == STEPS:
             break
     assert world.end.plant.receiver.record.k == STEPS
@@ -76,7 +76,7 @@ def test_blocks_that_are_whole_are_confirmed_at_both_ends_before_it_ends(world: 
     assert whole >= 5
     begun = world.now
     while world.end.code is None:
-        world.goes_on(keepers=True)
+        world.goes_on(key_makers=True)
         assert world.now < begun + LAST_KEYS_S
     assert world.end.code == DONE
     states = [[b.state for b in world.stores[side].blocks()] for side in SIDES]
@@ -89,7 +89,7 @@ def test_it_does_not_wait_for_ever_and_says_how_many_wait(world: Ending) -> None
     ended(world)
     begun = world.now
     while world.end.code is None:
-        world.goes_on(keepers=False)
+        world.goes_on(key_makers=False)
         assert world.now < begun + 2 * LAST_KEYS_S
     assert world.now >= begun + LAST_KEYS_S
     notices = [n.text for n in world.end.stop(world.now).notices]

@@ -56,7 +56,7 @@ def meet(sender: Sender, receiver: Receiver) -> None:
 def answer(sender: Sender, measurement: Measurement) -> Offer:
     effects = sender.measured(measurement)
     if effects.append:
-        sender.settle()
+        sender.finish_step()
     assert effects.offer is not None
     return effects.offer
 
@@ -158,7 +158,7 @@ def test_a_controller_without_the_journal_waits_until_the_other_one_is_silent() 
 def test_a_hello_to_a_former_life_of_the_controller_is_answered_and_ends_nothing() -> None:
     sender, receiver = met(5)
     late = receiver.hello()
-    assert (late.controller, late.life) == (A, 1)
+    assert (late.controller, late.incarnation) == (A, 1)
     again = controller(B, sender.record)
     meet(again, receiver)
     session = again.record.session
@@ -193,12 +193,12 @@ def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> N
         sender = controller(instance, sender.record)
         meet(sender, receiver)
     back = controller("9" * 16, kept)
-    assert (back.record.life, receiver.record.life) == (2, 3)
+    assert (back.record.incarnation, receiver.record.incarnation) == (2, 3)
     assert receiver.heard_controller(back.greeting(), NEW) == "rival"
     receiver.look_around()
     effects = back.heard_plant(receiver.hello())
     assert effects.save
-    assert back.record.life == 4
+    assert back.record.incarnation == 4
     meet(back, receiver)
     # the one that went on from the newer journal learns that the session is not its own any more
     assert sender.heard_plant(receiver.hello()).save
@@ -207,11 +207,11 @@ def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> N
 
 def test_lives_are_not_counted_beyond_what_a_hello_can_say() -> None:
     sender, receiver = met(2)
-    asked = receiver.hello().model_copy(update={"controller": None, "life": LARGEST_COUNT})
+    asked = receiver.hello().model_copy(update={"controller": None, "incarnation": LARGEST_COUNT})
     reply = sender.heard_plant(asked).reply
     assert reply is not None
-    assert reply.life == LARGEST_COUNT
-    assert controller(B, sender.record).greeting().life == LARGEST_COUNT
+    assert reply.incarnation == LARGEST_COUNT
+    assert controller(B, sender.record).greeting().incarnation == LARGEST_COUNT
 
 
 def test_who_is_overtaken_offers_nothing_more_in_that_session() -> None:
@@ -372,10 +372,15 @@ def test_a_plant_that_comes_back_does_not_wait() -> None:
 def test_a_fingerprint_is_64_hexadecimal_digits(fingerprint: str) -> None:
     with pytest.raises(ValidationError, match="fingerprint"):
         PlantHello(
-            instance=A, session=A, life=1, fingerprint=fingerprint, transitions=0, applied_k=-1
+            instance=A,
+            session=A,
+            incarnation=1,
+            fingerprint=fingerprint,
+            transitions=0,
+            applied_k=-1,
         )
     with pytest.raises(ValidationError, match="fingerprint"):
-        ControllerHello(instance=A, life=1, fingerprint=fingerprint, verdict="greeting")
+        ControllerHello(instance=A, incarnation=1, fingerprint=fingerprint, verdict="greeting")
 
 
 # --- numbers --------------------------------------------------------------------------------------
@@ -406,7 +411,7 @@ def test_a_measurement_too_large_to_reckon_with_is_garbage(number: float) -> Non
         with pytest.raises(ValueError, match="beyond 1e"):
             sender.measured(true.model_copy(update=change))
     assert sender.record == before
-    assert not sender.unsettled
+    assert not sender.unfinished
 
 
 @pytest.mark.parametrize(("x", "x_after", "field"), [
@@ -462,7 +467,7 @@ def test_a_report_of_an_offer_that_was_not_made_ends_the_session(
     effects = sender.measured(receiver.measurement().model_copy(update=change))
     assert effects.save
     assert effects.offer is None
-    assert not sender.unsettled
+    assert not sender.unfinished
     assert sender.record.session is None
     back_in_session(sender, receiver, 2)
 

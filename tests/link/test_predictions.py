@@ -59,15 +59,15 @@ def test_both_ends_keep_step_over_a_bad_network(nonlinear: System) -> None:
     assert list(violations(history, payloads)) == []
     assert history.inbox == list(payloads)
     t = next(iter(history.plant.values()))
-    assert len(t.centres) == 4
-    assert t.as_event()["centres"] == t.centres
-    assert all(offer.centres for _, _, offer in history.offered)
+    assert len(t.predictions) == 4
+    assert t.as_event()["predictions"] == t.predictions
+    assert all(offer.predictions for _, _, offer in history.offered)
 
 
 def test_only_who_shares_the_rule_shares_the_fingerprint(linear: System, nonlinear: System) -> None:
     assert linear.scenario.fingerprint() != nonlinear.scenario.fingerprint()
-    assert "centres" not in _first(linear)
-    assert "centres" in _first(nonlinear)
+    assert "predictions" not in _first(linear)
+    assert "predictions" in _first(nonlinear)
 
 
 def _first(system: System) -> dict[str, Any]:
@@ -82,7 +82,7 @@ def receiver(scenario: Scenario) -> Receiver:
 
 
 @pytest.mark.parametrize(
-    ("model", "centres", "says"),
+    ("model", "predictions", "says"),
     [
         (False, ((0.0, 0.0),) * 4, "offer.centres: expected none, as f_c is linear"),
         (True, (), "offer.centres: expected 4 predictions of 2 states"),
@@ -90,10 +90,12 @@ def receiver(scenario: Scenario) -> Receiver:
     ],
 )
 def test_predictions_of_another_kind_are_garbage(
-    model: bool, centres: Any, says: str, linear: System, nonlinear: System
+    model: bool, predictions: Any, says: str, linear: System, nonlinear: System
 ) -> None:
     end = receiver((nonlinear if model else linear).scenario)
-    offer = Offer(session="1" * 16, k=0, candidates=((0.0,),) * 4, cipher=0, centres=centres)
+    offer = Offer(
+        session="1" * 16, k=0, candidates=((0.0,),) * 4, cipher=0, predictions=predictions
+    )
     with pytest.raises(ValueError, match=says):
         end.check(offer)
 
@@ -116,8 +118,8 @@ def test_the_trace_is_judged_by_the_predictions_in_it(nonlinear: System, tmp_pat
     """A change of a prediction in the trace fails the check that is made of it."""
     rules = rules_of(nonlinear.scenario)
     event = _first(nonlinear)
-    verdict = rules.judge(event["x"], event["candidates"], event["centres"], event["x_next"])
+    verdict = rules.judge(event["x"], event["candidates"], event["predictions"], event["x_next"])
     assert verdict.gauges == event["gauges"]
-    moved = tuple((c[0] + 0.1, c[1]) for c in event["centres"])
+    moved = tuple((c[0] + 0.1, c[1]) for c in event["predictions"])
     other = rules.judge(event["x"], event["candidates"], moved, event["x_next"])
     assert other.gauges != event["gauges"]

@@ -45,7 +45,7 @@ def propose(x: Vector) -> tuple[Vector, ...]:
 
 def controller(record: SenderRecord | None = None, rules: Rules = RULES, **more: Any) -> Sender:
     """A process that is the life of its journal which ``record`` counts."""
-    read = None if record is None else record._replace(life=record.life - 1)
+    read = None if record is None else record._replace(incarnation=record.incarnation - 1)
     return Sender(rules, propose, Outbox(), Zeros(), A, read, **more)
 
 
@@ -54,7 +54,7 @@ def hello(**fields: object) -> PlantHello:
         instance=P,
         session=S,
         controller=A,
-        life=1,
+        incarnation=1,
         fingerprint=RULES.fingerprint,
         transitions=0,
         applied_k=-1,
@@ -65,7 +65,7 @@ def hello(**fields: object) -> PlantHello:
 def reply(verdict: str, **fields: object) -> ControllerHello:
     made = ControllerHello(
         instance=A,
-        life=1,
+        incarnation=1,
         fingerprint=RULES.fingerprint,
         verdict="greeting",
         session=S,
@@ -82,7 +82,7 @@ def measurement(**fields: object) -> Measurement:
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 RECORD = SenderRecord(
     session=S,
-    life=1,
+    incarnation=1,
     ended=(T,),
     state=Switched(2).initial,
     k=3,
@@ -95,7 +95,7 @@ RECORD = SenderRecord(
     x=(0.0,),
     offer=OFFER,
 )
-OVER = SenderRecord(life=1, ended=(T, S), state=Switched(2).initial, message=5)
+OVER = SenderRecord(incarnation=1, ended=(T, S), state=Switched(2).initial, message=5)
 """What is left of :data:`RECORD` when its session is over: the message starts again."""
 
 
@@ -299,9 +299,9 @@ def test_a_difference_of_key_blocks_ends_the_session() -> None:
 def test_an_answer_is_settled_before_the_next_measurement() -> None:
     sender = at_work()
     with pytest.raises(AssertionError, match=r"^there is no answer to settle"):
-        sender.settle()
+        sender.finish_step()
     sender.measured(measurement())
-    assert sender.unsettled
+    assert sender.unfinished
     with pytest.raises(AssertionError, match=r"^the answer before has not been settled"):
         sender.measured(measurement(k=5))
 
@@ -312,7 +312,7 @@ def test_a_nonlinear_model_brings_its_predictions() -> None:
     sender.heard_plant(hello())
     offer = sender.measured(measurement(k=0, applied_k=-1, x_after=())).offer
     assert offer is not None
-    assert offer.centres == ((3.5,), (-2.5,))
+    assert offer.predictions == ((3.5,), (-2.5,))
     sender = controller(rules=rules)
     sender.heard_plant(hello())
     with pytest.raises(AssertionError, match=r"^a nonlinear f_c is the controller's to bring"):
@@ -336,7 +336,7 @@ def plant(rules: Rules = RULES) -> Receiver:
         ({"candidates": ((0.0,), (0.0, 0.0))}, "offer.candidates: expected 1 inputs in each"),
         ({"candidates": ((0.0,), (5.1,))}, "offer.candidates: expected inputs in U"),
         ({"cipher": 2}, "offer.cipher: got 2, expected below 2"),
-        ({"centres": ((0.0,),) * 2}, "offer.centres: expected none, as f_c is linear"),
+        ({"predictions": ((0.0,),) * 2}, "offer.centres: expected none, as f_c is linear"),
     ],
 )
 def test_an_offer_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
@@ -351,13 +351,13 @@ def test_an_input_outside_u_by_rounding_alone_is_admissible() -> None:
     assert not rules.admissible((nextafter(INSIDE, 2),))
 
 
-@pytest.mark.parametrize("centres", [(), ((0.0,),), ((0.0,),) * 3, ((0.0,), (0.0, 0.0))])
-def test_predictions_of_another_shape_are_garbage(centres: tuple[Vector, ...]) -> None:
+@pytest.mark.parametrize("predictions", [(), ((0.0,),), ((0.0,),) * 3, ((0.0,), (0.0, 0.0))])
+def test_predictions_of_another_shape_are_garbage(predictions: tuple[Vector, ...]) -> None:
     receiver = plant(replace(RULES, predicted=True))
     with pytest.raises(ValueError) as refused:
-        receiver.check(OFFER.model_copy(update={"centres": centres}))
+        receiver.check(OFFER.model_copy(update={"predictions": predictions}))
     assert str(refused.value) == "offer.centres: expected 2 predictions of 1 states"
-    right = OFFER.model_copy(update={"centres": ((0.0,),) * 2})
+    right = OFFER.model_copy(update={"predictions": ((0.0,),) * 2})
     assert receiver.check(right) == "current"
 
 
@@ -394,7 +394,7 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
         state=Switched(2).initial,
         sessions=2,
         controller=A,
-        life=1,
+        incarnation=1,
     )
     assert receiver.hello() == hello(session=NEW)
 

@@ -16,15 +16,15 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from controller_service.endpoint import ControllerEndpoint
-from plant_service.endpoint import PlantEndpoint
-from protocol.link.endpoint import Actions, Keep, Outgoing, Write
+from controller_service.peer import ControllerPeer
+from plant_service.peer import PlantPeer
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
+from protocol.link.peer import Actions, Outgoing, Save, Write
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from runtime.perform import CrashPoint, Killed, Mortal, perform
+from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
@@ -61,7 +61,7 @@ class PlantPorts(ToldPorts):
 
     def write(self, write: Write) -> None:
         super().write(write)
-        if isinstance(write, Keep) and write.received is not None:
+        if isinstance(write, Save) and write.received is not None:
             self.ever.append(write.received)
 
 
@@ -71,8 +71,8 @@ class Controller:
     def __init__(self, number: int, link: "Link") -> None:
         self.shift = SHIFTS[number]
         self.journal = link.controller_journal(*PAYLOADS[number])
-        self.ports = Mortal(ToldPorts(self.journal, self.said, link.counted))
-        self.endpoint: ControllerEndpoint
+        self.ports = CrashingPorts(ToldPorts(self.journal, self.said, link.counted))
+        self.endpoint: ControllerPeer
         self.offered: list[Offer] = []
         self.link = link
 
@@ -93,7 +93,7 @@ class Link(RuleBasedStateMachine):
     controller_journal = MemoryControllerJournal
     plants_journal = MemoryPlantJournal
     acts = False
-    plant: PlantEndpoint
+    plant: PlantPeer
     line: LinePlant | ActingLine
 
     def __init__(self) -> None:
@@ -112,7 +112,7 @@ class Link(RuleBasedStateMachine):
         self.late_hello = False  # a hello of a plant's former life may end a session
         self.ever: list[bytes] = []
         self.plant_journal = self.plants_journal()
-        self.plant_ports = Mortal(PlantPorts(self))
+        self.plant_ports = CrashingPorts(PlantPorts(self))
         self.device = LineDevice()
         self.device.passes = self.plant_ports.passes
         self.started = True  # the plant's process counts what the one before it left
@@ -154,7 +154,7 @@ class Link(RuleBasedStateMachine):
         self.controller_does(one, one.endpoint.start(self.now))
 
     def start_plant(self) -> None:
-        self.plant_ports.doom()
+        self.plant_ports.crash_at()
         common = self.name, self.name(), self.now, self.step_s
         if self.acts:
             self.plant, self.line = acting_plant(
@@ -169,10 +169,10 @@ class Link(RuleBasedStateMachine):
     def controller_does(
         self, one: Controller, actions: Actions, dies: CrashPoint | None = None
     ) -> None:
-        one.ports.doom(before=dies)
+        one.ports.crash_at(before=dies)
         try:
             perform(actions, one.endpoint, one.ports)
-        except Killed:
+        except Crashed:
             self.start_controller(one)
             return
         record = one.endpoint.sender.record
@@ -186,10 +186,10 @@ class Link(RuleBasedStateMachine):
             self.start_controller(one)
 
     def plant_does(self, act: Callable[[float], Actions], dies: CrashPoint | None = None) -> None:
-        self.plant_ports.doom(before=dies)
+        self.plant_ports.crash_at(before=dies)
         try:
             perform(act(self.now), self.plant, self.plant_ports)
-        except Killed:
+        except Crashed:
             self.start_plant()
             return
         if dies is not None:
@@ -300,7 +300,7 @@ class Link(RuleBasedStateMachine):
         receiver = self.plant.plant.receiver
         word = ControllerHello(
             instance=receiver.controller or "",
-            life=receiver.record.life,
+            incarnation=receiver.record.incarnation,
             fingerprint=self.shared.fingerprint,
             verdict="unknown-session",
             session=receiver.record.session,

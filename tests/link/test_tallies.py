@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from protocol.agreement import NO_SYMBOL, Verdict
-from protocol.link.receiver import CHUNK, Receiver, ReceiverEffects
+from protocol.agreement import NO_SYMBOL, AgreementResult
+from protocol.link.receiver import CHUNK_SYMBOLS, Receiver, ReceiverEffects
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
@@ -25,7 +25,7 @@ from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import NO_TAG, Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Raw, as_bytes
+from protocol.secret.nonces import Contribution, as_bytes
 from protocol.vectors import Vector
 from tests.support.line_plant import line_rules
 
@@ -61,7 +61,7 @@ class Ends:
         rules = line_rules(alpha=1000.0, largest_input=1e9, scheme=scheme)
         self.rules = replace(rules, schedule=schedule)
         self.draws = Draws()
-        self.rows: list[Raw] = []
+        self.rows: list[Contribution] = []
         self.chunks = ""
         first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
         self.sender = self.controller(None)
@@ -70,10 +70,10 @@ class Ends:
         self.ends = list(accumulate(map(len, frames)))
         self.stream = b"".join(frames)
         self.no_tag = NO_TAG if keys else ""
-        self.said = SenderRecord(session=SESSION, life=1, state=scheme.initial)
+        self.said = SenderRecord(session=SESSION, incarnation=1, state=scheme.initial)
         self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
         self.uncounted: CountedTransition | None = None
-        self.raw: Raw | None = None
+        self.contribution: Contribution | None = None
         self.early: Measurement | None = None
         self.woke = keys
         """Whether the plant's process woke up in this step: then it does not know what has left."""
@@ -93,7 +93,7 @@ class Ends:
 
     def meet(self) -> None:
         """A life greets, or the same once more; the plant remembers which it was."""
-        self.kept = self.kept._replace(life=self.said.life)
+        self.kept = self.kept._replace(incarnation=self.said.incarnation)
         self.receiver.heard_controller(self.sender.greeting(), "9" * 16)
         accepted = self.sender.heard_plant(self.receiver.hello()).reply
         assert accepted is not None
@@ -117,7 +117,7 @@ class Ends:
         """One of the two, between two things that it did; it comes back as its journal has it."""
         if self.random.random() < 0.5:
             self.sender = self.controller(self.said)
-            self.said = self.said._replace(life=self.said.life + 1)
+            self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         else:
             record = self.receiver.record
             self.receiver = Receiver(self.rules, PLANT, record, self.chunks, self.rows)
@@ -165,8 +165,8 @@ class Ends:
         assert effects == SenderEffects(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
             self.sender = self.controller(self.said, (measurement, offer))
-            self.said = self.said._replace(life=self.said.life + 1)
-        self.settle(measurement, offer)
+            self.said = self.said._replace(incarnation=self.said.incarnation + 1)
+        self.finish_step(measurement, offer)
         assert offer == Offer(
             session=SESSION,
             k=self.kept.k,
@@ -186,11 +186,11 @@ class Ends:
         assert (again.nonce == offer.nonce) == (not self.keys)
         return self.random.choice((offer, again))
 
-    def settle(self, measurement: Measurement, offer: Offer) -> None:
+    def finish_step(self, measurement: Measurement, offer: Offer) -> None:
         """What was applied since is counted, and the next symbol is decided."""
-        counted, raw = self.uncounted, self.raw
+        counted, contribution = self.uncounted, self.contribution
         before = self.said
-        self.uncounted = self.raw = None
+        self.uncounted = self.contribution = None
         self.said = before._replace(
             k=measurement.k,
             x=measurement.x,
@@ -222,10 +222,13 @@ class Ends:
                 message=message,
                 offset=within + framed,
             )
-        assert self.sender.settle() == SenderEffects(
-            save=delivered is not None, transition=counted, delivered=delivered, raw=raw
+        assert self.sender.finish_step() == SenderEffects(
+            save=delivered is not None,
+            transition=counted,
+            delivered=delivered,
+            contribution=contribution,
         )
-        assert not self.sender.unsettled
+        assert not self.sender.unfinished
         self.compare()
 
     def apply(self, offer: Offer) -> None:
@@ -251,7 +254,7 @@ class Ends:
         else:
             original = self.said.offer
             assert original is not None
-            self.raw = Raw(
+            self.contribution = Contribution(
                 before.transitions,
                 before.k - before.applied_k,
                 None if offer.copy_number else as_bytes(original.nonce),
@@ -266,7 +269,7 @@ class Ends:
             cipher=offer.cipher,
             x_next=x_next,
             role="message" if carried else "test",
-            verdict=Verdict(gauges, symbol, len(fits)),
+            verdict=AgreementResult(gauges, symbol, len(fits)),
             symbol=agreed,
             key=pad,
             message_symbol=m,
@@ -294,7 +297,7 @@ class Ends:
         assert self.receiver.check(offer) == "current"
         before_it = self.receiver.record
         rows = list(self.rows)
-        self.rows += [] if self.raw is None else [self.raw]
+        self.rows += [] if self.contribution is None else [self.contribution]
         self.woke = False
         what = self.random.random()
         if what < 0.6:
@@ -306,7 +309,7 @@ class Ends:
             self.receiver = Receiver(self.rules, PLANT, before_it, self.chunks, rows, self.early)
             self.woke = self.keys
         effects = self.receiver.applied(offer, coin, x_next)
-        assert effects == ReceiverEffects(self.uncounted, chunk, frame, self.raw)
+        assert effects == ReceiverEffects(self.uncounted, chunk, frame, self.contribution)
         self.chunks = "" if frame else self.chunks + chunk
         assert self.early is None or self.early.nonce == self.receiver.record.nonce
         if what >= 0.4:
@@ -326,7 +329,9 @@ class Ends:
             return Frame(self.inbox[-1], True), "", ""
         digits = 1 if self.size <= 16 else 2
         partial += f"{symbol:0{digits}x}"
-        return (None, "", partial) if len(partial) == CHUNK * digits else (None, partial, "")
+        return (
+            (None, "", partial) if len(partial) == CHUNK_SYMBOLS * digits else (None, partial, "")
+        )
 
 
 SCHEMES = [Switched(2), Switched(16), Switched(17), Pipelined(2), Pipelined(5)]

@@ -19,7 +19,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
         plant.start(now)
         hello = ControllerHello(
             instance=PARTNER,
-            life=1,
+            incarnation=1,
             fingerprint=RULES.fingerprint,
             verdict="greeting",
             session=None,

@@ -157,7 +157,7 @@ class Link:
         self.carry_out(effects)
 
     def carry_out(self, effects: SenderEffects) -> None:
-        settled = self.sender.settle() if effects.append else effects
+        settled = self.sender.finish_step() if effects.append else effects
         if effects.offer is not None:
             record = self.sender.record
             inside = "random" if record.s == 1 else f"m[{record.p}]={record.message_symbol}"
@@ -249,8 +249,8 @@ class Link:
                 self.miss(float(values["d"]))
             case ["controller", "restarts"]:
                 self.sender = self.new_sender(*self.saved_sender)
-                if self.sender.unsettled:
-                    self.settled(self.sender.settle())
+                if self.sender.unfinished:
+                    self.settled(self.sender.finish_step())
             case ["controller", "forgets"]:
                 self.saved_sender = (None, None)
                 self.sender = self.new_sender(None)

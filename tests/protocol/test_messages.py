@@ -70,7 +70,7 @@ def test_the_field_bus_has_these_messages_with_these_fields_only() -> None:
     """A key, a plaintext or a state would need a field: adding one must not go unnoticed."""
     assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
         "Measurement": {"v", "session", "k", "x", "applied_k", "x_after", "applied_copy", *OF_KEYS},
-        "Offer": {"v", "session", "k", "candidates", "cipher", "centres", "heard", *OF_KEYS},
+        "Offer": {"v", "session", "k", "candidates", "cipher", "predictions", "heard", *OF_KEYS},
         "Sealed": {"v", "id", "key_ids", "cipher", "tag"},
     }
 

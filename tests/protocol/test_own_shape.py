@@ -74,20 +74,20 @@ def test_both_ends_compare_it() -> None:
     st.floats(1, 4),
 )
 def test_the_verdict_is_equation_20_with_two_sets(
-    centres: list[tuple[float, float]], x_next: tuple[float, float], alpha: float
+    predictions: list[tuple[float, float]], x_next: tuple[float, float], alpha: float
 ) -> None:
     D_c, D_e = np.array([0.5, 0.5]), np.array([0.6, 2.0])
     eye = ((1.0, 0.0), (0.0, 1.0))
     rule = AgreementRule(
         eye, eye, Gauge(half_widths=(0.5, 0.5)), alpha, Gauge(half_widths=(0.6, 2.0))
     )
-    v = np.abs(np.array(x_next) - np.array(centres))
+    v = np.abs(np.array(x_next) - np.array(predictions))
     defender = (v / D_c).max(axis=1) <= INSIDE
     hers = (v / D_e).max(axis=1) <= alpha
-    verdict = rule.verdict_at(centres, x_next)
+    verdict = rule.verdict_at(predictions, x_next)
     agreed = bool(hers.all()) and int(defender.sum()) == 1
     assert verdict.agreed == agreed
-    assert rule.widest(centres, x_next) == (v / D_e).max()
+    assert rule.widest(predictions, x_next) == (v / D_e).max()
     if agreed:
         assert verdict.symbol == int(np.flatnonzero(defender)[0])
 
@@ -95,8 +95,8 @@ def test_the_verdict_is_equation_20_with_two_sets(
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(finite, finite), min_size=2, max_size=4), st.tuples(finite, finite))
 def test_d_c_as_its_own_shape_changes_nothing(
-    centres: list[tuple[float, float]], x_next: tuple[float, float]
+    predictions: list[tuple[float, float]], x_next: tuple[float, float]
 ) -> None:
     eye, gauge = ((1.0, 0.0), (0.0, 1.0)), Gauge(half_widths=(0.5, 0.7))
     plain, own = AgreementRule(eye, eye, gauge, 3.0), AgreementRule(eye, eye, gauge, 3.0, gauge)
-    assert plain.verdict_at(centres, x_next) == own.verdict_at(centres, x_next)
+    assert plain.verdict_at(predictions, x_next) == own.verdict_at(predictions, x_next)

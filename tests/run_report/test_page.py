@@ -23,7 +23,7 @@ from wyner.run_report.chart import (
     chart,
     ticks,
 )
-from wyner.run_report.windows import MOST, STEPS, Windows
+from wyner.run_report.windows import MOST_WINDOWS, STEPS, Windows
 from wyner.verify.records import MissedLine
 
 SECRET = b"Hi"
@@ -120,7 +120,7 @@ def walk(windows: Windows, count: int) -> Windows:
     return windows
 
 
-@pytest.mark.parametrize("count", [1, STEPS, STEPS + 1, MOST * STEPS])
+@pytest.mark.parametrize("count", [1, STEPS, STEPS + 1, MOST_WINDOWS * STEPS])
 def test_of_a_run_that_is_not_long_every_step_is_seen(count: int) -> None:
     seen = [s.k for steps in walk(Windows(), count).stretches() for s in steps]
     assert seen == list(range(count))
@@ -128,10 +128,10 @@ def test_of_a_run_that_is_not_long_every_step_is_seen(count: int) -> None:
 
 
 def test_of_a_long_run_stretches_are_seen_whole_the_last_and_the_one_asked_for() -> None:
-    count, chosen = 3 * MOST * STEPS + 77, 3 * STEPS + 5
+    count, chosen = 3 * MOST_WINDOWS * STEPS + 77, 3 * STEPS + 5
     windows = walk(Windows(chosen), count)
     stretches = windows.stretches()
-    assert MOST // 2 <= len(stretches) <= MOST + 3
+    assert MOST_WINDOWS // 2 <= len(stretches) <= MOST_WINDOWS + 3
     for steps in stretches:
         ks = [s.k for s in steps]
         assert ks == list(range(ks[0], ks[-1] + 1))

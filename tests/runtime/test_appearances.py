@@ -5,8 +5,8 @@ import time
 
 import pytest
 
+from runtime.addresses import appearances, free_endpoints, is_group
 from runtime.bus import TransportError
-from runtime.endpoints import appearances, free_endpoints, is_group
 from runtime.host import _Sparing
 from runtime.zenoh_bus import ZenohBus
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.endpoint import Append, Keep
+from protocol.link.peer import Append, Save
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Message, Offer
 from runtime.journal import ControllerJournal, PlantJournal
@@ -43,13 +43,13 @@ SENDER = SenderRecord(
 def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() is None
-        journal.write(Keep(SENDER))
+        journal.write(Save(SENDER))
         assert journal.load() == SENDER
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() is None
-        journal2.write(Keep(RECEIVER))
+        journal2.write(Save(RECEIVER))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
 
@@ -57,7 +57,7 @@ def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_the_last_save_counts(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for k in range(100):
-            journal.write(Keep(RECEIVER._replace(k=k)))
+            journal.write(Save(RECEIVER._replace(k=k)))
         record = journal.load()
         assert record is not None
         assert record.k == 99
@@ -66,12 +66,12 @@ def test_the_last_save_counts(tmp_path: Path) -> None:
 def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for chunk in ("100", "11", ""):
-            journal.write(Keep(RECEIVER, chunk=chunk))
+            journal.write(Save(RECEIVER, chunk=chunk))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.chunks() == "10011"
-        journal.write(Keep(RECEIVER, drop_chunks=True, received=b"whole"))
+        journal.write(Save(RECEIVER, drop_chunks=True, received=b"whole"))
         assert journal.chunks() == ""
-        journal.write(Keep(RECEIVER, chunk="1", drop_chunks=True))
+        journal.write(Save(RECEIVER, chunk="1", drop_chunks=True))
         assert journal.chunks() == "1"
         assert journal.inbox() == [b"whole"]
 
@@ -79,7 +79,7 @@ def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: 
 def test_the_inbox_gives_the_newest_oldest_first(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for i in range(10):
-            journal.write(Keep(RECEIVER, received=b"%d" % i, drop_chunks=True))
+            journal.write(Save(RECEIVER, received=b"%d" % i, drop_chunks=True))
         assert journal.inbox(3) == [b"7", b"8", b"9"]
 
 
@@ -111,14 +111,14 @@ def wire(message: Message) -> bytes:
 def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.step() is None
-        journal.write(Keep(SENDER))
+        journal.write(Save(SENDER))
         journal.write(Append(wire(MEASUREMENT), wire(OFFER)))
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
         assert journal.step() == (MEASUREMENT, OFFER)
         journal.write(Append(wire(MEASUREMENT), wire(OFFER)))  # what was loaded can be built on
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        journal2.write(Keep(RECEIVER, chunk="10"))
+        journal2.write(Save(RECEIVER, chunk="10"))
         journal2.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
@@ -130,26 +130,26 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
     tmp_path: Path,
 ) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Keep(RECEIVER))
+        journal.write(Save(RECEIVER))
         journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
         with pytest.raises(AssertionError, match="not been counted"):
             journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
-        journal.write(Keep(RECEIVER._replace(k=5), later=True))
+        journal.write(Save(RECEIVER._replace(k=5), later=True))
         assert journal.load() == RECEIVER
         assert journal.step() is not None
-        journal.write(Keep(RECEIVER._replace(k=5), later=True))
+        journal.write(Save(RECEIVER._replace(k=5), later=True))
         journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))
         assert journal.load() == RECEIVER._replace(k=5)
         assert journal.step() == (OFFER, MEASUREMENT, 0)
-        journal.write(Keep(RECEIVER._replace(k=6)))
+        journal.write(Save(RECEIVER._replace(k=6)))
         assert journal.step() is None
 
 
 @pytest.mark.parametrize("heard", [b"{}", b"not json", wire(MEASUREMENT)])
-def test_a_step_that_is_none_is_refused(tmp_path: Path, heard: bytes) -> None:
+def test_a_step_that_is_none_is_refused(tmp_path: Path, request: bytes) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Keep(RECEIVER))
-        journal.write(Append(heard, wire(MEASUREMENT), 0))
+        journal.write(Save(RECEIVER))
+        journal.write(Append(request, wire(MEASUREMENT), 0))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
         journal.step()
     assert "record" in one_line(error, tmp_path / "p")
@@ -188,7 +188,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
 
 def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Keep(RECEIVER))
+        journal.write(Save(RECEIVER))
     with pytest.raises(JournalError) as error:
         PlantJournal(tmp_path / "p", "0" * 64)
     assert "scenario: got" in one_line(error, tmp_path / "p")
@@ -220,7 +220,7 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
 def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.write(Keep(RECEIVER))
+        journal.write(Save(RECEIVER))
     database = sqlite3.connect(path)
     database.execute(f"UPDATE record SET {change}")
     database.commit()
@@ -251,7 +251,7 @@ def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> 
 WRITER = """
 import sys
 from pathlib import Path
-from protocol.link.endpoint import Append, Keep
+from protocol.link.peer import Append, Keep
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
 from protocol.link.records import ReceiverRecord
@@ -327,7 +327,7 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
 ) -> None:
     path = tmp_path / "j"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.write(Keep(RECEIVER))
+        journal.write(Save(RECEIVER))
         pwrite = os.pwrite
         with monkeypatch.context() as full:
             full.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:40], at))
@@ -338,7 +338,7 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
         journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))  # over what was torn
         journal._db.execute("PRAGMA query_only = 1")
         with pytest.raises(JournalError) as error:
-            journal.write(Keep(RECEIVER, chunk="01"))
+            journal.write(Save(RECEIVER, chunk="01"))
         one_line(error, path)
     with PlantJournal(path, SCENARIO) as journal:
         assert journal.step() == (OFFER, MEASUREMENT, 0)

@@ -55,7 +55,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
     bus.publisher(key_of(ControllerStatus, "a")).put(told.wire())
     tap = TapStatus(
         **{"seq": 1, "t_ns": 1, "name": "nearest-centre", "steps": 9, "lost": 2, "mirrored": 20},
-        **dict.fromkeys(("dropped", "behind", "garbage"), 0),
+        **dict.fromkeys(("dropped", "behind", "malformed"), 0),
         **{"message": "", "confidence": 0.0, "candidates_left": 0, "solved_k": -1},
     )
     keys = {"key_bits_held": 256, "copies": 90, "copies_missed": 3, "claim_refuted": True}

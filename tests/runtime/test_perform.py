@@ -5,22 +5,22 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.link.endpoint import Actions, Append, Endpoint, Keep, Notice, Outgoing, Write
 from protocol.link.events import Applied, Event, Missed, Recovered
+from protocol.link.peer import Actions, Append, Notice, Outgoing, Peer, Save, Write
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Status
-from protocol.secret.blocks import Judgement
+from protocol.secret.blocks import BlockResult
 from protocol.secret.tasks import BlockVerdict, Done, Task
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from runtime.perform import Killed, Mortal, perform
+from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
 from tools.rehearsal import Rehearsal
 
 STEP = Append(b"heard", b"said")
-RECORD = Keep(SenderRecord(), later=True)
-VERDICT = BlockVerdict("1" * 16, Judgement(0, "confirmed"))
+RECORD = Save(SenderRecord(), later=True)
+VERDICT = BlockVerdict("1" * 16, BlockResult(0, "confirmed"))
 WELL = next(
     arrival.message
     for arrival in next(Rehearsal().arrivals(10))
@@ -51,7 +51,7 @@ class Script:
     def wake(self, now: float) -> Actions:
         raise NotImplementedError
 
-    def settle(self) -> Actions:
+    def finish_step(self) -> Actions:
         self._done.append("settle")
         return Actions(
             events=(EVENT,),
@@ -61,7 +61,7 @@ class Script:
             keys=(VERDICT,),
         )
 
-    def kept(self, done: Done, now: float) -> Actions:
+    def key_task_done(self, done: Done, now: float) -> Actions:
         raise NotImplementedError
 
     def appear(self, count: int) -> Actions:
@@ -83,13 +83,13 @@ class Listing:
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._done.append(Outgoing(kind, payload))
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         self._done.append(task)
 
     def trace(self, event: Event) -> None:
         self._done.append(event)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         self._done.append(notice.text)
 
     def health(self, status: Status) -> None:
@@ -99,7 +99,7 @@ class Listing:
 def test_save_publish_settle_trace_keep_tell() -> None:
     done: list[object] = []
     said = Outgoing(Measurement, b"said")
-    actions = Actions(write=STEP, publish=(said,), settle=True)
+    actions = Actions(write=STEP, publish=(said,), finish_step=True)
     perform(actions, Script(done), Listing(done))
     assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, "told", WELL]
 
@@ -114,10 +114,10 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
     before: str, done: list[object]
 ) -> None:
     happened: list[object] = []
-    ports = Mortal(Listing(happened))
-    ports.doom(before=before)  # type: ignore[arg-type]
-    actions = Actions(write=STEP, publish=(Outgoing(Measurement, b"said"),), settle=True)
-    with pytest.raises(Killed):
+    ports = CrashingPorts(Listing(happened))
+    ports.crash_at(before=before)  # type: ignore[arg-type]
+    actions = Actions(write=STEP, publish=(Outgoing(Measurement, b"said"),), finish_step=True)
+    with pytest.raises(Crashed):
         perform(actions, Script(happened), ports)
     assert happened == done
 
@@ -137,26 +137,26 @@ DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", WEL
 def test_who_dies_after_so_many_things_has_done_as_many(after: int) -> None:
     """Notices and the status count for nothing."""
     happened: list[object] = []
-    ports = Mortal(Listing(happened))
-    ports.doom(after=after)
-    with pytest.raises(Killed):
+    ports = CrashingPorts(Listing(happened))
+    ports.crash_at(after=after)
+    with pytest.raises(Crashed):
         perform(EVERYTHING, Script(happened), ports)
     assert happened == DONE[:after]
 
 
 def test_who_is_not_doomed_or_no_longer_lives_on() -> None:
-    for doom in (lambda _: None, lambda ports: ports.doom(after=5)):
+    for crash_at in (lambda _: None, lambda ports: ports.crash_at(after=5)):
         happened: list[object] = []
-        ports = Mortal(Listing(happened))
-        doom(ports)
+        ports = CrashingPorts(Listing(happened))
+        crash_at(ports)
         perform(EVERYTHING, Script(happened), ports)
         assert happened == DONE
-    ports.doom()
+    ports.crash_at()
     perform(EVERYTHING, Script(happened), ports)
-    ports.doom("tracing")
-    with pytest.raises(Killed):
+    ports.crash_at("tracing")
+    with pytest.raises(Crashed):
         perform(EVERYTHING, Script(happened), ports)
-    ports.doom()
+    ports.crash_at()
     perform(EVERYTHING, Script(happened), ports)
     assert happened == DONE * 3
 
@@ -179,14 +179,14 @@ class Draws:
 
 
 class Pair:
-    """Both ends on a network without faults; the ``doomed`` side dies once, at its nth act."""
+    """Both ends on a network without faults; the ``crashing`` side dies once, at its nth act."""
 
-    def __init__(self, doomed: str, nth: int) -> None:
+    def __init__(self, crashing: str, nth: int) -> None:
         self.names = 0
         self.now = 0.0
         self.acts = 0
         self.died = False
-        self.doomed, self.nth = doomed, nth
+        self.crashing, self.nth = crashing, nth
         self.draws = Draws()
         self.inbox: list[bytes] = []
         self.counted: dict[str, dict[tuple[str, int], CountedTransition]] = {
@@ -196,7 +196,7 @@ class Pair:
         self.mail: dict[str, deque[Outgoing]] = {"controller": deque(), "plant": deque()}
         self.queue = MemoryControllerJournal(PAYLOAD)
         self.plant_journal = MemoryPlantJournal()
-        self.ends: dict[str, tuple[Endpoint, Mortal]] = {}
+        self.ends: dict[str, tuple[Peer, CrashingPorts]] = {}
         for side in ("controller", "plant"):
             self.start(side)
 
@@ -214,14 +214,14 @@ class Pair:
             self.mail[partner].append,
             lambda event: self.note(side, event),
         )
-        endpoint: Endpoint
+        endpoint: Peer
         if side == "controller":
             endpoint = line_controller(RULES, self.propose, self.queue, self.draws, self.name())
         else:
             endpoint, self.line = line_plant(
                 RULES, self.plant_journal, self.name, self.name(), self.now, None
             )
-        self.ends[side] = (endpoint, Mortal(ports))
+        self.ends[side] = (endpoint, CrashingPorts(ports))
         self.do(side, lambda: endpoint.start(self.now))
 
     def note(self, side: str, event: Event) -> None:
@@ -238,14 +238,14 @@ class Pair:
         endpoint, ports = self.ends[side]
         actions = act()
         things = 5 if actions != Actions() else 0
-        if side == self.doomed and not self.died:
+        if side == self.crashing and not self.died:
             if self.acts <= self.nth < self.acts + things:
-                ports.doom(after=self.nth - self.acts)
+                ports.crash_at(after=self.nth - self.acts)
                 self.died = True
             self.acts += things
         try:
             perform(actions, endpoint, ports)
-        except Killed:
+        except Crashed:
             self.mail[side].clear()
             self.start(side)
 
@@ -271,11 +271,11 @@ def test_a_run_without_a_death_delivers() -> None:
 
 
 @pytest.mark.parametrize("doomed", ["controller", "plant"])
-def test_no_death_of_a_short_run_changes_what_is_counted_or_ends_the_session(doomed: str) -> None:
+def test_no_death_of_a_short_run_changes_what_is_counted_or_ends_the_session(crashing: str) -> None:
     """One death at each thing that an end does in its first 25 acts, some hundred runs in all."""
     deaths = 0
     for nth in range(125):
-        pair = Pair(doomed, nth)
+        pair = Pair(crashing, nth)
         pair.run(25)
         mine, theirs = pair.counted["plant"], pair.counted["controller"]
         assert all(mine[at] == t for at, t in theirs.items()), nth

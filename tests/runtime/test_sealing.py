@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.endpoint import Actions, Notice, Outgoing
+from protocol.link.peer import Actions, Notice, Outgoing
 from protocol.messages import (
     KeyAnswer,
     KeyRequest,
@@ -239,7 +239,7 @@ def test_what_is_garbage_is_counted_by_fields(
     world: World, kind: type[Message], wrong: bytes, text: str
 ) -> None:
     end = world.opening if kind is Sealed else world.sealing
-    told = Notice(text, "warning", "garbage")
+    told = Notice(text, "warning", "malformed")
     assert end.receive(kind, wrong, 0.0) == Actions(notices=(told,))
 
 

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import pytest
 
-from protocol.link.endpoint import Append, Keep
+from protocol.link.peer import Append, Save
 from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement, Offer
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from runtime import journal_files
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JOURNAL_VERSION, JournalError
@@ -32,15 +32,15 @@ def measurement(k: int) -> bytes:
     return Measurement(session=SESSION, k=k + 1, x=(0.5,), applied_k=k, x_after=(0.25,)).wire()
 
 
-def row(k: int) -> Raw:
-    return Raw(k, 1, bytes([k]) * 32, None if k % 2 else bytes([k + 100]) * 32)
+def row(k: int) -> Contribution:
+    return Contribution(k, 1, bytes([k]) * 32, None if k % 2 else bytes([k + 100]) * 32)
 
 
 def steps(journal: PlantJournal, first: int, last: int) -> None:
     """Steps as a plant that makes keys writes them: each record with the row of the step before."""
     for k in range(first, last):
         record = RECORD._replace(k=k)
-        journal.write(Keep(record, later=True, raw=row(k - 1) if k else None))
+        journal.write(Save(record, later=True, contribution=row(k - 1) if k else None))
         journal.write(Append(offer(k), measurement(k), k % 2))
 
 
@@ -48,8 +48,15 @@ def state(path: Path) -> Any:
     """All that a journal says when it is opened."""
     with PlantJournal(path, SCENARIO) as journal:
         record = journal.load()
-        raws = journal.raws(SESSION)
-        return record, journal.step(), journal.begun(), journal.chunks(), journal.inbox(), raws
+        contributions = journal.contributions(SESSION)
+        return (
+            record,
+            journal.step(),
+            journal.begun(),
+            journal.chunks(),
+            journal.inbox(),
+            contributions,
+        )
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -143,7 +150,9 @@ def test_a_rare_write_is_before_or_after_too(tmp_path: Path, cleared: bool) -> N
     with PlantJournal(live, SCENARIO) as journal:
         steps(journal, 0, 5)
         before = contents(live.parent)
-        kept = Keep(RECORD._replace(k=5), chunk="01", raw=row(4), settled=(range(2),))
+        kept = Save(
+            RECORD._replace(k=5), chunk="01", contribution=row(4), obsolete_rows=(range(2),)
+        )
         journal.write(kept)
         after = contents(live.parent)
     name = f"{NAME}-wal"
@@ -187,7 +196,7 @@ def test_what_was_made_ready_is_no_step(tmp_path: Path) -> None:
     assert killed.with_name(f"{NAME}-steps").stat().st_size == size
     with PlantJournal(killed, SCENARIO) as journal:
         assert journal.load() == RECORD._replace(k=2)
-        journal.write(Keep(RECORD._replace(k=3), later=True))
+        journal.write(Save(RECORD._replace(k=3), later=True))
         journal.write(Append(offer(3), measurement(3), 1))
         assert state(copied(killed, tmp_path / "again"))[0].k == 3
 
@@ -203,7 +212,7 @@ def test_steps_of_another_journal_or_that_do_not_follow_are_left_out(tmp_path: P
     with PlantJournal(two, SCENARIO) as journal:
         journal.load()
         old = copied(two, tmp_path / "old")
-        journal.write(Keep(RECORD._replace(k=3), chunk="1"))
+        journal.write(Save(RECORD._replace(k=3), chunk="1"))
         steps(journal, 4, 6)
         shutil.copyfile(two.with_name(log.name), old.with_name(log.name))
     assert state(old)[3] == ""
@@ -214,18 +223,18 @@ def test_steps_of_another_journal_or_that_do_not_follow_are_left_out(tmp_path: P
 def test_a_long_run_of_steps_is_put_into_the_database(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(journal_files, "LARGEST", 5000)
+    monkeypatch.setattr(journal_files, "LARGEST_STEP", 5000)
     path = tmp_path / NAME
     with PlantJournal(path, SCENARIO) as journal:
         steps(journal, 0, 60)
         assert 0 < journal._steps.size < 6000
         record = RECORD._replace(k=60)
-        journal.write(Keep(record, later=True, raw=row(59)))
+        journal.write(Save(record, later=True, contribution=row(59)))
         for k in range(60, 90):  # begun and read in two writes
             journal.write(Append(offer(k), b"", 1))
             assert state(copied(path, tmp_path / f"{k}"))[2] is not None
             journal.write(Append(offer(k), measurement(k), 1))
-            journal.write(Keep(RECORD._replace(k=k + 1), later=True, raw=row(k)))
+            journal.write(Save(RECORD._replace(k=k + 1), later=True, contribution=row(k)))
     found = state(path)
     assert found[0].k == 89
     assert found[-1] == [row(k) for k in range(89)]

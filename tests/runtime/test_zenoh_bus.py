@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from runtime.addresses import Addresses, TlsFiles, check_endpoint, free_endpoints
 from runtime.bus import Bus, ChannelClosed, TransportError
-from runtime.endpoints import Endpoints, TlsFiles, check_endpoint, free_endpoints
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.zenoh_bus import (
     LARGEST_MESSAGE,
@@ -251,8 +251,8 @@ def test_a_fault_drops_duplicates_and_corrupts() -> None:
 def test_zenoh_carries_messages_both_ways_in_order_and_never_back_to_the_sender() -> None:
     endpoints = free_endpoints(1)
     with (
-        open_bus(Endpoints(listen=tuple(endpoints))) as plant,
-        open_bus(Endpoints(connect=tuple(endpoints))) as controller,
+        open_bus(Addresses(listen=tuple(endpoints))) as plant,
+        open_bus(Addresses(connect=tuple(endpoints))) as controller,
     ):
         at_plant, at_controller = Inbox(plant), Inbox(controller)
         send_until_heard(plant, at_controller, "wyner/v1/loop/measurement")

@@ -21,7 +21,7 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.schemes.table import StateTable, advance_many
-from runtime.endpoints import Endpoints
+from runtime.addresses import Addresses
 from runtime.memory_bus import MemoryBus
 from runtime.run_folder import BELIEFS, SCENARIO
 from tap_service.capture.transcript import Transition
@@ -332,8 +332,8 @@ def test_three_live_services_follow_it(
     config = TapConfig(
         tmp_path,
         scenario.knowledge(),
-        Endpoints(),
-        Endpoints(),
+        Addresses(),
+        Addresses(),
         names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
     )
     tap = TapService(config)

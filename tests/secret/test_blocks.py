@@ -14,17 +14,17 @@ import pytest
 from protocol.secret.authentication import RESERVE
 from protocol.secret.blocks import (
     NO_TAG,
+    BlockResult,
     Blocks,
-    Closed,
-    Judgement,
+    ClosedBlock,
     OpenBlock,
     Schedule,
     Stored,
     schedule_of,
 )
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Raw, contribution, fresh_nonce
-from runtime.keys.keeper import Keeper
+from protocol.secret.nonces import Contribution, contribution_of, fresh_nonce
+from runtime.keys.key_maker import KeyMaker
 from runtime.keys.ledger import Authentication, pad_counts, take_secret
 from runtime.keys.secret_file import SecretError, make_secret
 from runtime.keys.store import KeyStore
@@ -60,33 +60,35 @@ def test_blocks_grow_and_follow_each_other_without_a_gap() -> None:
     assert [r - 1 for r in rows] == [1, 14, 48, 84]
 
 
-def closed(raws: Sequence[Raw], session: str = SESSION) -> Closed:
+def closed(contributions: Sequence[Contribution], session: str = SESSION) -> ClosedBlock:
     block = OpenBlock(SMALL.assumption)
-    for raw in raws:
-        block.add(raw)
-    return block.close(session, 0, raws[-1].j)
+    for contribution in contributions:
+        block.add(contribution)
+    return block.close(session, 0, contributions[-1].j)
 
 
 def test_a_block_is_everything_counted_in_order() -> None:
     nonce = [bytes([i]) * 32 for i in range(6)]
-    raws = (
-        Raw(1, 1, nonce[0], nonce[1]),
-        Raw(2, 3, None, nonce[2]),
-        Raw(3, 1, nonce[3], None),
-        Raw(4, 2, None, None),
+    contributions = (
+        Contribution(1, 1, nonce[0], nonce[1]),
+        Contribution(2, 3, None, nonce[2]),
+        Contribution(3, 1, nonce[3], None),
+        Contribution(4, 2, None, None),
     )
-    block = closed(raws)
+    block = closed(contributions)
     assert block.pattern == "3210"
     assert block.nonces == tuple(nonce[:4])
     assert (block.transitions, block.steps, block.counted, block.last) == (4, 7, 4, 4)
     assert block.rows == 0  # ten copies of fourteen were lost
-    assert closed(raws[:1]).message() != block.message()
+    assert closed(contributions[:1]).message() != block.message()
 
 
 def test_what_does_not_count_leaves_no_nonce() -> None:
     offer, measurement = fresh_nonce(), fresh_nonce()
     assert len(offer) == 44
-    kept = contribution(j=1, steps=1, offer=offer, applied_copy=1, measurement=measurement, heard=0)
+    kept = contribution_of(
+        j=1, steps=1, offer=offer, applied_copy=1, measurement=measurement, heard=0
+    )
     assert kept.offer is None
     assert kept.measurement is not None
     assert len(kept.measurement) == 32
@@ -96,7 +98,7 @@ def counting(last: int) -> Blocks:
     """A session's blocks once so many transitions have been counted."""
     blocks = Blocks(SMALL, SESSION)
     for j in range(1, last + 1):
-        blocks.count(Raw(j, 1, None, None))
+        blocks.count(Contribution(j, 1, None, None))
     return blocks
 
 
@@ -105,7 +107,7 @@ def test_a_block_is_announced_once_a_later_transition_was_counted() -> None:
     blocks = counting(3)
     blocks.stored(Stored(SESSION, 0, "a", "x"))
     assert blocks.word() == (-1, NO_TAG)
-    blocks.count(Raw(4, 1, None, None))
+    blocks.count(Contribution(4, 1, None, None))
     assert blocks.word() == (0, "a")
 
 
@@ -116,7 +118,7 @@ def test_a_later_block_that_holds_confirms_the_one_before() -> None:
     blocks.stored(Stored(SESSION, 2, "c", "z"))  # block 1 made no key
     assert blocks.word() == (0, "a")
     assert blocks.word() == (0, "a")  # not before block 0 is confirmed
-    assert blocks.heard(2, "z") == (Judgement(0, "confirmed"), Judgement(2, "confirmed"))
+    assert blocks.heard(2, "z") == (BlockResult(0, "confirmed"), BlockResult(2, "confirmed"))
     assert blocks.heard(0, "never looked at") == ()
     assert blocks.word() == (2, "c")
 
@@ -124,7 +126,7 @@ def test_a_later_block_that_holds_confirms_the_one_before() -> None:
 def test_a_tag_that_differs_is_told_once() -> None:
     blocks = Blocks(SMALL, SESSION)
     blocks.stored(Stored(SESSION, 0, "a", "x"))
-    assert blocks.heard(0, "y") == (Judgement(0, "unequal"),)
+    assert blocks.heard(0, "y") == (BlockResult(0, "unequal"),)
     assert blocks.heard(0, "y") == ()
     assert blocks.heard(0, "x") == ()
 
@@ -140,20 +142,27 @@ def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
     blocks.stored(Stored(SESSION, 0, "a", "x"))
     blocks.heard(0, "x")
     blocks.judged(SESSION, 0)
-    assert blocks.settled() == ()  # the partner has not been told
+    assert blocks.obsolete_rows() == ()  # the partner has not been told
     blocks.word()
-    assert blocks.settled() == (range(1, 4),)
-    assert blocks.settled() == ()
+    assert blocks.obsolete_rows() == (range(1, 4),)
+    assert blocks.obsolete_rows() == ()
     blocks.stored(Stored(SESSION, 1, ""))
-    assert blocks.settled() == (range(4, 10),)
+    assert blocks.obsolete_rows() == (range(4, 10),)
 
 
 class End:
     """One end with its store and what a journal would keep: the word, and the rows."""
 
-    def __init__(self, folder: Path, side: str, raws: list[Raw], secret: Path | None) -> None:
-        self.path, self.side, self.raws, self.secret = folder / f"{side}.db", side, raws, secret
-        self.rows: dict[int, Raw] = {}
+    def __init__(
+        self, folder: Path, side: str, contributions: list[Contribution], secret: Path | None
+    ) -> None:
+        self.path, self.side, self.contributions, self.secret = (
+            folder / f"{side}.db",
+            side,
+            contributions,
+            secret,
+        )
+        self.rows: dict[int, Contribution] = {}
         self.word = (-1, NO_TAG)
         self.j = 0
         self.alarms = 0
@@ -167,9 +176,9 @@ class End:
         if self.secret is not None:
             take_secret(self.store, self.secret)
             guard = Authentication(self.store, look=self.look)
-        self.keeper = Keeper(self.store, guard)
-        self.verdicts: list[Judgement] = []
-        self.blocks = Blocks(SMALL, SESSION, *self.word, raws=self.rows.values())
+        self.key_maker = KeyMaker(self.store, guard)
+        self.verdicts: list[BlockResult] = []
+        self.blocks = Blocks(SMALL, SESSION, *self.word, contributions=self.rows.values())
 
     def look(self) -> None:
         assert self.partner is not None
@@ -180,25 +189,25 @@ class End:
         self.start()
 
     def count(self) -> None:
-        if self.j == len(self.raws):
+        if self.j == len(self.contributions):
             return
-        raw = self.raws[self.j]
+        contribution = self.contributions[self.j]
         self.j += 1
-        if raw.j:
-            self.rows[raw.j] = raw
-            self.blocks.count(raw)
+        if contribution.j:
+            self.rows[contribution.j] = contribution
+            self.blocks.count(contribution)
 
     def work(self) -> None:
         if (block := self.blocks.to_keep()) is not None:
-            self.verdicts += self.blocks.stored(self.keeper.keep(block))
+            self.verdicts += self.blocks.stored(self.key_maker.make_keys(block))
         elif self.verdicts:
             verdict = self.verdicts.pop(0)
-            self.keeper.judge(SESSION, verdict)
+            self.key_maker.judge(SESSION, verdict)
             self.blocks.judged(SESSION, verdict.number)
 
     def speak(self) -> tuple[int, str]:
         self.word = self.blocks.word()  # journalled before it is said
-        for over in self.blocks.settled():
+        for over in self.blocks.obsolete_rows():
             for j in over:
                 del self.rows[j]
         return self.word
@@ -209,9 +218,9 @@ class End:
             self.verdicts.append(verdict)
 
 
-def rows_of(generator: random.Random, count: int) -> list[Raw]:
+def rows_of(generator: random.Random, count: int) -> list[Contribution]:
     return [
-        Raw(
+        Contribution(
             j,
             1 + (generator.random() < 0.02),
             generator.randbytes(32) if generator.random() < 0.98 else None,
@@ -232,9 +241,9 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
         make_secret(secrets["controller"])
         secrets["plant"].write_bytes(secrets["controller"].read_bytes())
         secrets["plant"].chmod(0o600)
-    raws = rows_of(generator, 120)
+    contributions = rows_of(generator, 120)
     ends = [
-        End(tmp_path, side, raws, secrets[side] if guarded else None)
+        End(tmp_path, side, contributions, secrets[side] if guarded else None)
         for side in ("controller", "plant")
     ]
     for end, other in (ends, ends[::-1]):
@@ -278,9 +287,13 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
 
 
 def test_other_raw_nonces_are_an_alarm_and_no_key(tmp_path: Path) -> None:
-    raws = rows_of(random.Random(1), 10)
-    forged = [*raws[:2], raws[2]._replace(offer=os.urandom(32)), *raws[3:]]
-    ends = [End(tmp_path, "controller", raws, None), End(tmp_path, "plant", forged, None)]
+    contributions = rows_of(random.Random(1), 10)
+    forged = [
+        *contributions[:2],
+        contributions[2]._replace(offer=os.urandom(32)),
+        *contributions[3:],
+    ]
+    ends = [End(tmp_path, "controller", contributions, None), End(tmp_path, "plant", forged, None)]
     for _ in range(30):
         for end, other in (ends, ends[::-1]):
             end.count()
@@ -297,15 +310,17 @@ def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: 
     make_secret(tmp_path / "secret")
     with KeyStore(tmp_path / "keys", "plant", create=True) as store:
         take_secret(store, tmp_path / "secret")
-        keeper = Keeper(store, Authentication(store, look=lambda: consent(store)))
-        raws = rows_of(random.Random(2), 4)[1:]
+        key_maker = KeyMaker(store, Authentication(store, look=lambda: consent(store)))
+        contributions = rows_of(random.Random(2), 4)[1:]
         tags = []
         for number in range(
             RESERVE + 1
         ):  # so many sessions that end before their first block is confirmed
-            block = closed([raw._replace(steps=1) for raw in raws], f"{number:016x}")
-            tags.append(keeper.keep(block).tag)
-            assert keeper.keep(block).tag == tags[-1]
+            block = closed(
+                [contribution._replace(steps=1) for contribution in contributions], f"{number:016x}"
+            )
+            tags.append(key_maker.make_keys(block).tag)
+            assert key_maker.make_keys(block).tag == tags[-1]
         assert len(set(tags[:-1])) == RESERVE
         assert tags[-1] == ""
         assert pad_counts(tmp_path / "keys") == (RESERVE, RESERVE, 0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from tests.support.kept import kept
+from tests.support.held_memory import kept
 from tests.support.keyed_link import SIDES, World
 from tests.support.line_plant import line_rules
 
@@ -16,7 +16,9 @@ RULES = replace(
 
 def measured(world: World) -> dict[str, tuple[int, int]]:
     found = {f"the {side}'s end": kept([world.ends[side]], (World,)) for side in SIDES}
-    found |= {f"the {side}'s keeper": kept([vars(world.keepers[side])], (World,)) for side in SIDES}
+    found |= {
+        f"the {side}'s keeper": kept([vars(world.key_makers[side])], (World,)) for side in SIDES
+    }
     found |= {f"the {side}'s journal": kept([world.journals[side]], (World,)) for side in SIDES}
     return found
 

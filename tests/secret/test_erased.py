@@ -26,8 +26,8 @@ from tests.support.recorded_loop import SIDES, RecordedLoop
 
 def confirmed(loop: RecordedLoop, block: int) -> bool:
     """Whether both ends have it on disk that a block is confirmed."""
-    keepers = [end.keeper for end in loop._ends.values()]
-    rows = [k.store.blocks(last=1) for k in keepers if k is not None]
+    key_makers = [end.key_maker for end in loop._ends.values()]
+    rows = [k.store.blocks(last=1) for k in key_makers if k is not None]
     return all(row and (row[0].number, row[0].state) == (block, "confirmed") for row in rows)
 
 
@@ -108,7 +108,7 @@ def test_no_delivered_block_can_be_made_from_either_journal(stopped: Path) -> No
             record = journal.load()
             assert record is not None
             assert record.session is not None
-            raws = journal.raws(record.session)
-            blocks = Blocks(schedule, record.session, -1, "", raws)
+            contributions = journal.contributions(record.session)
+            blocks = Blocks(schedule, record.session, -1, "", contributions)
             made = blocks.to_keep()
             assert made is None or (record.session, made.number) not in delivered_blocks(stopped)

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from protocol.link import keying as keying_module
-from protocol.link.endpoint import Actions, Append, Endpoint
 from protocol.link.keying import Keying
+from protocol.link.peer import Actions, Append, Peer
 from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.messages import Measurement
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Raw, contribution
+from protocol.secret.nonces import Contribution, contribution_of
 from protocol.secret.records import WHOLE, Share, StoreError, TooFewKeys
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
@@ -72,7 +72,7 @@ class KeyedLink(RuleBasedStateMachine):
 
     @rule(side=SIDE, before=POINT)
     def a_process_will_die(self, side: str, before: str) -> None:
-        self.world.doom(side, before)  # type: ignore[arg-type]
+        self.world.crash_at(side, before)  # type: ignore[arg-type]
 
     @rule(side=SIDE)
     def a_process_dies(self, side: str) -> None:
@@ -116,14 +116,14 @@ def test_keys_are_made_and_served_once_all_is_well() -> None:
             world.serve(side)
     world.agree()
     assert len(world.given) == 20
-    assert len(world.journals["plant"].raws(world.journals["plant"].load().session)) < 12  # type: ignore[union-attr]
+    assert len(world.journals["plant"].contributions(world.journals["plant"].load().session)) < 12  # type: ignore[union-attr]
     world.close()
 
 
 # --- the wrong ones -------------------------------------------------------------------------------
 
 
-def send_before_save(actions: Actions, endpoint: Endpoint, ports: Ports) -> None:
+def send_before_save(actions: Actions, endpoint: Peer, ports: Ports) -> None:
     if isinstance(actions.write, Append):
         for kind, payload in actions.publish:
             ports.publish(kind, payload)
@@ -165,13 +165,15 @@ def wrong_heard(patch: pytest.MonkeyPatch) -> None:
 def nonces_swapped(patch: pytest.MonkeyPatch) -> None:
     count = 0
 
-    def wrong(**of: object) -> Raw:
+    def wrong(**of: object) -> Contribution:
         nonlocal count
         count += 1
-        raw = contribution(**of)  # type: ignore[arg-type]
+        contribution = contribution_of(**of)  # type: ignore[arg-type]
         if count % 2:  # one end of the two, mostly
-            return raw._replace(offer=raw.measurement, measurement=raw.offer)
-        return raw
+            return contribution._replace(
+                offer=contribution.measurement, measurement=contribution.offer
+            )
+        return contribution
 
     patch.setattr(keying_module, "contribution", wrong)
 

@@ -52,7 +52,7 @@ class Signed:
         assert shown[0] == shown[1][::-1]
         for store, end in zip(self.stores, self.ends, strict=True):
             store.confirm(session, block)
-            end.settle(session, block)
+            end.confirm(session, block)
         return text, rows, shown[1][0]
 
 

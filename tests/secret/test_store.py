@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.blocks import Closed
+from protocol.secret.blocks import ClosedBlock
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -23,7 +23,7 @@ from protocol.secret.records import (
     key_id,
 )
 from runtime.keys.anchor import Anchor
-from runtime.keys.keeper import Keeper
+from runtime.keys.key_maker import KeyMaker
 from runtime.keys.ledger import Authentication, take_secret
 from runtime.keys.secret_file import make_secret
 from runtime.keys.store import KeyStore
@@ -189,7 +189,7 @@ def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
             assert signed is not None
             keys.add(row(number, 84), bodies(0, 84), pads=signed[3])
             keys.confirm(SESSION, number)
-            authentication.settle(SESSION, number)
+            authentication.confirm(SESSION, number)
             steps.append(len(spent))
         assert keys.counts().dropped == 3000
         assert len(keys.ids()) == 9000
@@ -341,12 +341,14 @@ def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path
     nonces = tuple(bodies(9, 8))
     with store(tmp_path) as keys:
         keys.begin(SESSION, 5)
-        keeper = Keeper(keys)
+        key_maker = KeyMaker(keys)
         for number, first, made in ((1, 3, 0), (2, 5, 5), (3, 9, 5)):
-            closed = Closed(SESSION, number, 4, 4, 8, 6, "3333", nonces, first + 3)
-            stored = keeper.keep(closed)
+            closed = ClosedBlock(SESSION, number, 4, 4, 8, 6, "3333", nonces, first + 3)
+            stored = key_maker.make_keys(closed)
             assert (stored.keys, stored.older, bool(stored.tag)) == (made, not made, bool(made))
-        assert keeper.keep(Closed("another", 0, 4, 4, 8, 6, "3333", nonces, 4)).keys == 5
+        assert (
+            key_maker.make_keys(ClosedBlock("another", 0, 4, 4, 8, 6, "3333", nonces, 4)).keys == 5
+        )
         assert keys.counts().stored == 15
 
 

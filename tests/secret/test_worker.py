@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged
 from runtime.keys import worker as worker_module
-from runtime.keys.keeper import Keeper, KeeperAt
+from runtime.keys.key_maker import KeyMaker, KeyMakerAt
 from runtime.keys.store import KeyStore
 from runtime.keys.worker import KeyWorker
 
@@ -26,27 +26,27 @@ PATIENCE_S = 120.0
 """It works where a core is idle, and beside other tests none may be for long."""
 
 
-def closed(number: int) -> Closed:
+def closed(number: int) -> ClosedBlock:
     draw = random.Random(number)
     nonces = tuple(draw.randbytes(32) for _ in range(88))
-    return Closed(SESSION, number, 44, 44, 88, 9, "3" * 44, nonces, 44 * (number + 1))
+    return ClosedBlock(SESSION, number, 44, 44, 88, 9, "3" * 44, nonces, 44 * (number + 1))
 
 
 def verdict(number: int) -> BlockVerdict:
-    return BlockVerdict(SESSION, Judgement(number, "confirmed"))
+    return BlockVerdict(SESSION, BlockResult(number, "confirmed"))
 
 
-def made(folder: Path, name: str = "keys") -> KeeperAt:
+def made(folder: Path, name: str = "keys") -> KeyMakerAt:
     path = folder / f"{name}.sqlite3"
     KeyStore(path, "plant", create=True).close()
-    return KeeperAt(path, "plant")
+    return KeyMakerAt(path, "plant")
 
 
 def expected(numbers: range) -> dict[str, bytes | None]:
     with KeyStore(None, "plant") as store:
-        keeper = Keeper(store)
+        key_maker = KeyMaker(store)
         for number in numbers:
-            keeper.keep(closed(number))
+            key_maker.make_keys(closed(number))
         return store.compare()
 
 
@@ -56,7 +56,7 @@ def process_of_keys() -> int | None:
         with suppress(OSError):
             command = (path / "cmdline").read_bytes().split(b"\0")
             parent = (path / "stat").read_text().rpartition(")")[2].split()[1]
-            if command[1:3] == [b"-m", b"runtime.keys.apart"] and parent == str(os.getpid()):
+            if command[1:3] == [b"-m", b"runtime.keys.key_process"] and parent == str(os.getpid()):
                 return int(path.name)
     return None
 
@@ -120,11 +120,11 @@ def test_killed_at_any_instant_it_makes_the_same_keys_once(tmp_path: Path) -> No
         for number in blocks:
             worker.put(at, told.put, closed(number))
             worker.put(at, told.put, verdict(number))
-        doomed = sorted(draw.sample(range(1, 2 * len(blocks)), 6))
+        crashing = sorted(draw.sample(range(1, 2 * len(blocks)), 6))
         answers: list[Done] = []
         while len(answers) < 2 * len(blocks):
             answers.append(told.get(timeout=PATIENCE_S))
-            if len(answers) in doomed:
+            if len(answers) in crashing:
                 time.sleep(draw.uniform(0.0, 0.006))  # a block takes as long, with its commit
                 pid = another(pids)
                 pids.add(pid)
@@ -149,7 +149,7 @@ def test_it_gives_up_in_a_line_where_nothing_can_be_started(
 def test_a_store_that_is_gone_breaks_its_own_loop_alone(tmp_path: Path) -> None:
     at = made(tmp_path)
     with working() as (worker, told):
-        worker.put(KeeperAt(tmp_path / "none", "plant"), told.put, closed(0))
+        worker.put(KeyMakerAt(tmp_path / "none", "plant"), told.put, closed(0))
         worker.put(at, told.put, closed(0))
         gone, kept = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
     assert isinstance(gone, Broken)

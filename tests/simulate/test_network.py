@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link.endpoint import Append, Write
+from protocol.link.peer import Append, Write
 from protocol.scenario import Scenario
 from runtime.journal import PlantJournal
 from tests.support.safety import violations

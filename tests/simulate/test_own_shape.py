@@ -49,7 +49,7 @@ def rights(
     told = scenario.oracle_knowledge() if name == "oracle" else scenario.knowledge()
     tap = named(name)(told)
     live = [tap.observe(t).best for t in transcript(runs, link, place)]
-    best = {**dict(enumerate(live)), **{g.k: g.best for g in (*tap.settled, *tap.review())}}
+    best = {**dict(enumerate(live)), **{g.k: g.best for g in (*tap.final_guesses, *tap.review())}}
     keys = link.agreed[:, place]
     steps = np.flatnonzero(keys != NO_SYMBOL)
     assert len(steps) > 0.9 * len(keys)
@@ -100,7 +100,7 @@ def test_a_long_run_keeps_a_bounded_past_and_loses_no_guess() -> None:
     tap = FittedBox(scenario.knowledge())
     for t in transcript(runs, link, 0):
         tap.observe(t)
-    steps = [g.k for g in (*tap.settled, *tap.review())]
+    steps = [g.k for g in (*tap.final_guesses, *tap.review())]
     assert steps == list(range(KEPT + 300))
 
 

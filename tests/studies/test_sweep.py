@@ -319,11 +319,11 @@ def imported(statement: str) -> set[Path]:
             "e.named('nearest-centre'), e.named('list-decoder')",
             (*SOURCES, *TAP_SOURCES),
             {  # they hold a user's eavesdropper; the shipped ones answer themselves
-                "runtime/guest.py",
+                "runtime/sandbox.py",
                 "runtime/errors.py",
                 "runtime/processor_time.py",
                 "protocol/text.py",
-                "tap_service/guests.py",
+                "tap_service/sandboxed.py",
             },
         ),
     ],

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from plant_service.adapters.operated import Operated
-from plant_service.driven import DrivenEndpoint, DrivenPlant
+from plant_service.device import DevicePeer, DevicePlant
 from plant_service.plant import Move
 from protocol.agreement import Gauge
 from protocol.link.events import Applied, Event, Interrupted, Missed
@@ -75,7 +75,7 @@ class LineDevice(Operated):
             assert event.u == (self.over,), "a step had another input than its trace says"
 
 
-class ActingLine(DrivenPlant):
+class ActingLine(DevicePlant):
     """The real order of a step, on the line; ``coin`` and ``d`` are the next step's."""
 
     def __init__(self, receiver: Receiver, device: LineDevice) -> None:
@@ -113,16 +113,16 @@ def acting_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-) -> tuple[DrivenEndpoint, ActingLine]:
+) -> tuple[DevicePeer, ActingLine]:
     """A plant's endpoint as its journal has it, and what it acts on."""
     record, step = journal.load(), journal.step()
     x = device.start()
     first = record or ReceiverRecord(session=new_id(), k=0, x=x, u=(0.0,))
     said = None if step is None else step.measurement
-    raws = journal.raws(first.session)
-    receiver = Receiver(rules, instance, first, journal.chunks(), raws, said, nonces)
+    contributions = journal.contributions(first.session)
+    receiver = Receiver(rules, instance, first, journal.chunks(), contributions, said, nonces)
     plant = ActingLine(receiver, device)
-    endpoint = DrivenEndpoint(
+    endpoint = DevicePeer(
         plant,
         Pacing(step_s, repeats, now),
         new_id,

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from protocol.link.endpoint import Keep
+from protocol.link.peer import Save
 from runtime.files import write_atomically
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
@@ -27,10 +27,10 @@ def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> SmallRun:
     fingerprint = run.scenario.fingerprint()
     with ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as journal:
         for number, payload in enumerate(payloads):
-            journal.write(Keep(run.sender.record, queued=(f"m{number}", payload)))
+            journal.write(Save(run.sender.record, queued=(f"m{number}", payload)))
     with PlantJournal(folder / PLANT_JOURNAL, fingerprint) as journal:
         for payload in run.received:
-            journal.write(Keep(run.receiver.record, received=payload))
+            journal.write(Save(run.receiver.record, received=payload))
     manifest = {"wyner": "0", **run.scenario.identity()}
     write_atomically(folder / MANIFEST, json.dumps(manifest).encode())
     messages = len(read_lines(folder / CAPTURE)) - 2

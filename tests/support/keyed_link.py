@@ -7,19 +7,19 @@ and over what, and what must hold is checked as it goes.
 from collections.abc import Callable
 from typing import Literal
 
-from controller_service.endpoint import ControllerEndpoint
-from plant_service.endpoint import PlantEndpoint
-from protocol.link.endpoint import Actions, Endpoint, Notice, Write
+from controller_service.peer import ControllerPeer
+from plant_service.peer import PlantPeer
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
+from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.tasks import Done, Task
-from runtime.keys.keeper import Keeper, work
+from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from runtime.perform import CrashPoint, Killed, Mortal, perform
+from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
 from runtime.perform import Ports as AnyPorts
 from tests.support.copies import Copies
 from tests.support.giving import deliver, deliver_named
@@ -29,7 +29,7 @@ from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 Side = Literal["controller", "plant"]
 SIDES: tuple[Side, Side] = ("controller", "plant")
 OTHER: dict[Side, Side] = {"controller": "plant", "plant": "controller"}
-Performer = Callable[[Actions, Endpoint, AnyPorts], None]
+Performer = Callable[[Actions, Peer, AnyPorts], None]
 
 MEMORY = 12
 """Messages that the network keeps for each side."""
@@ -50,13 +50,13 @@ class Ports:
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self.world.published(self.side, kind, payload)
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         self.world.tasks[self.side].append(task)
 
     def trace(self, event: Event) -> None:
         self.world.traced(self.side, event)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         pass
 
     def health(self, status: Status) -> None:
@@ -97,12 +97,12 @@ class World:
             "controller": TwinControllerJournal() if on_disk else MemoryControllerJournal(),
             "plant": TwinPlantJournal() if on_disk else MemoryPlantJournal(),
         }
-        self.ports = {side: Mortal(Ports(self, side)) for side in SIDES}
+        self.ports = {side: CrashingPorts(Ports(self, side)) for side in SIDES}
         self.bag: dict[Side, list[tuple[type[Message], bytes]]] = {s: [] for s in SIDES}
         self.tasks: dict[Side, list[Task]] = {side: [] for side in SIDES}
         self.done: dict[Side, list[Done]] = {side: [] for side in SIDES}
-        self.ends: dict[Side, Endpoint] = {}
-        self.keepers: dict[Side, Keeper] = {}
+        self.ends: dict[Side, Peer] = {}
+        self.key_makers: dict[Side, KeyMaker] = {}
         self.copies = Copies()
         self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
@@ -122,18 +122,18 @@ class World:
     def start(self, side: Side) -> None:
         self.tasks[side].clear()
         self.done[side].clear()
-        self.keepers[side] = Keeper(self.stores[side])
+        self.key_makers[side] = KeyMaker(self.stores[side])
         self.ends[side] = self.controller() if side == "controller" else self.plant()
         self.carry_out(side, self.ends[side].start(self.now))
 
-    def controller(self) -> ControllerEndpoint:
+    def controller(self) -> ControllerPeer:
         journal = self.journals["controller"]
         assert isinstance(journal, MemoryControllerJournal)
         return line_controller(
             self.rules, lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)), journal, Zeros(), self.name()
         )
 
-    def plant(self) -> PlantEndpoint:
+    def plant(self) -> PlantPeer:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
         endpoint, _ = line_plant(
@@ -144,15 +144,15 @@ class World:
     def carry_out(self, side: Side, actions: Actions) -> None:
         try:
             self.performer(actions, self.ends[side], self.ports[side])
-        except Killed:
+        except Crashed:
             self.die(side)
 
-    def doom(self, side: Side, before: CrashPoint | None, after: int = -1) -> None:
-        self.ports[side].doom(before, after)
+    def crash_at(self, side: Side, before: CrashPoint | None, after: int = -1) -> None:
+        self.ports[side].crash_at(before, after)
 
     def die(self, side: Side) -> None:
         self.deaths += 1
-        self.ports[side].doom()
+        self.ports[side].crash_at()
         self.start(side)
 
     # --- what may happen --------------------------------------------------------------------------
@@ -173,11 +173,11 @@ class World:
     def keeps(self, side: Side) -> None:
         """The keeper does its next task; its process learns of it later, or never."""
         if self.tasks[side]:
-            self.done[side].append(work(self.keepers[side], self.tasks[side].pop(0)))
+            self.done[side].append(work(self.key_makers[side], self.tasks[side].pop(0)))
 
     def told(self, side: Side) -> None:
         if self.done[side]:
-            self.carry_out(side, self.ends[side].kept(self.done[side].pop(0), self.now))
+            self.carry_out(side, self.ends[side].key_task_done(self.done[side].pop(0), self.now))
 
     def serve(self, side: Side) -> None:
         """A key server gives a key, and its partner finds the same one by its id."""
@@ -203,7 +203,7 @@ class World:
         What was under way at the beginning is lost, too.
         """
         for side in SIDES:
-            self.ports[side].doom(before if side == victim else None)
+            self.ports[side].crash_at(before if side == victim else None)
             self.bag[side].clear()
         deaths = self.deaths
         for _ in range(rounds):

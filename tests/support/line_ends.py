@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from controller_service.endpoint import ControllerEndpoint
-from plant_service.endpoint import PlantEndpoint
+from controller_service.peer import ControllerPeer
+from plant_service.peer import PlantPeer
 from plant_service.plant import Move, PlantStep
-from protocol.link.endpoint import Notice, Outgoing, Write
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
+from protocol.link.peer import Notice, Outgoing, Write
 from protocol.link.receiver import Receiver
 from protocol.link.records import ReceiverRecord
 from protocol.link.sender import Sender
@@ -63,12 +63,12 @@ class ToldPorts:
         journal: MemoryControllerJournal | MemoryPlantJournal,
         publish: Callable[[Outgoing], None],
         trace: Callable[[Event], None],
-        tell: Callable[[Notice], None] = lambda _: None,
+        log_notice: Callable[[Notice], None] = lambda _: None,
     ) -> None:
         self.journal = journal
         self._publish = publish
         self._trace = trace
-        self._tell = tell
+        self._tell = log_notice
 
     def write(self, write: Write) -> None:
         self.journal.write(write)
@@ -76,13 +76,13 @@ class ToldPorts:
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._publish(Outgoing(kind, payload))
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         raise AssertionError("keys are made, and nobody keeps them")
 
     def trace(self, event: Event) -> None:
         self._trace(event)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         self._tell(notice)
 
     def health(self, status: Status) -> None:
@@ -97,12 +97,12 @@ def line_controller(
     instance: str,
     nonces: NonceSource = fresh_nonce,
     period_s: float = PERIOD_S,
-) -> ControllerEndpoint:
+) -> ControllerPeer:
     """A controller's endpoint as its journal has it."""
     record, step = journal.load(), journal.step()
-    raws = journal.raws(None if record is None else record.session)
-    sender = Sender(rules, propose, journal, fresh, instance, record, step, raws, nonces)
-    return ControllerEndpoint(sender, journal, period_s)
+    contributions = journal.contributions(None if record is None else record.session)
+    sender = Sender(rules, propose, journal, fresh, instance, record, step, contributions, nonces)
+    return ControllerPeer(sender, journal, period_s)
 
 
 def line_plant(
@@ -114,15 +114,15 @@ def line_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-) -> tuple[PlantEndpoint, LinePlant]:
+) -> tuple[PlantPeer, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     record, step = journal.load(), journal.step()
     first = record or ReceiverRecord(session=new_id(), k=0, x=(0.0,), u=(0.0,))
     said = None if step is None else step.measurement
-    raws = journal.raws(first.session)
-    receiver = Receiver(rules, instance, first, journal.chunks(), raws, said, nonces)
+    contributions = journal.contributions(first.session)
+    receiver = Receiver(rules, instance, first, journal.chunks(), contributions, said, nonces)
     plant = LinePlant(receiver)
-    endpoint = PlantEndpoint(
+    endpoint = PlantPeer(
         plant,
         Pacing(step_s, repeats, now),
         new_id,

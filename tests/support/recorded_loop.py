@@ -16,15 +16,15 @@ from typing import Final, Literal
 
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
-from protocol.link.endpoint import Actions, Endpoint, Outgoing
 from protocol.link.events import Event
+from protocol.link.peer import Actions, Outgoing, Peer
 from protocol.link.sender import Sender
 from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
-from runtime.keys.keeper import Keeper, work
+from runtime.keys.key_maker import KeyMaker, work
 from runtime.pace import Pace
-from runtime.perform import Killed, Mortal, perform
+from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Files, LoopPorts
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from runtime.trace import TraceWriter, read_trace
@@ -54,7 +54,7 @@ class _Publisher:
         self.loop.said(self.side, Outgoing(self.kind, payload))
 
 
-class _Ports(Mortal):
+class _Ports(CrashingPorts):
     """Ports of a process that dies so many things after an event's turn has come."""
 
     since: type[Event] | None = None
@@ -64,16 +64,16 @@ class _Ports(Mortal):
         """Die, or trace."""
         if self.since is not None and isinstance(event, self.since):
             self.since = None
-            self.doom(after=self.after)
+            self.crash_at(after=self.after)
         super().trace(event)
 
 
 @dataclass
 class _End:
-    endpoint: Endpoint
+    endpoint: Peer
     files: Files
     ports: _Ports
-    keeper: Keeper | None
+    key_maker: KeyMaker | None
     tasks: deque[Task]
     """They wait for the keeper, as they do in a service."""
 
@@ -120,7 +120,7 @@ class RecordedLoop:
             endpoint, files = open_controller(made)  # type: ignore[assignment]
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
         tasks: deque[Task] = deque()
-        keeper = None if files.keeper is None else files.keeper.open()
+        key_maker = None if files.key_maker is None else files.key_maker.open()
         health = HealthFiles(files.health, log)
         ports = LoopPorts(
             files,
@@ -129,7 +129,7 @@ class RecordedLoop:
             lambda status: health.write(status, time.monotonic()),
             tasks.append,
         )
-        self._ends[side] = _End(endpoint, files, _Ports(ports), keeper, tasks)
+        self._ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks)
         self._do(side, endpoint.start)
 
     def kill(self, side: Side) -> None:
@@ -137,8 +137,8 @@ class RecordedLoop:
         end = self._ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
-        if end.keeper is not None:
-            end.keeper.store.close()
+        if end.key_maker is not None:
+            end.key_maker.store.close()
         self._mail[side].clear()
 
     def stop(self) -> None:
@@ -146,8 +146,8 @@ class RecordedLoop:
         for side, end in tuple(self._ends.items()):
             self._do(side, end.endpoint.stop)
             end.files.close()
-            if end.keeper is not None:
-                end.keeper.store.close()
+            if end.key_maker is not None:
+                end.key_maker.store.close()
         self._capture.close()
 
     def queue(self, identifier: str, payload: bytes) -> None:
@@ -155,14 +155,14 @@ class RecordedLoop:
         command = SendCommand(id=identifier, payload=payload)
         self._mail["controller"].append(Outgoing(SendCommand, command.wire()))
 
-    def doom(self, side: Side, after: int, since: type[Event] | None = None) -> None:
+    def crash_at(self, side: Side, after: int, since: type[Event] | None = None) -> None:
         """Let an end die after so many things asked of its ports, from now or from an event on.
 
         The event itself is the first of them: 0 is before it is traced, 1 before it is saved.
         """
         ports = self._ends[side].ports
         if since is None:
-            ports.doom(after=after)
+            ports.crash_at(after=after)
         else:
             ports.since, ports.after = since, after
 
@@ -203,7 +203,7 @@ class RecordedLoop:
         end = self._ends[side]
         try:
             perform(act(self.now), end.endpoint, end.ports)
-        except Killed:
+        except Crashed:
             self.kill(side)
             self.start(side)
 
@@ -212,9 +212,9 @@ class RecordedLoop:
         quiet = True
         for side in SIDES:
             end = self._ends[side]
-            if end.tasks and end.keeper is not None:
-                done = work(end.keeper, end.tasks.popleft())
-                self._do(side, lambda now, e=end, d=done: e.endpoint.kept(d, now))  # type: ignore[misc]
+            if end.tasks and end.key_maker is not None:
+                done = work(end.key_maker, end.tasks.popleft())
+                self._do(side, lambda now, e=end, d=done: e.endpoint.key_task_done(d, now))  # type: ignore[misc]
                 quiet = False
             elif self._mail[side]:
                 kind, payload = self._mail[side].popleft()

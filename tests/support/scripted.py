@@ -8,7 +8,7 @@ from wyner.dashboard.model import Arrival
 class ScriptedSource:
     """Gives prepared batches, one at each call; its clock stands at the last arrival given."""
 
-    garbage = 0
+    malformed = 0
 
     def __init__(self, batches: Iterable[Sequence[Arrival]]) -> None:
         self._batches = iter(batches)

@@ -173,7 +173,7 @@ class SmallRun:
         effects = self.sender.measured(measurement)
         assert effects.offer is not None
         if effects.append:
-            settled = self.sender.settle()
+            settled = self.sender.finish_step()
             if settled.transition is not None:
                 self._trace.write(settled.transition.as_event())
             if settled.delivered is not None:

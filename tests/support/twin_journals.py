@@ -9,8 +9,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from protocol.link.endpoint import Write
-from protocol.secret.nonces import Raw
+from protocol.link.peer import Write
+from protocol.secret.nonces import Contribution
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 
@@ -66,10 +66,10 @@ class _Twin(Generic[T]):
         assert self.twin.step() == self.step()
         return record
 
-    def raws(self, session: str | None) -> list[Raw]:
+    def contributions(self, session: str | None) -> list[Contribution]:
         """The rows of both."""
-        rows: list[Raw] = super().raws(session)  # type: ignore[misc]
-        assert self.twin.raws(session) == rows
+        rows: list[Contribution] = super().contributions(session)  # type: ignore[misc]
+        assert self.twin.contributions(session) == rows
         return rows
 
     def forget(self) -> None:

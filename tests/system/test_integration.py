@@ -14,7 +14,7 @@ import pytest
 
 from protocol.messages import Measurement, Offer, PlantHello, SendCommand
 from protocol.topics import key_of
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.trace import read_trace
 from runtime.zenoh_bus import ZenohBus
@@ -236,10 +236,10 @@ def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: P
         def counted() -> bool:
             for publisher in publishers:
                 publisher.put(b"\x00garbage")
-            garbage = [
-                status(by_hand.run_dir, one).get("garbage", 0) for one in ("plant", "controller")
+            malformed = [
+                status(by_hand.run_dir, one).get("malformed", 0) for one in ("plant", "controller")
             ]
-            return bool(min(garbage) > 50)
+            return bool(min(malformed) > 50)
 
         wait_for(counted)
     wait_for(lambda: recovered(by_hand.run_dir) == 2)

@@ -162,7 +162,7 @@ def in_a_row(symbols: list[int]) -> set[bytes]:
 def secrets_of(run: Path) -> dict[str, set[bytes]]:
     """Every secret value of a run, by kind, from where it is kept."""
     keys: set[bytes] = set()
-    raws: set[bytes] = set()
+    contributions: set[bytes] = set()
     for side in ("controller", "plant"):
         with closing(sqlite3.connect(run / side / "keys.sqlite3")) as store:
             for table in ("key", "pad"):
@@ -170,12 +170,12 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
                 keys |= {bytes(body) for (body,) in rows if len(body) >= 8}
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
-        raws |= {message["nonce"].encode()} if message.get("nonce") else set()
+        contributions |= {message["nonce"].encode()} if message.get("nonce") else set()
     transitions = list(read_trace(run / PLANT_TRACE).of("transition"))
     return {
         "plaintext": forms(TEXT.encode()),
         "keys of the store": {form for key in keys for form in forms(key)},
-        "nonces": raws,
+        "nonces": contributions,
         "coins": in_a_row([t["coin"] for t in transitions]),
         "key symbols": in_a_row([t["symbol"] for t in transitions if t["symbol"] >= 0]),
     }

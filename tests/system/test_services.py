@@ -20,8 +20,8 @@ from controller_service.service import ControllerConfig, ControllerService
 from plant_service.plant import Plant, PlantStep, first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
-from protocol.agreement import Verdict
-from protocol.link.endpoint import Keep
+from protocol.agreement import AgreementResult
+from protocol.link.peer import Save
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -198,10 +198,10 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) 
     controller = ControllerStatus.model_validate_json(
         (system.run_dir / CONTROLLER_STATUS).read_bytes()
     )
-    assert plant.garbage == rounds * (2 * len(junk) + 1)
-    assert controller.garbage == rounds * (3 * len(junk) + 1)
-    assert told(plant_said, "; ignored") == plant.garbage
-    assert told(controller_said, "; ignored") == controller.garbage
+    assert plant.malformed == rounds * (2 * len(junk) + 1)
+    assert controller.malformed == rounds * (3 * len(junk) + 1)
+    assert told(plant_said, "; ignored") == plant.malformed
+    assert told(controller_said, "; ignored") == controller.malformed
 
 
 def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
@@ -308,7 +308,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
         record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
-        journal.write(Keep(record))
+        journal.write(Save(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
         service = PlantService(
@@ -363,7 +363,7 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
     for event in read_trace(system.run_dir / PLANT_TRACE).of("transition"):
         offers[state].add(tuple(json.loads(seen[event["k"]])))
         state = event["s"]
-    fields = ("v", "session", "k", "candidates", "cipher", "centres")
+    fields = ("v", "session", "k", "candidates", "cipher", "predictions")
     assert offers[1] == offers[2] == {(*fields, "copy_number", "nonce", "heard", "block", "tag")}
 
 
@@ -385,7 +385,7 @@ def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: fl
     forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
     with system.plant() as plant, system.controller(b"one"):
         system.wait(lambda: system.recovered() == [b"one"])
-    assert plant.endpoint.status(time.monotonic()).garbage == len(forged) == 20
+    assert plant.endpoint.status(time.monotonic()).malformed == len(forged) == 20
     assert system.errors == {}
 
 
@@ -398,7 +398,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     x = receiver.record.x
     effects = receiver.applied(offer, 1, (0.0, 0.0))
     gauges = (float("inf"), 1.0)
-    transition = effects.transition._replace(verdict=Verdict(gauges, -1))
+    transition = effects.transition._replace(verdict=AgreementResult(gauges, -1))
     news.counted(PlantStep(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
     status = news.status(receiver, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))

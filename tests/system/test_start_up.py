@@ -11,7 +11,7 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import store_law
 from protocol.scenario import Scenario
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 
 HEAVY = {"scipy", "osqp", "daqp", "rich", "matplotlib", "IPython", "asyncio"}
 

@@ -118,7 +118,7 @@ def test_every_message_is_heard_or_counted_as_skipped(
         status = status_when_caught_up(pipe)
     (reader,) = readers
     assert status.dropped == reader.skipped > 0
-    assert len(heard) + reader.skipped + reader.garbage + reader.torn == lines
+    assert len(heard) + reader.skipped + reader.malformed + reader.torn == lines
     assert heard[-1] == run.messages[-1]
     assert len(heard) > 20
 

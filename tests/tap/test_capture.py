@@ -64,7 +64,7 @@ def test_messages_come_back_to_the_last_bit(tmp_path: Path) -> None:
     assert messages == [measurement(k) for k in range(50)]
     assert reader.header["capture_version"] == 1
     assert reader.header["loop"] == "loop"
-    assert reader.torn == reader.garbage == 0
+    assert reader.torn == reader.malformed == 0
 
 
 def test_a_capture_is_a_trace_that_the_common_reader_reads(tmp_path: Path) -> None:
@@ -108,11 +108,11 @@ def test_garbage_is_kept_byte_for_byte(tmp_path: Path) -> None:
     log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
     log.write(garbage_line(5, "wyner/v1/loop/offer", b"\x00\xff{\n"))
     log.close()
-    (event,) = read_trace(tmp_path / CAPTURE).of("garbage")
+    (event,) = read_trace(tmp_path / CAPTURE).of("malformed")
     assert event["base64"] == "AP97Cg=="
     reader, messages = read(tmp_path)
     assert not messages
-    assert reader.garbage == 1
+    assert reader.malformed == 1
 
 
 def test_parts_end_by_size_and_the_oldest_go(
@@ -363,7 +363,7 @@ def test_skipping_ahead_counts_every_line_that_it_leaves_out(
     assert first == list(range(10))
     assert rest == list(range(200 - len(rest), 200))
     assert bool(rest) == (keep > 0)
-    assert len(first) + len(rest) + reader.skipped + reader.torn + reader.garbage == lines == 307
+    assert len(first) + len(rest) + reader.skipped + reader.torn + reader.malformed == lines == 307
     assert reader.behind_bytes == 0
 
 

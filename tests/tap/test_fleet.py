@@ -13,7 +13,7 @@ import tap_service.service
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.endpoints import Endpoints
+from runtime.addresses import Addresses
 from runtime.errors import UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.memory_bus import MemoryBus, MemoryHub
@@ -45,8 +45,8 @@ def config_of(sustained: Scenario, tmp_path: Path) -> Callable[[FleetLoop], TapC
         return TapConfig(
             run_dir=tmp_path / loop.id,
             knowledge=sustained.knowledge().model_copy(update={"alpha": None}),
-            field=Endpoints(),
-            intel=Endpoints(),
+            field=Addresses(),
+            intel=Addresses(),
             names=("set-membership",),
             loop=loop.id,
         )

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import Sealed
-from runtime.guest import GuestError
-from tap_service import guests
+from runtime.sandbox import SandboxError
+from tap_service import sandboxed as guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 from tap_service.status import Listener
 from tests.support.small_run import law_of
 from wyner.simulate.engine import simulate_runs, transfer
@@ -178,7 +178,7 @@ def test_one_after_the_other_shares_a_process(tmp_path: Path) -> None:
 def test_in_a_sweep_the_line_names_her(tmp_path: Path) -> None:
     scenario, law = law_of("sustained")
     runs = simulate_runs(scenario, law, seed=1, runs=range(1), steps=5, record=True)
-    with pytest.raises(GuestError, match=r"mine.py:Mine: step 2: the process ended"):
+    with pytest.raises(SandboxError, match=r"mine.py:Mine: step 2: the process ended"):
         listen(runs, transfer(runs), [guest(tmp_path, "os._exit(0)")], 0)
     (heard,) = listen(runs, transfer(runs), [guest(tmp_path)], 0)
     assert heard.read == 0

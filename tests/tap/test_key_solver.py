@@ -18,7 +18,7 @@ from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.status import Listener
 from tests.support.giving import sealed_by
-from tests.support.kept import kept
+from tests.support.held_memory import kept
 from tests.support.keyed_link import Side, World
 from tests.support.line_plant import line_rules
 

@@ -345,8 +345,8 @@ def test_second_thoughts_that_are_none_stop_her_alone() -> None:
     assert listener.review() == ()
     assert listener.failed.startswith("review: TypeError")
     listener = odd()
-    listener.tap.settled = [Guess(0, (1.0,), 0.0)]
-    assert listener.settled() == ()
+    listener.tap.final_guesses = [Guess(0, (1.0,), 0.0)]
+    assert listener.final_guesses() == ()
     assert listener.failed.startswith("settled: ValueError")
 
 

@@ -25,7 +25,7 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import key_of
-from runtime.endpoints import Endpoints, free_endpoints
+from runtime.addresses import Addresses, free_endpoints
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
@@ -51,8 +51,8 @@ def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
     return TapConfig(
         run_dir,
         run.scenario.knowledge(),
-        Endpoints(),
-        Endpoints(),
+        Addresses(),
+        Addresses(),
         run.scenario.oracle_knowledge(),
         **settings,  # type: ignore[arg-type]
     )
@@ -149,9 +149,9 @@ def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> 
         wire.finish()
     reader = CaptureReader(tmp_path)
     assert [m for _, m in reader.records()] == list(run.messages)
-    kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "garbage"]
+    kept = [e for e in lines(tmp_path / CAPTURE) if e["event"] == "malformed"]
     assert [base64.b64decode(str(e["base64"])) for e in kept] == junk
-    assert reader.garbage == wire.statuses[-1].garbage == len(junk)
+    assert reader.malformed == wire.statuses[-1].malformed == len(junk)
     assert told(said, "undecodable") == len(junk)
 
 
@@ -214,7 +214,7 @@ def test_a_wrong_choice_is_told_before_anything_starts(
     run: Run, tmp_path: Path, names: tuple[str, ...]
 ) -> None:
     settings = TapConfig(
-        tmp_path, run.scenario.knowledge(), Endpoints(), Endpoints(), None, names=names
+        tmp_path, run.scenario.knowledge(), Addresses(), Addresses(), None, names=names
     )
     with pytest.raises(KnowledgeError):
         TapService(settings)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from protocol.link.ciphering import Decision
-from protocol.link.endpoint import Actions, Append
+from protocol.link.peer import Actions, Append
 from protocol.messages import Offer, SendCommand
 from tools import follow
 
@@ -23,7 +23,7 @@ def test_a_wrapper_of_the_byte_or_of_its_symbol_is_found_at_any_depth() -> None:
     carried = follow.Carried()
     assert carried.look(Actions(write=Append(b"", OFFER.wire())))
     assert carried.tags == {"wire:offer:7"}
-    assert carried.types == {"protocol.link.endpoint.Actions", "protocol.link.endpoint.Append"}
+    assert carried.types == {"protocol.link.peer.Actions", "protocol.link.peer.Append"}
     carried = follow.Carried()
     assert carried.look([SendCommand(id="a", payload=follow.BYTE.encode())])
     assert carried.tags == {"byte"}

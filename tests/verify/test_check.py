@@ -320,8 +320,13 @@ def in_the_capture(edit: Callable[[Event], None], topic: str, k: int) -> Callabl
 
 def shout_on_the_field_bus(folder: Path) -> None:
     def edit(lines: Lines) -> None:
-        garbage = {"event": "garbage", "t_ns": 1, "key": "wyner/v1/loop/offer", "base64": "aGk="}
-        lines.insert(50, garbage)
+        malformed = {
+            "event": "malformed",
+            "t_ns": 1,
+            "key": "wyner/v1/loop/offer",
+            "base64": "aGk=",
+        }
+        lines.insert(50, malformed)
 
     change(folder, CAPTURE, edit)
 

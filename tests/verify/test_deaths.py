@@ -19,7 +19,7 @@ def killed_once(folder: Path, side: Side, since: type[Event], after: int) -> Rec
     """A run of three messages; the operator hands the second over again if he gets no answer."""
     loop = RecordedLoop(folder, MESSAGES[0], "keys")
     loop.run(lambda: loop.transitions >= 3)
-    loop.doom(side, after, since)
+    loop.crash_at(side, after, since)
     loop.queue("second", MESSAGES[1])
     loop.run(lambda: loop.transitions >= 6)
     loop.queue("second", MESSAGES[1])
@@ -47,7 +47,7 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
 def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
     loop = RecordedLoop(tmp_path, MESSAGES[0], "keys")
     loop.run(lambda: loop.transitions >= 3)
-    loop.doom("controller", 1, Queued)
+    loop.crash_at("controller", 1, Queued)
     loop.queue("given-up", b"b")
     loop.run(lambda: loop.lives["controller"] == 2)
     loop.queue("third", b"c")

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from controller_service.laws import registry
-from protocol.link.endpoint import Keep
+from protocol.link.peer import Save
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.parts import part_path
 from runtime.run_folder import (
@@ -237,7 +237,7 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "cipher beyond": ((PLANT, put("transition", 60, cipher=2)),),
     "counts beyond": ((PLANT, put("transition", 60, counts=4)),),
     "coin beyond": ((PLANT, put("transition", 60, coin=2)),),
-    "centres": ((PLANT, put("transition", 60, centres=[[0.0, 0.0]] * 2)),),
+    "predictions": ((PLANT, put("transition", 60, predictions=[[0.0, 0.0]] * 2)),),
     "missed too short": ((PLANT, put("missed", 1, u=[])),),
     "missed beyond 64 bits": ((PLANT, put("missed", 1, k=2**64)),),
     "missed with candidates": ((PLANT, put("missed", 1, candidates=[[0.0]] * 2)),),
@@ -373,13 +373,15 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
     "a sealed message where no keys are made": (
         (CAPTURE, before("offer", 60, {"event": "field", "t_ns": 1, **SEALED})),
     ),
-    "garbage": (
+    "malformed": (
         (
             CAPTURE,
-            before("offer", 60, {"event": "garbage", "t_ns": 1, "key": "k", "base64": "aGk="}),
+            before("offer", 60, {"event": "malformed", "t_ns": 1, "key": "k", "base64": "aGk="}),
         ),
     ),
-    "garbage without bytes": ((CAPTURE, before("offer", 60, {"event": "garbage", "base64": "a"})),),
+    "garbage without bytes": (
+        (CAPTURE, before("offer", 60, {"event": "malformed", "base64": "a"})),
+    ),
     "a message gone": ((CAPTURE, drop("offer", 60)),),
     "answered twice, differently": (
         (CAPTURE, again("offer", 60)),
@@ -409,17 +411,17 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
 
 def journal_received(folder: Path, run: SmallRun) -> None:
     with PlantJournal(folder / PLANT_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Keep(run.receiver.record, received=b"z"))
+        journal.write(Save(run.receiver.record, received=b"z"))
 
 
 def journal_queue(folder: Path, run: SmallRun) -> None:
     with ControllerJournal(folder / CONTROLLER_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Keep(run.sender.record, queued=("m5", b"e")))
+        journal.write(Save(run.sender.record, queued=("m5", b"e")))
 
 
 def journal_behind(folder: Path, run: SmallRun, **fields: Any) -> None:
     with PlantJournal(folder / PLANT_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Keep(run.receiver.record._replace(**fields)))
+        journal.write(Save(run.receiver.record._replace(**fields)))
 
 
 def rewrite_json(name: Path, **fields: object) -> Callable[[Path, SmallRun], None]:

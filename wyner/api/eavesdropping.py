@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from protocol.statistics import NOTHING, Interval, share_over_runs
 from tap_service.eavesdroppers import Eavesdropper
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 from wyner.api.simulation import Simulated
 from wyner.simulate.engine.taps import Heard, listen
 

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
     reader.finish()
     print(
-        f"{count} messages, {reader.garbage} undecodable left out, {reader.torn} torn lines",
+        f"{count} messages, {reader.malformed} undecodable left out, {reader.torn} torn lines",
         file=sys.stderr,
     )
     return DONE

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
     from protocol.scenario import ScenarioError
-    from protocol.scenario.reading import LARGEST
+    from protocol.scenario.reading import LARGEST_NUMBER
 
     given = (args.A, args.B, args.period)
     if any(v is not None for v in given) and None in given:
@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
         )
     for option in ("period", "input", "disturbance"):
         value = getattr(args, option)
-        if value is not None and not 0 < value <= LARGEST:
+        if value is not None and not 0 < value <= LARGEST_NUMBER:
             raise UsageError(
-                f"--{option}: got {value:g}, expected more than 0 and at most {LARGEST:g}"
+                f"--{option}: got {value:g}, expected more than 0 and at most {LARGEST_NUMBER:g}"
             )
     example = args.A is None
     A, B = _matrix("--A", args.A or EXAMPLE[0]), _matrix("--B", args.B or EXAMPLE[1])
@@ -106,9 +106,9 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.continuous or example:
         A, B = sampled(A, B, period)
-        if not all(abs(v) <= LARGEST for row in (*A, *B) for v in row):
+        if not all(abs(v) <= LARGEST_NUMBER for row in (*A, *B) for v in row):
             raise UsageError(
-                f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST:g}"
+                f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST_NUMBER:g}"
             )
     path = Path(args.output or f"{args.name}.toml")
     try:
@@ -198,7 +198,7 @@ def _short(text: str) -> str:
 
 def _matrix(option: str, text: str) -> list[list[float]]:
     """A matrix as a list of rows, as MATLAB writes it, or as NumPy prints it."""
-    from protocol.scenario.reading import LARGEST
+    from protocol.scenario.reading import LARGEST_NUMBER
 
     inner = re.sub(r"^\s*\[(.*)\]\s*$", r"\1", text, flags=re.DOTALL).strip()
     if inner.startswith("["):
@@ -206,11 +206,11 @@ def _matrix(option: str, text: str) -> list[list[float]]:
     rows = [row.strip() for row in re.split(r"[;\n]", inner.strip().removesuffix(";"))]
     matrix = [[float(v) for v in re.split(r"[\s,]+", row)] for row in rows if fullmatch(ROW, row)]
     whole = len(matrix) == len(rows) and text.count("[") == text.count("]")
-    small = all(abs(v) <= LARGEST for row in matrix for v in row)
+    small = all(abs(v) <= LARGEST_NUMBER for row in matrix for v in row)
     if not (whole and small and len({len(row) for row in matrix}) == 1):
         raise UsageError(
             f"{option}: got {_short(text)!r}, expected rows of one length, such as "
-            f"[[1, 0.1], [0, 1]] or [1 0.1; 0 1], of numbers up to {LARGEST:g}"
+            f"[[1, 0.1], [0, 1]] or [1 0.1; 0 1], of numbers up to {LARGEST_NUMBER:g}"
         )
     return matrix
 

@@ -18,7 +18,7 @@ FILE: Final = "file"
 """The column of `wyner.studies.grid.FILE`, which takes long to load."""
 
 RATE: Final = "bits_per_second"
-LARGEST: Final = 40.0
+LARGEST_INCHES: Final = 40.0
 """Inches of a figure's side."""
 
 AIR: Final = 0.06
@@ -86,8 +86,8 @@ def _size(text: str) -> tuple[float, float]:
         width, height = (float(part) for part in text.split("x"))
     except ValueError:
         width = height = 0.0
-    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
-        wanted = f"expected WxH in inches, each from 1 to {LARGEST:g}"
+    if not (1 <= width <= LARGEST_INCHES and 1 <= height <= LARGEST_INCHES):
+        wanted = f"expected WxH in inches, each from 1 to {LARGEST_INCHES:g}"
         raise UsageError(f"--size: got {text!r}, {wanted}")
     return width, height
 

@@ -41,9 +41,9 @@ class ReplaySource:
         self.exhausted = False
 
     @property
-    def garbage(self) -> int:
+    def malformed(self) -> int:
         """Undecodable messages in the capture."""
-        return self._replay.reader.garbage
+        return self._replay.reader.malformed
 
     def drain(self) -> "Sequence[Arrival]":
         """Decode some more; the eavesdroppers' statuses after it."""

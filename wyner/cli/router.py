@@ -99,8 +99,8 @@ def check_guards(
 
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
+    from runtime.addresses import TlsFiles
     from runtime.bus import TransportError
-    from runtime.endpoints import TlsFiles
     from runtime.zenoh_bus import log_access, open_router
     from wyner.deployment.access import access_control
     from wyner.deployment.denials import denials_told

@@ -241,7 +241,7 @@ def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str,
     from tap_service.capture.channel import View
     from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.guests import each_once, guarded
+    from tap_service.sandboxed import each_once, guarded
 
     asked = () if args.eavesdropper is None else names_of([args.eavesdropper])
     if args.eavesdropper is not None and not asked:

@@ -77,11 +77,11 @@ class Watch:
     def take(self, source: Source) -> None:
         """Reduce what came; also while the view is frozen."""
         arrivals = source.drain()
-        if arrivals or self.board.unreadable != source.garbage:
+        if arrivals or self.board.unreadable != source.malformed:
             for arrival in arrivals:
                 self.board = reduce(self.board, arrival)
                 self._look_for_moments(arrival.t_ns)
-            self.board = replace(self.board, unreadable=source.garbage)
+            self.board = replace(self.board, unreadable=source.malformed)
             self._dirty = True
 
     def _look_for_moments(self, t_ns: int) -> None:

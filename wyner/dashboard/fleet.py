@@ -107,7 +107,7 @@ class FleetTable:
     """
 
     def __init__(self) -> None:
-        self.garbage = 0
+        self.malformed = 0
         self._rows: dict[str, LoopRow] = {}
         self._arrived: Inbox[tuple[type[Message], str, bytes]] = Inbox(WAITING_AT_MOST)
 
@@ -128,7 +128,7 @@ class FleetTable:
             try:
                 status = kind.model_validate_json(payload)
             except ValidationError:
-                self.garbage += 1
+                self.malformed += 1
                 continue
             if loop in self._rows or len(self._rows) < LARGEST:
                 self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
@@ -142,8 +142,8 @@ class FleetTable:
         total = (
             f"{running} of {len(rows)} loops run, {missed} steps missed, {lately} of them lately"
         )
-        if self.garbage:
-            total += f"; {self.garbage} messages were garbage"
+        if self.malformed:
+            total += f"; {self.malformed} messages were garbage"
         if self._arrived.dropped:
             total += f"; {self._arrived.dropped} came faster than they were read"
         shown = [row.line(now_s) for row in rows]

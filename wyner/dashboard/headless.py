@@ -122,7 +122,7 @@ def run_headless(
     try:
         while True:
             finished = until()
-            board = replace(reduce_all(board, source.drain()), unreadable=source.garbage)
+            board = replace(reduce_all(board, source.drain()), unreadable=source.malformed)
             lines, reporter = reporter.report(board, source.now_ns())
             say(lines)
             while story and (found := next_moment(board, told)) is not None:
@@ -166,8 +166,8 @@ def _events(before: Board, board: Board) -> Iterator[str]:
     for name, tap in board.taps.items():
         yield from _tap_events(printable(name), before, tap, board)
     yield from _key_events(before, board)
-    if board.garbage > before.garbage:
-        yield f"{board.garbage - before.garbage} messages were garbage"
+    if board.malformed > before.malformed:
+        yield f"{board.malformed - before.malformed} messages were garbage"
 
 
 def _session(before: Board, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:

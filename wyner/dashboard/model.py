@@ -119,7 +119,7 @@ class Board:
     unreadable: int = 0
 
     @property
-    def garbage(self) -> int:
+    def malformed(self) -> int:
         """Payloads that the source could not read, and statuses of more taps than are kept."""
         return self.unreadable + self.refused
 

@@ -106,7 +106,7 @@ def draw(
         return blank
     axes = axes_of(model.B, model.defender_H, model.defender_h)
     shape = outline(model.defender_H, model.defender_h, axes)
-    centres = [
+    predictions = [
         _project(_centre(model.A, model.B, status.pictured_x, u), axes)
         for u in status.pictured_candidates
     ]
@@ -115,21 +115,21 @@ def draw(
         wide = list(outline(model.eavesdropper_H, model.eavesdropper_h, axes))
     else:
         wide = [(model.alpha * a, model.alpha * b) for a, b in shape]
-    points = [(c[0] + p[0], c[1] + p[1]) for c in centres for p in shape] + [fallen]
+    points = [(c[0] + p[0], c[1] + p[1]) for c in predictions for p in shape] + [fallen]
     if not isfinite(sum(abs(v) for point in points for v in point)):
         return blank
     canvas = _Canvas(width, height, points, unicode)
-    for c in centres:
+    for c in predictions:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in wide], "eavesdropper")
-    for c in centres:
+    for c in predictions:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in shape], "defender")
     canvas.mark(fallen, "●" if unicode else "*", "next")
-    for i, c in enumerate(centres):
-        name = symbol_of(i, len(centres))
+    for i, c in enumerate(predictions):
+        name = symbol_of(i, len(predictions))
         canvas.mark(c, name if len(name) == 1 else "+", "centre")
     spread = max(abs(a) for a, _ in wide)
-    leaves_left = min(c[0] for c in centres) - spread
-    leaves_right = max(c[0] for c in centres) + spread
+    leaves_left = min(c[0] for c in predictions) - spread
+    leaves_right = max(c[0] for c in predictions) + spread
     canvas.arrows(leaves_left, leaves_right, "◀▶" if unicode else "<>")
     return canvas.rows()
 

@@ -27,7 +27,7 @@ class Source(Protocol):
     """Gives the messages that came since it was last asked, and never waits."""
 
     @property
-    def garbage(self) -> int:
+    def malformed(self) -> int:
         """Payloads that were no message of their key."""
 
     def drain(self) -> Sequence[Arrival]:
@@ -59,7 +59,7 @@ class BusSource:
         self._waiting: deque[tuple[str, bytes, int]] = deque()
         self._delivering = threading.Lock()
         self._bytes = 0
-        self._dropped = self._garbage = 0
+        self._dropped = self._malformed = 0
         for bus, types in ((ops_bus, OPS_WATCHED), (intel_bus, INTEL_WATCHED)):
             for message_type in types:
                 key = key_of(message_type, loop)
@@ -76,9 +76,9 @@ class BusSource:
                 self._dropped += 1
 
     @property
-    def garbage(self) -> int:
+    def malformed(self) -> int:
         """Payloads that were no message of their key."""
-        return self._garbage
+        return self._malformed
 
     def drain(self) -> Sequence[Arrival]:
         """Parse all that is waiting; garbage is counted and left out."""
@@ -89,7 +89,7 @@ class BusSource:
             try:
                 message = self._types[key].model_validate_json(payload)
             except (ValidationError, KeyError):
-                self._garbage += 1
+                self._malformed += 1
                 continue
             arrivals.append(Arrival(t_ns, message))
         return arrivals
@@ -101,8 +101,8 @@ class BusSource:
     def problems(self) -> Sequence[str]:
         """Garbage and overflow, if there was any."""
         lines = []
-        if self._garbage:
-            lines.append(f"dashboard: {self._garbage} payloads were no message of their key")
+        if self._malformed:
+            lines.append(f"dashboard: {self._malformed} payloads were no message of their key")
         if self._dropped > 0:
             lines.append(f"dashboard: {self._dropped} messages came faster than they were read")
         return lines

@@ -204,11 +204,11 @@ class _Page(Panels):
         if self.wishes.note:
             return Text(f" {self.wishes.note}", style="bold")
         messages = f"{count(self.board.received)} messages"
-        garbage = f"{count(self.board.garbage)} garbage"
-        tails = (f"{messages}, {garbage}", garbage) if self.board.garbage else (messages,)
+        malformed = f"{count(self.board.malformed)} garbage"
+        tails = (f"{messages}, {malformed}", malformed) if self.board.malformed else (messages,)
         line = self._keys(named=self.width >= FOOTER_NAMED)
-        if self.board.garbage and line.cell_len + len(garbage) + 2 > self.width:
-            line = self._keys(named=False, room=self.width - len(garbage) - 2)
+        if self.board.malformed and line.cell_len + len(malformed) + 2 > self.width:
+            line = self._keys(named=False, room=self.width - len(malformed) - 2)
         tail = longest(self.width - line.cell_len - 2, *tails)
         if tail:
             line.append(tail.rjust(self.width - line.cell_len - 1), style="dim")

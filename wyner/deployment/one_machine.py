@@ -9,7 +9,7 @@ from pathlib import Path
 
 from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.files import make_folder, write_atomically
 from runtime.keys.secret_file import make_secret
 from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO

@@ -1,6 +1,6 @@
 """Stretches of a run, short enough that every step is seen: what an overview of a long one lacks.
 
-Of a run of up to :data:`MOST` stretches all are kept, of a longer one as many at equal distances,
+Of a run of up to :data:`MOST_WINDOWS` stretches all are kept, of a longer one as many at equal distances,
 the one about a step that was asked for, and the last. So a page of a million steps needs no more
 memory than any other.
 """
@@ -16,7 +16,7 @@ from wyner.verify.records import MissedLine, TracedTransition
 STEPS: Final = 200
 """Steps of a stretch: some three pixels each."""
 
-MOST: Final = 40
+MOST_WINDOWS: Final = 40
 """Stretches on a page, beside the one that was asked for and the last."""
 
 Step = TracedTransition | MissedLine
@@ -43,7 +43,7 @@ class Windows:
         number = step.k // STEPS
         if number % self._every == 0 or number == self._asked:
             self._kept.setdefault(number, []).append(step)
-            while len(self._kept) > MOST + 1:
+            while len(self._kept) > MOST_WINDOWS + 1:
                 self._every *= 2
                 stays = {n for n in self._kept if n % self._every == 0} | {self._asked}
                 self._kept = {n: steps for n, steps in self._kept.items() if n in stays}

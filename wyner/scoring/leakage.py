@@ -70,13 +70,13 @@ def view_of(t: Transition, knowledge: Knowledge) -> Vector:
     assert t.x is not None
     assert t.candidates is not None
     assert t.x_next is not None
-    centres: Sequence[Sequence[float]] = t.centres
-    if not centres:
+    predictions: Sequence[Sequence[float]] = t.predictions
+    if not predictions:
         A, B, x = knowledge.A, knowledge.B, t.x
         if A is None or B is None:
             raise ScoreError("capture: expected a model, A and B, in what the tap was told")
-        centres = [predict(A, B, x, u) for u in t.candidates]
-    return tuple(a - b for centre in centres for a, b in zip(t.x_next, centre, strict=True))
+        predictions = [predict(A, B, x, u) for u in t.candidates]
+    return tuple(a - b for centre in predictions for a, b in zip(t.x_next, centre, strict=True))
 
 
 def leakage_rows(keys: Sequence[LeakedKey]) -> Iterator[dict[str, Any]]:

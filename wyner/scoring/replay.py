@@ -12,12 +12,12 @@ from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 from tap_service.status import Listener, status_of
 from wyner.scoring.by_step import BySteps
 from wyner.scoring.score import Said
 
-COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "garbage")
+COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "malformed")
 
 
 class Replay:
@@ -104,8 +104,8 @@ class Replay:
         while self.advance(10_000):
             pass
 
-    def _feed(self, settled: Iterable[Any]) -> None:
-        for t in settled:
+    def _feed(self, final_guesses: Iterable[Any]) -> None:
+        for t in final_guesses:
             if (self._first is not None and t.k < self._first) or (
                 self._last is not None and t.k > self._last
             ):
@@ -116,7 +116,7 @@ class Replay:
                 guess = listener.observe(t)
                 if guess is not None:
                     self._guesses[listener.name][t.session, t.k] = guess.best
-                self._note(listener, listener.settled())
+                self._note(listener, listener.final_guesses())
 
     def _note(self, listener: Listener, thoughts: Sequence[Guess]) -> None:
         reviews = self._reviews[listener.name]
@@ -125,7 +125,7 @@ class Replay:
 
     def statuses(self) -> list[TapStatus]:
         """The status of each eavesdropper now."""
-        counts = dict.fromkeys(COUNTS, 0) | {"garbage": self.reader.garbage}
+        counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
         return [status_of(x, x.belief(), counts) for x in self.listeners]
 
     def said(self) -> list[Said]:
@@ -158,7 +158,7 @@ class Replay:
             "jumped": self.transcript.jumped,
             "late": self.transcript.late,
             "torn_lines": self.reader.torn,
-            "garbage": self.reader.garbage,
+            "malformed": self.reader.malformed,
             "parts_missing": self.reader.parts_missing,
             "taps": taps,
         }

@@ -14,14 +14,14 @@ from math import inf
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
-from controller_service.endpoint import ControllerEndpoint
+from controller_service.peer import ControllerPeer
 from plant_service import from_journal
 from plant_service.adapters.base import PlantAdapter, Stepped
-from plant_service.endpoint import PlantEndpoint
 from plant_service.from_journal import plant_endpoint
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Endpoint, Keep, Notice, Write
+from plant_service.peer import PlantPeer
 from protocol.link.events import Applied, Event, Missed
 from protocol.link.pacing import Pacing
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import CountedTransition, rules_of
@@ -29,11 +29,11 @@ from protocol.messages import Message, Offer, Status
 from protocol.scenario import Scenario
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
-from runtime.keys.keeper import Keeper, work
+from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.model import load_model
-from runtime.perform import Killed, Mortal, perform
+from runtime.perform import Crashed, CrashingPorts, perform
 from wyner.simulate.faults import Faults
 from wyner.simulate.single import Law
 
@@ -92,19 +92,19 @@ class _Ports:
 
     def write(self, write: Write) -> None:
         self._journal.write(write)
-        if isinstance(write, Keep):
+        if isinstance(write, Save):
             self._world.kept(write)
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
         self._world.send(self._partner, kind, payload)
 
-    def keep(self, task: Task) -> None:
+    def submit_key_task(self, task: Task) -> None:
         self._world.keep(self._side, task)
 
     def trace(self, event: Event) -> None:
         self._world.traced(event)
 
-    def tell(self, notice: Notice) -> None:
+    def log_notice(self, notice: Notice) -> None:
         pass
 
     def health(self, status: Status) -> None:
@@ -117,9 +117,9 @@ class _End:
     def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
         self.side: Side = side
         self.journal = journal
-        self.ports = Mortal(_Ports(world, side, partner, journal))
-        self.endpoint: Endpoint | None = None
-        self.keeper = world.keeper(side)
+        self.ports = CrashingPorts(_Ports(world, side, partner, journal))
+        self.endpoint: Peer | None = None
+        self.key_maker = world.key_maker(side)
         self.wakes_at = inf
         self.lives = 0
 
@@ -175,7 +175,7 @@ class Simulation:
         self._queue = MemoryControllerJournal(*payloads)
         self._plant_journal = plant_journal or MemoryPlantJournal()
         self._sender: Sender
-        self._plant: PlantEndpoint
+        self._plant: PlantPeer
         self._offered: list[Offer] = []
         self._delivered = 0
         self.stores: dict[Side, KeyStore] = {}
@@ -244,13 +244,13 @@ class Simulation:
             late = self._random.random() * faults.delay_s if self._sick else 0.0
             self._at(late, lambda: self._deliver(to, kind, payload))
 
-    def keeper(self, side: Side) -> Keeper | None:
+    def key_maker(self, side: Side) -> KeyMaker | None:
         """A new process's keeper of keys, over the store that outlives it."""
         if self._scenario.keys is None:
             return None
         if side not in self.stores:
             self.stores[side] = KeyStore(None, side)
-        return Keeper(self.stores[side])
+        return KeyMaker(self.stores[side])
 
     def keep(self, side: Side, task: Task) -> None:
         """Have a task done some time later, if the process still lives, and told later still."""
@@ -258,17 +258,17 @@ class Simulation:
         life, late_s = end.lives, self._faults.delay_s
 
         def do() -> None:
-            if end.lives == life and end.endpoint is not None and end.keeper is not None:
-                done = work(end.keeper, task)
+            if end.lives == life and end.endpoint is not None and end.key_maker is not None:
+                done = work(end.key_maker, task)
                 self._at(self._random.random() * late_s, lambda: tell(done))
 
         def tell(done: Done) -> None:
             if end.lives == life and end.endpoint is not None:
-                self._perform(end, end.endpoint.kept(done, self.now_s))
+                self._perform(end, end.endpoint.key_task_done(done, self.now_s))
 
         self._at(self._random.random() * late_s, do)
 
-    def kept(self, write: Keep) -> None:
+    def kept(self, write: Save) -> None:
         """Note what a record says of messages that came through."""
         record = write.record
         if isinstance(record, SenderRecord):
@@ -300,12 +300,12 @@ class Simulation:
     def _start(self, side: Side) -> None:
         end = self._ends[side]
         end.lives += 1
-        end.ports.doom()
-        end.keeper = self.keeper(side)
+        end.ports.crash_at()
+        end.key_maker = self.key_maker(side)
         end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
         self._perform(end, end.endpoint.start(self.now_s))
 
-    def _new_controller(self) -> ControllerEndpoint:
+    def _new_controller(self) -> ControllerPeer:
         record = self._queue.load()
         self._sender = Sender(
             rules_of(self._scenario),
@@ -315,12 +315,12 @@ class Simulation:
             self._identifier(),
             record,
             self._queue.step(),
-            self._queue.raws(None if record is None else record.session),
+            self._queue.contributions(None if record is None else record.session),
             predict=self._predict,
         )
-        return ControllerEndpoint(self._sender, self._queue, self._scenario.plant.period_s)
+        return ControllerPeer(self._sender, self._queue, self._scenario.plant.period_s)
 
-    def _new_plant(self, lives: int) -> PlantEndpoint:
+    def _new_plant(self, lives: int) -> PlantPeer:
         # A plant that died before it saved a step tosses its coin for that step again.
         draws = self._run if lives == 1 else self._run + 1000 * lives
         self._plant = plant_endpoint(
@@ -350,12 +350,12 @@ class Simulation:
     def _perform(self, end: _End, actions: Actions) -> None:
         """Carry out what an end wants; it may die over it, or right after it."""
         assert end.endpoint is not None
-        doomed = actions != NOTHING_TO_DO and self._chance(self._faults.crash)
-        end.ports.doom(after=self._random.randrange(LONGEST) if doomed else -1)
-        with suppress(Killed):
+        crashing = actions != NOTHING_TO_DO and self._chance(self._faults.crash)
+        end.ports.crash_at(after=self._random.randrange(LONGEST) if crashing else -1)
+        with suppress(Crashed):
             perform(actions, end.endpoint, end.ports)
         self._note_offers()
-        if doomed:
+        if crashing:
             self._die(end)
             return
         due = end.endpoint.wake_at()
@@ -378,7 +378,7 @@ class Simulation:
         Where it died in between, and lost its journal too, nobody ever offers that one again.
         """
         record = self._sender.record
-        if self._sender.unsettled:
+        if self._sender.unfinished:
             return
         for offer in self._offered:
             if record.offer == offer:

@@ -14,7 +14,7 @@ import numpy as np
 
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
-from protocol.agreement import INSIDE, NO_SYMBOL, Verdict
+from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult
 from protocol.agreement import predict as predict_linear
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -41,10 +41,10 @@ class Moved(NamedTuple):
     candidates: tuple[Vector, ...]
     coin: int
     x_next: Vector
-    verdict: Verdict
+    verdict: AgreementResult
 
 
-Judge = Callable[[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector], Verdict]
+Judge = Callable[[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector], AgreementResult]
 
 
 def closed_loop(
@@ -75,10 +75,10 @@ def closed_loop(
     """
     for k in range(steps):
         offered = candidates(x)
-        centres = () if predict is None else tuple([predict(x, u) for u in offered])
+        predictions = () if predict is None else tuple([predict(x, u) for u in offered])
         b = coin(k)
         x_next = move(k, x, offered[b])
-        yield Moved(k, x, offered, b, x_next, judge(x, offered, centres, x_next))
+        yield Moved(k, x, offered, b, x_next, judge(x, offered, predictions, x_next))
         x = x_next
 
 
@@ -163,8 +163,8 @@ def simulate_plant(
                 xs[k + 1, :, place] = t.x_next
                 us[k, :, :, place] = t.candidates
                 gs[k, :, place] = gauges
-                centres = [f_c(t.x, u) for u in t.candidates] if own_shape else ()
-                largest[k, place] = rule.widest(centres, t.x_next) if own_shape else max(gauges)
+                predictions = [f_c(t.x, u) for u in t.candidates] if own_shape else ()
+                largest[k, place] = rule.widest(predictions, t.x_next) if own_shape else max(gauges)
         except (LookupError, PlantError) as error:
             raise SimulationError(f"run {run}, step {k + 1}: {error}") from None
         finally:

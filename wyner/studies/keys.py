@@ -15,7 +15,7 @@ from protocol.secret.bound import NONCE_BITS, Assumption, GilbertElliott, quanti
 from protocol.secret.extractor import WORDS, cauchy, extract
 from protocol.secret.galois import inverse, multiply
 from protocol.secret.nonces import NONCE_BYTES
-from runtime.keys.keeper import PUBLIC_TAG_BYTES
+from runtime.keys.key_maker import PUBLIC_TAG_BYTES
 from tap_service.inference.key_solver import bits_held
 
 SOURCES: Final = (

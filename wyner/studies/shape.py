@@ -53,7 +53,7 @@ def shape_rows() -> Iterator[tuple[Any, ...]]:
             for place in range(RUNS):
                 tap = named(name)(scenario.knowledge())
                 live = [tap.observe(t).best for t in transcript(runs, link, place)]
-                late = {g.k: g.best for g in (*tap.settled, *tap.review())}
+                late = {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
                 best = {**dict(enumerate(live)), **late}
                 keys = link.agreed[:, place].tolist()
                 steps = [k for k, key in enumerate(keys) if key != NO_SYMBOL]

@@ -148,7 +148,7 @@ def name_of(eavesdropper: str) -> str:
     KnowledgeError
         When there is no such eavesdropper.
     """
-    from tap_service.guests import guarded
+    from tap_service.sandboxed import guarded
 
     return guarded(eavesdropper).name
 

@@ -141,7 +141,7 @@ def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None) -> l
     if step is None or step.j == NO_SYMBOL:
         return []  # it was not applied
     unlike = []
-    if e.steps.of_candidates(m["candidates"], m["centres"]) != step.candidates:
+    if e.steps.of_candidates(m["candidates"], m["predictions"]) != step.candidates:
         unlike.append("candidates")
     if m["cipher"] != step.cipher:
         unlike.append("cipher")
@@ -199,7 +199,7 @@ def public_fields(e: Evidence, tally: Tally) -> Judging:
             elif isinstance(message, Offer):
                 fits = len(message.candidates) == size and message.cipher < size
                 fits = fits and all(len(u) == m for u in message.candidates)
-                fits = fits and not e.rules.foreign_centres(message.centres)
+                fits = fits and not e.rules.malformed_predictions(message.predictions)
             else:
                 text = f"{seen.where}: sealed, and no keys are made"
                 tally.count(e.rules.schedule is not None, *where, text)

@@ -125,8 +125,8 @@ class CaptureLines:
             message, topic = value.get("message"), str(value.get("topic"))
             if kind != "field" or set(value) != {"event", "t_ns", "topic", "message"}:
                 marks.line(number, raw)
-                self.lines[number_of(part)] += kind == "garbage"
-                text = _garbage(value) if kind == "garbage" else f"event {kind!r}"
+                self.lines[number_of(part)] += kind == "malformed"
+                text = _malformed(value) if kind == "malformed" else f"event {kind!r}"
                 self.strange.append(Problem(f"{part.name} line {number}", text))
                 return None
             text = to_json(message)
@@ -147,7 +147,7 @@ class CaptureLines:
         )
 
 
-def _garbage(line: dict[str, Any]) -> str:
+def _malformed(line: dict[str, Any]) -> str:
     """What a capture's line of garbage holds: its key, and how its bytes begin."""
     try:
         content = base64.b64decode(str(line.get("base64")))

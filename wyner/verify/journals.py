@@ -64,11 +64,18 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
                 for number in range(journal.queued)
             )
             record, step = journal.load(), journal.step()
-            raws = journal.raws(None if record is None else record.session)
+            contributions = journal.contributions(None if record is None else record.session)
             sender = Sender(
-                rules, _propose_nothing, journal, SystemSymbols(), INSTANCE, record, step, raws
+                rules,
+                _propose_nothing,
+                journal,
+                SystemSymbols(),
+                INSTANCE,
+                record,
+                step,
+                contributions,
             )
-            pending = sender.settle().transition if sender.unsettled else None
+            pending = sender.finish_step().transition if sender.unfinished else None
             record = sender.record
         return Kept(
             session=record.session,
@@ -90,8 +97,8 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             if record is None:
                 return None
             said = None if step is None else step.measurement
-            raws = journal.raws(record.session)
-            receiver = Receiver(rules, INSTANCE, record, journal.chunks(), raws, said)
+            contributions = journal.contributions(record.session)
+            receiver = Receiver(rules, INSTANCE, record, journal.chunks(), contributions, said)
             messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
         if step is not None:

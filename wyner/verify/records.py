@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, NamedTuple
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from protocol.agreement import Verdict
+from protocol.agreement import AgreementResult
 from protocol.schemes.base import Carry
 from protocol.vectors import Vector
 
@@ -37,7 +37,7 @@ class TracedTransition:
     p: int
     s: int
     counts: int
-    centres: tuple[Vector, ...] = ()
+    predictions: tuple[Vector, ...] = ()
     coin: int | None = None
     u: Vector | None = None
 
@@ -191,7 +191,7 @@ class Walked(NamedTuple):
     """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
 
     t: TracedTransition
-    verdict: Verdict
+    verdict: AgreementResult
     carry: Carry
     s: int
 
@@ -225,7 +225,7 @@ class Break(NamedTuple):
 Item = Walked | MissedLine | Told | Again | Break
 
 
-LARGEST: Final = 2**63 - 1
+LARGEST_INTEGER: Final = 2**63 - 1
 """Of a step's number, and a transition's: what is kept of each has room for no larger one."""
 
 
@@ -239,7 +239,7 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size = self
-        if not max(abs(t.j), abs(t.k)) <= LARGEST:
+        if not max(abs(t.j), abs(t.k)) <= LARGEST_INTEGER:
             return "j, k: expected numbers of 64 bits"
         if len(t.x) != n:
             return f"x: got {len(t.x)} numbers, expected {n}"
@@ -263,7 +263,7 @@ class Shape(NamedTuple):
 
     def unlike_missed(self, step: MissedLine) -> str:
         """The same of a missed step."""
-        if not abs(step.k) <= LARGEST:
+        if not abs(step.k) <= LARGEST_INTEGER:
             return "k: expected a number of 64 bits"
         if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
             return f"expected {self.n} states and {self.m} inputs"

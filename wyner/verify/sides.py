@@ -316,7 +316,9 @@ class SideReader:
             self.problem(number, f"transition: {wrong(error)}")
             return
         unlike = self._shape.unlike(t, plant=self.side == "plant")
-        if unlike := unlike or self._rules.foreign_centres(t.centres).removeprefix("offer."):
+        if unlike := unlike or self._rules.malformed_predictions(t.predictions).removeprefix(
+            "offer."
+        ):
             self.problem(number, f"transition: {unlike}")
             return
         if number:
@@ -345,7 +347,7 @@ class SideReader:
         if t.session not in self.transitions:
             self._state = rules.scheme.initial
         self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
-        verdict = rules.judge(t.x, t.candidates, t.centres, t.x_next)
+        verdict = rules.judge(t.x, t.candidates, t.predictions, t.x_next)
         self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
         yield Walked(t, verdict, carry, self._state[0])
 

@@ -57,11 +57,11 @@ class Steps:
         self._of_flat = _hasher(shape.size * shape.m)
 
     def of_candidates(
-        self, candidates: Sequence[Sequence[float]], centres: Sequence[Sequence[float]] = ()
+        self, candidates: Sequence[Sequence[float]], predictions: Sequence[Sequence[float]] = ()
     ) -> int:
         """The hash of some candidates, and of the predictions offered with them."""
         found = self._of_flat([v for u in candidates for v in u])
-        return hash((found, *map(tuple, centres))) if centres else found
+        return hash((found, *map(tuple, predictions))) if predictions else found
 
     def counted(self, t: TracedTransition, pad: int) -> None:
         """File a transition; ``pad`` is the key under which it carried a symbol, or -1."""
@@ -72,7 +72,7 @@ class Steps:
         session.cipher.append(t.cipher)
         session.pad.append(pad)
         session.x.append(self.of_state(t.x))
-        session.candidates.append(self.of_candidates(t.candidates, t.centres))
+        session.candidates.append(self.of_candidates(t.candidates, t.predictions))
         session.x_next.append(self.of_state(t.x_next))
         session.newest = t.k
 

@@ -9,10 +9,10 @@ alpha, so that one simulation serves every alpha.
 
 from wyner.simulate.engine.draws import Draws, cipher_symbols
 from wyner.simulate.engine.link import LinkCounts, Transfer, follow, transfer
-from wyner.simulate.engine.loop import CHUNK, Runs, SimulationError, chunks, simulate_runs
+from wyner.simulate.engine.loop import CHUNK_RUNS, Runs, SimulationError, chunks, simulate_runs
 
 __all__ = [
-    "CHUNK",
+    "CHUNK_RUNS",
     "Draws",
     "LinkCounts",
     "Runs",

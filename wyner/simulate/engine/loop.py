@@ -21,7 +21,7 @@ from protocol.scenario import Scenario
 from protocol.vectors import Matrix
 from wyner.simulate.engine.draws import Draws, disturbances, symbol_type
 
-CHUNK: Final = 4096
+CHUNK_RUNS: Final = 4096
 """Runs simulated together: a column (32 kB) stays in cache, and NumPy's calls are paid for."""
 
 BLOCK: Final = 256
@@ -292,7 +292,7 @@ def chunks(
     seed: int,
     runs: range,
     steps: int,
-    chunk: int = CHUNK,
+    chunk: int = CHUNK_RUNS,
 ) -> Iterator[Runs]:
     """Simulate any number of runs, ``chunk`` at a time."""
     for first in range(runs.start, runs.stop, chunk):

@@ -8,10 +8,10 @@ from random import Random
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.secret.nonces import NONCE_BYTES
-from runtime.guest import GuestError
+from runtime.sandbox import SandboxError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper
-from tap_service.guests import guarded
+from tap_service.sandboxed import guarded
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
 
@@ -119,8 +119,10 @@ def listen(
         for i, tap in enumerate(taps):
             try:
                 guess = tap.observe(transition)
-            except GuestError as error:
-                raise GuestError(f"eavesdropper {names[i]}: step {transition.k}: {error}") from None
+            except SandboxError as error:
+                raise SandboxError(
+                    f"eavesdropper {names[i]}: step {transition.k}: {error}"
+                ) from None
             right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
     symbols = link.message_symbol[:, place].tolist()
     messages = whole_messages(symbols, scenario.secrecy.candidates)

@@ -125,7 +125,7 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
     """Feed an eavesdropper and collect what she says."""
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
-    reviewed = {(session, g.k): g.best for g in (*tap.settled, *tap.review())}
+    reviewed = {(session, g.k): g.best for g in (*tap.final_guesses, *tap.review())}
     return Said(tap.name, session, live, reviewed, tap.belief())
 
 

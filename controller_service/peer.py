@@ -8,15 +8,15 @@ from typing import Final
 from pydantic import ValidationError
 
 from controller_service.telemetry import ControllerTelemetry, Messages, Phase
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
 from protocol.link.events import Delivered, Event, Queued, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
+from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
-    BlockWord,
+    BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
     Measurement,
@@ -42,7 +42,7 @@ INITIAL_ID: Final = "initial"
 """Identifier of the message that a controller is started with; no command may take it."""
 
 
-class ControllerEndpoint:
+class ControllerPeer:
     """The controller's end of one loop.
 
     Parameters
@@ -60,10 +60,10 @@ class ControllerEndpoint:
         Seconds between statuses.
     """
 
-    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockWord)
+    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockAnnouncement)
     says: tuple[type[Message], ...] = (
         *(Offer, ControllerHello, SendReply, ControllerStatus),
-        BlockWord,
+        BlockAnnouncement,
     )
 
     def __init__(
@@ -77,7 +77,7 @@ class ControllerEndpoint:
         status_s: float = STATUS_S,
     ) -> None:
         self.sender = sender
-        self.garbage = 0
+        self.malformed = 0
         self.code: int | None = None
         self.messages = messages
         self._message = message
@@ -96,18 +96,18 @@ class ControllerEndpoint:
         self._now = now
         if self._telemetry is not None:
             self._status_at = now
-        if self.sender.unsettled:
-            self._later.append(self._settle)
+        if self.sender.unfinished:
+            self._later.append(self._finish_step)
         if self._message is not None and self.messages.queued_as(INITIAL_ID) is None:
             message = self._message
             self._later.append(lambda: self._queue(INITIAL_ID, message))
         self._later.append(self._begin)
-        return self.settle()
+        return self.finish_step()
 
     def _begin(self) -> Actions:
         """Greet, as a life that the journal knows."""
         sender = self.sender
-        write = Keep(sender.record)
+        write = Save(sender.record)
         return Actions(write=write, publish=(self._greeting(),), keys=sender.keying.tasks())
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
@@ -118,13 +118,13 @@ class ControllerEndpoint:
                 return self._measured(payload, now)
             if kind is PlantHello:
                 return self._heard(PlantHello.model_validate_json(payload), now)
-            if kind is BlockWord:
-                return self._heard_word(BlockWord.model_validate_json(payload))
+            if kind is BlockAnnouncement:
+                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
             return self._commanded(SendCommand.model_validate_json(payload))
         except ValidationError as error:
-            names = {Measurement: "measurement", PlantHello: "hello", BlockWord: "word"}
+            names = {Measurement: "measurement", PlantHello: "hello", BlockAnnouncement: "word"}
             what = names.get(kind, "command")
-            return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
+            return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
 
     def wake_at(self) -> float:
         """When the next status is due."""
@@ -139,10 +139,10 @@ class ControllerEndpoint:
         publish, health = self._status(force=False)
         return Actions(publish=publish, health=health)
 
-    def settle(self) -> Actions:
+    def finish_step(self) -> Actions:
         """The next of what was left for later."""
         actions = self._later.popleft()()
-        return actions._replace(settle=True) if self._later else actions
+        return actions._replace(finish_step=True) if self._later else actions
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
@@ -156,7 +156,7 @@ class ControllerEndpoint:
             self._telemetry.phase = "stopped"
         publish, health = self._status(force=True)
         return Actions(
-            write=self._settled_rows(),
+            write=self._erase_rows(),
             publish=publish,
             notices=waiting_notice(self.sender.keying),
             health=health,
@@ -165,7 +165,7 @@ class ControllerEndpoint:
     def status(self) -> ControllerStatus:
         """What the dashboard is told; an endpoint without telemetry has none."""
         assert self._telemetry is not None
-        return self._telemetry.status(self.sender, self.messages, self.garbage)
+        return self._telemetry.status(self.sender, self.messages, self.malformed)
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -175,7 +175,7 @@ class ControllerEndpoint:
         try:
             effects = sender.measured(measurement)
         except ValueError as error:
-            return self._garbage(f"{error}; ignored")
+            return self._malformed(f"{error}; ignored")
         if sender.plant is not None and measurement.session == sender.record.session:
             self._plant_at = now
         telemetry = self._telemetry
@@ -187,17 +187,24 @@ class ControllerEndpoint:
             return self._actions(effects)
         assert effects.offer is not None
         offer = effects.offer.wire()
-        self._later.append(self._settle)
-        return Actions(write=Append(payload, offer), publish=(Outgoing(Offer, offer),), settle=True)
+        self._later.append(self._finish_step)
+        return Actions(
+            write=Append(payload, offer), publish=(Outgoing(Offer, offer),), finish_step=True
+        )
 
-    def _settle(self) -> Actions:
+    def _finish_step(self) -> Actions:
         sender = self.sender
-        effects = sender.settle()
+        effects = sender.finish_step()
         actions = self._actions(effects)
-        settled = sender.keying.settled()
+        obsolete_rows = sender.keying.obsolete_rows()
         # Rows that go cost a rare write: now, and not when a step hangs on it.
-        later = not (effects.save or settled)
-        write = Keep(sender.record, later=later, raw=effects.raw, settled=settled)
+        later = not (effects.save or obsolete_rows)
+        write = Save(
+            sender.record,
+            later=later,
+            contribution=effects.contribution,
+            obsolete_rows=obsolete_rows,
+        )
         actions = actions._replace(write=write, keys=sender.keying.tasks(effects.judged))
         if any(judgement.what == "unequal" for judgement in effects.judged):
             self._later.append(self._unequal)
@@ -207,18 +214,18 @@ class ControllerEndpoint:
         effects = self.sender.unequal()
         return self._actions(effects, SessionBegan(None, effects.refusal))
 
-    def kept(self, done: Done, now: float) -> Actions:
+    def key_task_done(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done a task; rows that nobody needs any more go at once."""
         self._now = now
         actions = key_actions(self.sender.keying, done)
-        return actions._replace(write=self._settled_rows())
+        return actions._replace(write=self._erase_rows())
 
-    def _settled_rows(self) -> Keep | None:
+    def _erase_rows(self) -> Save | None:
         """What has the journal erase the rows of blocks that are confirmed, if there are any."""
-        settled = self.sender.keying.settled()
-        return Keep(self.sender.record, settled=settled) if settled else None
+        obsolete_rows = self.sender.keying.obsolete_rows()
+        return Save(self.sender.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
 
-    def _heard_word(self, word: BlockWord) -> Actions:
+    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The plant has made its last step, and waits for its last blocks."""
         sender = self.sender
         session, keying = sender.record.session, sender.keying
@@ -227,9 +234,11 @@ class ControllerEndpoint:
         judged = keying.heard(word)
         if any(judgement.what == "unequal" for judgement in judged):
             self._later.append(self._unequal)
-            return Actions(keys=keying.tasks(judged), settle=True)
-        answer = Outgoing(BlockWord, keying.block_word("controller", session).wire())
-        write = self._settled_rows()
+            return Actions(keys=keying.tasks(judged), finish_step=True)
+        answer = Outgoing(
+            BlockAnnouncement, keying.block_announcement("controller", session).wire()
+        )
+        write = self._erase_rows()
         return Actions(write=write, publish=(answer,), keys=keying.tasks(judged))
 
     def _actions(self, effects: SenderEffects, *events: Event) -> Actions:
@@ -258,7 +267,7 @@ class ControllerEndpoint:
             notices.append(Notice(f"message {delivered.identifier} delivered"))
             status, health = self._status(force=True)
             publish += status
-        write = Keep(self.sender.record) if effects.save else None
+        write = Save(self.sender.record) if effects.save else None
         return Actions(events, write, tuple(publish), tuple(notices), health)
 
     def _delivered(self, number: int) -> Delivered:
@@ -324,7 +333,7 @@ class ControllerEndpoint:
         The record goes with it. The step under way was decided without this message: should it be
         counted again, then so too.
         """
-        write = Keep(self.sender.record, queued=(identifier, payload))
+        write = Save(self.sender.record, queued=(identifier, payload))
         return Actions(events=(Queued(identifier, payload),), write=write)
 
     def _greeting(self) -> Outgoing:
@@ -342,6 +351,6 @@ class ControllerEndpoint:
             self._health_at = self._now + HEALTH_S
         return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
 
-    def _garbage(self, text: str) -> Actions:
-        self.garbage += 1
-        return Actions(notices=(Notice(text, "warning", "garbage"),))
+    def _malformed(self, text: str) -> Actions:
+        self.malformed += 1
+        return Actions(notices=(Notice(text, "warning", "malformed"),))

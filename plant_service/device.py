@@ -9,22 +9,22 @@ its ciphertext symbol goes out again. So is a step whose session ends before it 
 from collections.abc import Callable, Iterable
 
 from plant_service.adapters.operated import Operated
-from plant_service.endpoint import PlantEndpoint
+from plant_service.peer import PlantPeer
 from plant_service.plant import Move, Plant, PlantStep
 from plant_service.status import PlantTelemetry
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Outgoing
 from protocol.link.events import Interrupted
 from protocol.link.pacing import Pacing
+from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Outgoing, Save
 from protocol.link.records import BegunStep, ReceiverRecord
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Scenario
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.streams import Stream, SymbolSource
 
 Vector = tuple[float, ...]
 
 
-class DrivenPlant(Plant):
+class DevicePlant(Plant):
     """A plant that is actuated and read, with its coin and its receiver.
 
     Parameters
@@ -43,11 +43,11 @@ class DrivenPlant(Plant):
         noise: Stream,
         record: ReceiverRecord,
         chunks: str,
-        raws: Iterable[Raw],
+        contributions: Iterable[Contribution],
         said: Measurement | None,
         operated: Operated,
     ) -> None:
-        super().__init__(scenario, instance, coin, noise, record, chunks, raws, said)
+        super().__init__(scenario, instance, coin, noise, record, chunks, contributions, said)
         self.operated = operated
         self._enters = scenario.plant.disturbance.enters or "state"
 
@@ -138,14 +138,14 @@ class DrivenPlant(Plant):
         return self.operated.close()
 
 
-class DrivenEndpoint(PlantEndpoint):
+class DevicePeer(PlantPeer):
     """The plant's end of one loop, of a plant that acts.
 
     Parameters
     ----------
     plant : DrivenPlant
     pacing, new_id, now, pending, fresh, steps, news, watchdog_s
-        As of :class:`plant_service.endpoint.PlantEndpoint`.
+        As of :class:`plant_service.peer.PlantPeer`.
     begun : BegunStep, optional
         A step of the journal's that was begun and not read.
     back : tuple of float, optional
@@ -154,7 +154,7 @@ class DrivenEndpoint(PlantEndpoint):
 
     def __init__(
         self,
-        plant: DrivenPlant,
+        plant: DevicePlant,
         pacing: Pacing,
         new_id: Callable[[], str],
         now: float,
@@ -188,16 +188,16 @@ class DrivenEndpoint(PlantEndpoint):
         return super()._between_steps and self._acting is None
 
     @property
-    def _driven(self) -> DrivenPlant:
-        assert isinstance(self.plant, DrivenPlant)
+    def _driven(self) -> DevicePlant:
+        assert isinstance(self.plant, DevicePlant)
         return self.plant
 
     def start(self, now: float) -> Actions:
         """Count what the journal holds; the step under way when the process died is missed."""
         actions = super().start(now)
-        return actions if actions.settle else self._resume(actions)
+        return actions if actions.finish_step else self._resume(actions)
 
-    def settle(self) -> Actions:
+    def finish_step(self) -> Actions:
         """Apply what was saved; in lock-step read it at once; count what was read."""
         if self._acting is not None and not self._applied:
             _, offer, coin = self._acting
@@ -205,13 +205,13 @@ class DrivenEndpoint(PlantEndpoint):
             self._applied = True
             self._acted(self._now)
             return NOTHING_TO_DO if self._pacing.waiting else self._read()
-        return self._resume(super().settle())
+        return self._resume(super().finish_step())
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """An offer, or a word of the controller's; what it writes names the step under way."""
         actions = super().receive(kind, payload, now)
         write = actions.write
-        if self._acting is None or not isinstance(write, Keep):
+        if self._acting is None or not isinstance(write, Save):
             return actions
         assert isinstance(write.record, ReceiverRecord)
         _, offer, coin = self._acting
@@ -225,15 +225,15 @@ class DrivenEndpoint(PlantEndpoint):
         self._begun = self._back = None
         before = actions.write
         record = self._driven.receiver.record
-        write = before._replace(record=record, later=False) if isinstance(before, Keep) else None
+        write = before._replace(record=record, later=False) if isinstance(before, Save) else None
         events = (*actions.events, event)
-        return actions._replace(events=events, write=write or Keep(record))
+        return actions._replace(events=events, write=write or Save(record))
 
     def _apply(self, offer: Offer, payload: bytes, now: float) -> Actions:  # noqa: ARG002
         coin = self._driven.toss()
         self._acting, self._applied = (payload, offer, coin), False
         self._moved = True
-        return Actions(write=Append(payload, b"", coin), settle=True)
+        return Actions(write=Append(payload, b"", coin), finish_step=True)
 
     def _ended(self) -> Actions:
         assert self._acting is not None
@@ -247,7 +247,9 @@ class DrivenEndpoint(PlantEndpoint):
         self._acting = None
         event = self._driven.interrupted(begun, self._driven.read(), sure=True)
         receiver = self._driven.receiver
-        return Actions((event,), Keep(receiver.record, settled=receiver.keying.settled()))
+        return Actions(
+            (event,), Save(receiver.record, obsolete_rows=receiver.keying.obsolete_rows())
+        )
 
     def _read(self) -> Actions:
         """The step is over: read the plant, save, report, and only then count."""
@@ -264,5 +266,5 @@ class DrivenEndpoint(PlantEndpoint):
         return Actions(
             write=Append(payload, report, coin),
             publish=(Outgoing(Measurement, report),) if due else (),
-            settle=True,
+            finish_step=True,
         )

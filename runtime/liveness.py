@@ -28,7 +28,7 @@ FULL_BYTES: Final = 256 << 20
 """Free space below which a disk is nearly full; it is told again after twice as much was free."""
 
 
-class Beat(NamedTuple):
+class LivenessReport(NamedTuple):
     """The line for the health file, and a line for the log where something changed."""
 
     line: str
@@ -46,7 +46,7 @@ class _Seen(NamedTuple):
 
 
 @dataclass(slots=True)
-class Pulse:
+class Liveness:
     """Judges what an end counts; time is an argument.
 
     Slow is who makes transitions and misses others, at two beats running: steps that are missed
@@ -58,7 +58,7 @@ class Pulse:
     _missed_many: bool = False
     _trouble: str = ""
 
-    def beat(self, now_s: float, transitions: int, missed: int) -> Beat:
+    def beat(self, now_s: float, transitions: int, missed: int) -> LivenessReport:
         """Judge the counts at a monotonic time.
 
         Parameters
@@ -85,7 +85,7 @@ class Pulse:
         first = self._seen[0]
         made, lost = transitions - first.transitions, missed - first.missed
         if self._moved_s is None:
-            return Beat("bad: waiting for the other end, no transition yet", "")
+            return LivenessReport("bad: waiting for the other end, no transition yet", "")
         silent_s = now_s - self._moved_s
         many = lost > MISSED_AT_MOST * (made + lost)
         slow = many and (self._missed_many if moved else self._trouble == "slow")
@@ -110,13 +110,13 @@ class Pulse:
         notice = why if trouble != self._trouble else ""
         self._trouble = trouble
         if trouble:
-            return Beat(f"bad: {why}", notice)
+            return LivenessReport(f"bad: {why}", notice)
         share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
-        return Beat(f"ok: {share} missed lately", notice, good=True)
+        return LivenessReport(f"ok: {share} missed lately", notice, good=True)
 
 
 @dataclass(slots=True)
-class Space:
+class DiskSpace:
     """Tells once that the disk below a folder is nearly full, and once that it is not any more."""
 
     folder: Path

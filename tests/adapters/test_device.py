@@ -19,15 +19,15 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service import from_journal
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import open_plant
-from plant_service.driven import DrivenEndpoint, DrivenPlant
+from plant_service.device import DevicePeer, DevicePlant
 from plant_service.from_journal import plant_endpoint
 from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
-from protocol.agreement import Verdict
-from protocol.link.endpoint import Actions, Append, Keep
+from protocol.agreement import AgreementResult
 from protocol.link.events import Applied, Interrupted, Missed
 from protocol.link.pacing import Pacing
+from protocol.link.peer import Actions, Append, Save
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
@@ -140,7 +140,7 @@ class Bench:
 
     def hear(self, now: float, **said: Any) -> None:
         fingerprint = self.endpoint.plant.receiver.rules.fingerprint
-        hello = ControllerHello(instance="2" * 16, life=1, fingerprint=fingerprint, **said)
+        hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Actions:
@@ -156,16 +156,16 @@ class Bench:
             self.events += actions.events
             if actions.write is not None:
                 self.journal.write(actions.write)
-                self.device.calls.append("write" if isinstance(actions.write, Keep) else "append")
+                self.device.calls.append("write" if isinstance(actions.write, Save) else "append")
             self.published += [o for o in actions.publish if o.kind is Measurement]
-            if not actions.settle:
+            if not actions.finish_step:
                 return
-            actions = self.endpoint.settle()
+            actions = self.endpoint.finish_step()
 
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
-    assert isinstance(bench.endpoint, DrivenEndpoint)
+    assert isinstance(bench.endpoint, DevicePeer)
     bench.device.calls.clear()
     actions = bench.offer(0.2)
     assert isinstance(actions.write, Append)
@@ -506,7 +506,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     service = PlantService(config, *buses, threading.Event())
     plant = service.endpoint.plant
-    assert isinstance(plant, DrivenPlant)
+    assert isinstance(plant, DevicePlant)
     service.endpoint._moved = True
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
@@ -607,7 +607,7 @@ def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None
 
 def transition(gauges: tuple[float, ...]) -> Any:
     class Counted:
-        verdict = Verdict(gauges, -1)
+        verdict = AgreementResult(gauges, -1)
 
     return Counted()
 

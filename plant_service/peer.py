@@ -14,8 +14,7 @@ from plant_service.adapters.base import PlantError
 from plant_service.plant import Move
 from plant_service.status import PlantTelemetry
 from plant_service.stepper import Stepper
-from plant_service.telling import Telling
-from protocol.link.endpoint import NOTHING_TO_DO, Actions, Append, Keep, Notice, Outgoing
+from plant_service.telling import Telemetry
 from protocol.link.events import (
     NEW_JOURNAL,
     Applied,
@@ -26,10 +25,11 @@ from protocol.link.events import (
 )
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, STATUS_S, Pacing
+from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.receiver import ReceiverEffects
 from protocol.link.session import SILENCE_S
 from protocol.messages import (
-    BlockWord,
+    BlockAnnouncement,
     ControllerHello,
     Measurement,
     Message,
@@ -59,7 +59,7 @@ LAST_KEYS_S: Final = 20.0
 LAST_KEYS_REPEAT_S: Final = 0.05
 
 
-class PlantEndpoint:
+class PlantPeer:
     """The plant's end of one loop.
 
     Parameters
@@ -86,13 +86,13 @@ class PlantEndpoint:
         away. One that has never moved has :data:`MEETING_S` at least to meet it.
     """
 
-    hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockWord)
+    hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockAnnouncement)
     says: tuple[type[Message], ...] = (
         Measurement,
         PlantHello,
         PlantModel,
         PlantStatus,
-        BlockWord,
+        BlockAnnouncement,
     )
 
     def __init__(
@@ -110,7 +110,7 @@ class PlantEndpoint:
         watchdog_s: float | None = None,
     ) -> None:
         self.plant = plant
-        self.garbage = 0
+        self.malformed = 0
         self.code: int | None = None
         self._pacing = pacing
         self._new_id = new_id
@@ -118,7 +118,7 @@ class PlantEndpoint:
         self._uncounted = pending
         self._fresh = fresh
         self._steps = steps
-        self._telling = Telling(news, status_s, now, plant.receiver.instance)
+        self._telemetry = Telemetry(news, status_s, now, plant.receiver.instance)
         self._hello_at = self._last_at = -inf
         self._answered_at = now
         self._latest_late_k = self._measured_k = -1
@@ -130,7 +130,7 @@ class PlantEndpoint:
         self._keys_until: float | None = None
         self._waiting_there = 1  # until it says how many
         self._watchdog_s = inf if watchdog_s is None else watchdog_s
-        self._bites_at = inf
+        self._watchdog_at = inf
 
     @property
     def _running(self) -> bool:
@@ -151,14 +151,14 @@ class PlantEndpoint:
     def start(self, now: float) -> Actions:
         """Say which session this is; a step that the journal holds is counted now."""
         self._now = now
-        self._bites_at = now + self._patience_s
+        self._watchdog_at = now + self._patience_s
         record = self.plant.receiver.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         return Actions(
             events=(SessionBegan(record.session, reason),),
-            write=Keep(record) if self._fresh else None,
+            write=Save(record) if self._fresh else None,
             keys=self.plant.receiver.keying.tasks(),
-            settle=self._uncounted is not None,
+            finish_step=self._uncounted is not None,
         )
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
@@ -169,12 +169,12 @@ class PlantEndpoint:
         try:
             if kind is Offer:
                 return self._offered(payload, now)
-            if kind is BlockWord:
-                return self._heard_word(BlockWord.model_validate_json(payload))
+            if kind is BlockAnnouncement:
+                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
             return self._heard(ControllerHello.model_validate_json(payload), now)
         except ValidationError as error:
-            what = {Offer: "offer", BlockWord: "word"}.get(kind, "hello")
-            return self._garbage(f"{what}: {error.error_count()} fields not as expected; ignored")
+            what = {Offer: "offer", BlockAnnouncement: "word"}.get(kind, "hello")
+            return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
 
     def wake_at(self) -> float:
         """The earliest of tick, repeat, hello, silence and status."""
@@ -184,8 +184,8 @@ class PlantEndpoint:
         if self._finished:
             return self._last_at
         due = min(
-            self._telling.at,
-            self._bites_at,
+            self._telemetry.at,
+            self._watchdog_at,
             pacing.due_at(running=self._running, measuring=receiver.accepted),
         )
         if not receiver.accepted:
@@ -203,7 +203,7 @@ class PlantEndpoint:
             return NOTHING_TO_DO
         if self._finished:
             return self._last_word(now)
-        if now >= self._bites_at:
+        if now >= self._watchdog_at:
             why = f"the watchdog: no offer was applied for {self._patience_s:g} s"
             self.plant.safe(why)
             raise PlantError(why)
@@ -219,32 +219,32 @@ class PlantEndpoint:
         actions = NOTHING_TO_DO
         over = pacing.tick(now, running=self._running)
         if over != "nothing":
-            self._telling.ticked(pacing.late_s, pacing.overruns)
+            self._telemetry.ticked(pacing.late_s, pacing.overruns)
         if over == "missed":
             actions = self._missed()
         elif over == "ended":
             actions = self._ended()
-        status, health = self._telling.due(receiver, self.garbage, now)
+        status, health = self._telemetry.due(receiver, self.malformed, now)
         publish += status
-        if receiver.accepted and not actions.settle and pacing.measurement_due(now):
+        if receiver.accepted and not actions.finish_step and pacing.measurement_due(now):
             k = receiver.record.k
             if k != self._measured_k:
                 self._measured_k, self._measured_at = k, now
             publish.append(Outgoing(Measurement, receiver.measurement().wire()))
         return actions._replace(publish=(*actions.publish, *publish), health=health)
 
-    def settle(self) -> Actions:
+    def finish_step(self) -> Actions:
         """Count the step that was saved and reported."""
         move, self._uncounted = self._uncounted, None
         assert move is not None
         step = self.plant.count(move)
         assert step.effects is not None
         assert step.coin is not None
-        contradicted = self._telling.counted(step)
+        contradicted = self._telemetry.counted(step)
         effects, frame, record = step.effects, step.effects.frame, self.plant.receiver.record
         applied = Applied(effects.transition, step.coin, step.u)
         if frame is None:
-            write = Keep(record, later=not effects.chunk, chunk=effects.chunk)
+            write = Save(record, later=not effects.chunk, chunk=effects.chunk)
             actions = Actions((applied,), write)
         else:
             actions = self._frame_ended(applied, effects.chunk, frame)
@@ -261,33 +261,35 @@ class PlantEndpoint:
         keying = receiver.keying
         tasks = keying.tasks(effects.judged)
         if all(judgement.what != "unequal" for judgement in effects.judged):
-            assert isinstance(actions.write, Keep)
-            settled = keying.settled()
+            assert isinstance(actions.write, Save)
+            obsolete_rows = keying.obsolete_rows()
             # Rows that go cost a rare write: now, and not when a step hangs on it.
-            later = actions.write.later and not settled
-            write = actions.write._replace(raw=effects.raw, settled=settled, later=later)
+            later = actions.write.later and not obsolete_rows
+            write = actions.write._replace(
+                contribution=effects.contribution, obsolete_rows=obsolete_rows, later=later
+            )
             return actions._replace(write=write, keys=tasks)
         receiver.end_session(self._new_id())
         text = "a key block differs from the controller's"
         notice = Notice(f"{text}; new session {receiver.record.session}", "error")
         return self._anew(text, notice, actions)._replace(keys=tasks)
 
-    def kept(self, done: Done, now: float) -> Actions:
+    def key_task_done(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done a task; rows that nobody needs any more go at once."""
         self._now = now
         actions = key_actions(self.plant.receiver.keying, done)
-        return actions._replace(write=self._settled_rows())
+        return actions._replace(write=self._erase_rows())
 
     @property
     def _between_steps(self) -> bool:
         """Whether the record is all that the journal must hold."""
         return self._uncounted is None
 
-    def _settled_rows(self) -> Keep | None:
+    def _erase_rows(self) -> Save | None:
         """What has the journal erase the rows of blocks that are confirmed, if there are any."""
         receiver = self.plant.receiver
-        settled = receiver.keying.settled() if self._between_steps else ()
-        return Keep(receiver.record, settled=settled) if settled else None
+        obsolete_rows = receiver.keying.obsolete_rows() if self._between_steps else ()
+        return Save(receiver.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
@@ -297,18 +299,18 @@ class PlantEndpoint:
     def stop(self, now: float) -> Actions:
         """The last status."""
         self._now = now
-        self._telling.stopped()
+        self._telemetry.stopped()
         self.plant.safe("the process ended")
         failed = self.plant.close()
         receiver = self.plant.receiver
-        publish, health = self._telling.status(receiver, self.garbage, now, force=True)
-        timing = self._telling.timing(receiver.record.k)
+        publish, health = self._telemetry.status(receiver, self.malformed, now, force=True)
+        timing = self._telemetry.timing(receiver.record.k)
         notices = waiting_notice(receiver.keying)
         if failed:
             notices = (*notices, Notice(failed, "error"))
         return Actions(
             timing,
-            write=self._settled_rows(),
+            write=self._erase_rows(),
             publish=publish,
             notices=notices,
             health=health,
@@ -316,9 +318,9 @@ class PlantEndpoint:
 
     def status(self, now: float) -> PlantStatus:
         """What the dashboard is told; an endpoint without news has none."""
-        news = self._telling.news
+        news = self._telemetry.news
         assert news is not None
-        return news.status(self.plant.receiver, self.garbage, now)
+        return news.status(self.plant.receiver, self.malformed, now)
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -335,7 +337,7 @@ class PlantEndpoint:
         try:
             what = receiver.check(offer)
         except ValueError as error:
-            return self._garbage(f"{error}; ignored")
+            return self._malformed(f"{error}; ignored")
         if what != "foreign":
             self._answered_at = now
         if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
@@ -343,20 +345,20 @@ class PlantEndpoint:
             # not late; nor is it late twice.)
             self._latest_late_k = offer.k
             pacing.answered_late()
-            self._telling.answered_late()
+            self._telemetry.answered_late()
         if what != "current" or pacing.waiting:
             return NOTHING_TO_DO
         if self._measured_k == record.k:
-            self._telling.answered(now - self._measured_at)
+            self._telemetry.answered(now - self._measured_at)
         return self._apply(offer, payload, now)
 
     def _acted(self, now: float) -> None:
         """An offer was applied."""
         if self._pacing.timed:
-            self._telling.acted(self._pacing.since_tick_s(now))
+            self._telemetry.acted(self._pacing.since_tick_s(now))
         self._pacing.applied()
         self._moved = True
-        self._bites_at = now + self._watchdog_s
+        self._watchdog_at = now + self._watchdog_s
 
     def _ended(self) -> Actions:
         """The step whose offer was applied is over; it was computed when it began."""
@@ -374,12 +376,12 @@ class PlantEndpoint:
         return Actions(
             write=Append(payload, report, move.coin),
             publish=(Outgoing(Measurement, report),) if due else (),
-            settle=True,
+            finish_step=True,
         )
 
     def _frame_ended(self, applied: Applied, chunk: str, frame: Frame) -> Actions:
         record, k = self.plant.receiver.record, applied.transition.k
-        write = Keep(
+        write = Save(
             record,
             chunk=chunk,
             drop_chunks=True,
@@ -389,12 +391,12 @@ class PlantEndpoint:
             refused = FrameRefused(record.session, record.p)
             notice = Notice("a frame failed its check and was refused", "error")
             return Actions((applied, refused), write, notices=(notice,))
-        self._telling.recovered(frame.payload, k)
+        self._telemetry.recovered(frame.payload, k)
         text = f"message recovered at step {k}: {len(frame.payload)} bytes"
         if self._finished:
-            self._telling.stopped()
+            self._telemetry.stopped()
         receiver = self.plant.receiver
-        publish, health = self._telling.status(receiver, self.garbage, self._now, force=True)
+        publish, health = self._telemetry.status(receiver, self.malformed, self._now, force=True)
         events = (applied, Recovered(frame.payload))
         return Actions(events, write, publish, (Notice(text),), health)
 
@@ -402,15 +404,15 @@ class PlantEndpoint:
         """From its first step on the watchdog has its own time."""
         if not self._moved:
             self._moved = True
-            self._bites_at = min(self._bites_at, self._now + self._patience_s)
+            self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
 
     def _missed(self) -> Actions:
         step = self.plant.miss()
         record = self.plant.receiver.record
         self._has_moved()
         missed = Missed(record.session, step.k, step.x, step.u, step.x_next)
-        settled = self.plant.receiver.keying.settled()
-        return Actions(events=(missed,), write=Keep(record, settled=settled))
+        obsolete_rows = self.plant.receiver.keying.obsolete_rows()
+        return Actions(events=(missed,), write=Save(record, obsolete_rows=obsolete_rows))
 
     def _last_word(self, now: float) -> Actions:
         """Report the last transition until the controller has answered, or a second has passed."""
@@ -440,10 +442,10 @@ class PlantEndpoint:
             self.code = DONE
             return Actions(notices=notices)
         self._last_at = now + LAST_KEYS_REPEAT_S
-        word = keying.block_word("plant", receiver.record.session)
-        return Actions(publish=(Outgoing(BlockWord, word.wire()),), notices=notices)
+        word = keying.block_announcement("plant", receiver.record.session)
+        return Actions(publish=(Outgoing(BlockAnnouncement, word.wire()),), notices=notices)
 
-    def _heard_word(self, word: BlockWord) -> Actions:
+    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The controller's word on blocks, after the last step."""
         receiver = self.plant.receiver
         keying = receiver.keying
@@ -476,16 +478,16 @@ class PlantEndpoint:
                 f"the controller's model is {proquint(hello.fingerprint)}, "
                 f"this plant's is {proquint(receiver.rules.fingerprint)}"
             )
-            self._telling.phase("refused", detail)
+            self._telemetry.phase("refused", detail)
             return _told(f"{detail}: the two ends must share one scenario", "error")
         if outcome in ("stranger", "rival"):
             model = f"has another model, {proquint(hello.fingerprint)}; ignored"
-            rival = f"speaks up while controller {receiver.controller} has the session: "
-            rival += "two controllers on one loop?"
-            text = f"controller {hello.instance} {rival if outcome == 'rival' else model}"
+            competing = f"speaks up while controller {receiver.controller} has the session: "
+            competing += "two controllers on one loop?"
+            text = f"controller {hello.instance} {competing if outcome == 'competing' else model}"
             return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
         if outcome == "accepted":
-            self._telling.phase("running")
+            self._telemetry.phase("running")
             taken_up = (hello.instance, record.session)
             if taken_up == self._taken_up:
                 return NOTHING_TO_DO
@@ -494,13 +496,13 @@ class PlantEndpoint:
         if outcome == "ended":
             notice = Notice(f"session ended; new session {record.session}", "warning")
             return self._anew("the controller does not know the session before", notice)
-        return Actions(write=Keep(record), publish=publish)
+        return Actions(write=Save(record), publish=publish)
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """A new session has begun, beside what is to be done ``before``."""
-        self._telling.phase("greeting")
+        self._telemetry.phase("greeting")
         record = self.plant.receiver.record
-        write = before.write if isinstance(before.write, Keep) else Keep(record)
+        write = before.write if isinstance(before.write, Save) else Save(record)
         return before._replace(
             events=(*before.events, SessionBegan(record.session, why)),
             write=write._replace(record=record, later=False, chunk="", drop_chunks=True),
@@ -511,9 +513,9 @@ class PlantEndpoint:
     def _hello(self) -> Outgoing:
         return Outgoing(PlantHello, self.plant.receiver.hello().wire())
 
-    def _garbage(self, text: str) -> Actions:
-        self.garbage += 1
-        return Actions(notices=(Notice(text, "warning", "garbage"),))
+    def _malformed(self, text: str) -> Actions:
+        self.malformed += 1
+        return Actions(notices=(Notice(text, "warning", "malformed"),))
 
 
 def _told(text: str, level: Literal["info", "error"] = "info") -> Actions:

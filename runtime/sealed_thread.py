@@ -7,7 +7,7 @@ import time
 from functools import partial
 from typing import Final, Self
 
-from protocol.link.endpoint import Actions
+from protocol.link.peer import Actions
 from protocol.messages import FIELD, Message
 from protocol.secret.records import StoreError
 from protocol.topics import key_of
@@ -20,7 +20,7 @@ from runtime.logs import RateLimitedLog
 LOOK_S: Final = 0.2
 
 
-class Beside:
+class SealedThread:
     """One end beside the loop, from entering to leaving the context.
 
     Parameters

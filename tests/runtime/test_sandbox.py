@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.guest import OVERSPENT, GuestError, GuestProcess, _Patience
 from runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
+from runtime.sandbox import OVERSPENT, SandboxError, SandboxProcess, _Patience
 
 
 def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
@@ -33,7 +33,7 @@ def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
 
 GUEST = """
 import os, sys, threading
-from runtime.guest import serve
+from runtime.sandbox import serve
 
 def spin():
     while True:
@@ -57,18 +57,20 @@ serve(answer)
 
 
 @pytest.fixture
-def guest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> GuestProcess:
+def guest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SandboxProcess:
     (tmp_path / "looping_guest.py").write_text(GUEST)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).resolve().parents[2]}")
-    return GuestProcess("looping_guest")
+    return SandboxProcess("looping_guest")
 
 
 @pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no autogroup here")
-def test_a_nice_programs_guest_is_as_nice_as_a_session(guest: GuestProcess, tmp_path: Path) -> None:
+def test_a_nice_programs_guest_is_as_nice_as_a_session(
+    guest: SandboxProcess, tmp_path: Path
+) -> None:
     own = os.nice(0)
     assert guest.ask("weight", None, 20.0) == ["nice", str(own)]
     guest.close()
-    asks = "from runtime.guest import GuestProcess\nimport os\nos.nice(7)\n"
+    asks = "from runtime.sandbox import GuestProcess\nimport os\nos.nice(7)\n"
     asks += "print(GuestProcess('looping_guest').ask('weight', None, 20.0))"
     told = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert told.stdout == f"['nice', '{min(own + 7, 19)}']\n"
@@ -76,10 +78,10 @@ def test_a_nice_programs_guest_is_as_nice_as_a_session(guest: GuestProcess, tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["thread", "child"])
-def test_what_loops_between_the_answers_is_ended(guest: GuestProcess, what: str) -> None:
+def test_what_loops_between_the_answers_is_ended(guest: SandboxProcess, what: str) -> None:
     assert guest.ask(what, None, 2.0) == "fine"
     began, until = time.monotonic(), time.monotonic() + 120
-    with pytest.raises(GuestError) as error:
+    with pytest.raises(SandboxError) as error:
         while time.monotonic() < until:
             time.sleep(0.2)
             assert guest.ask("is it there?", None, 2.0) == "fine"
@@ -88,7 +90,7 @@ def test_what_loops_between_the_answers_is_ended(guest: GuestProcess, what: str)
 
 
 @pytest.mark.slow
-def test_a_loop_ends_though_whoever_asked_does_not_look(guest: GuestProcess) -> None:
+def test_a_loop_ends_though_whoever_asked_does_not_look(guest: SandboxProcess) -> None:
     """Nobody waits for the answer: the asker may be stopped."""
     guest._send(pickle.dumps(("loop", None, 0.5)), _Patience(5.0))
     assert guest._child.wait(120) == OVERSPENT

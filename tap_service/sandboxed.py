@@ -1,4 +1,4 @@
-"""A user's eavesdropper in a process of her own (:mod:`runtime.guest`).
+"""A user's eavesdropper in a process of her own (:mod:`runtime.sandbox`).
 
 She stops herself alone: whatever she does is told by a line in her status, and the tap goes on.
 """
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from runtime.guest import START_S, GuestError, borrowed, give_back, serve
+from runtime.sandbox import START_S, SandboxError, acquire, give_back, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
@@ -27,7 +27,7 @@ LACKS: Final = "lacks"
 TOLD: Final = ("name", "heavy", "told_model", "hears_messages", "guesses")
 
 
-class Guest(Eavesdropper):
+class SandboxedPlugin(Eavesdropper):
     """A user's eavesdropper as the tap sees her: every question goes to her own process."""
 
     source = ""
@@ -35,12 +35,12 @@ class Guest(Eavesdropper):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._within_s = HEAVY_S if self.heavy else LIGHT_S
-        self._process = borrowed(__name__, (self.source,))
+        self._process = acquire(__name__, (self.source,))
         try:
             self._process.ask("make", knowledge.model_dump_json(), START_S)
         except BaseException as error:
             self._process.close()
-            if isinstance(error, GuestError) and error.kind == LACKS:
+            if isinstance(error, SandboxError) and error.kind == LACKS:
                 raise KnowledgeError(str(error)) from None
             raise
         weakref.finalize(self, give_back, self._process)
@@ -50,8 +50,8 @@ class Guest(Eavesdropper):
 
     def observe(self, transition: Transition) -> Guess:
         """Her guess of it; her last thoughts on what she lets go come with it."""
-        guess, settled = self._ask("observe", transition)
-        self.settled += map(_guess, settled)
+        guess, final_guesses = self._ask("observe", transition)
+        self.final_guesses += map(_guess, final_guesses)
         return _guess(guess)
 
     def hear(self, message: FieldMessage) -> None:
@@ -80,7 +80,7 @@ def _guess(told: Any) -> Guess:
 
 @cache
 def guarded(name: str) -> type[Eavesdropper]:
-    """The class of an eavesdropper; one of the user's own as a :class:`Guest`.
+    """The class of an eavesdropper; one of the user's own as a :class:`SandboxedPlugin`.
 
     Raises
     ------
@@ -89,10 +89,10 @@ def guarded(name: str) -> type[Eavesdropper]:
     """
     if name in LADDER or ":" not in name:
         return named(name)
-    process = borrowed(__name__, (name,))
+    process = acquire(__name__, (name,))
     try:
         told = process.ask("who", None, START_S)
-    except GuestError as error:
+    except SandboxError as error:
         if error.kind == LACKS:
             raise KnowledgeError(str(error)) from None
         raise KnowledgeError(f"eavesdropper {name}: cannot be loaded: {error}") from None
@@ -106,7 +106,7 @@ def guarded(name: str) -> type[Eavesdropper]:
         "hears_messages": bool(told["hears_messages"]),
         "guesses": bool(told["guesses"]),
     }
-    return type("Guest", (Guest,), attributes)
+    return type("SandboxedPlugin", (SandboxedPlugin,), attributes)
 
 
 def each_once(names: Sequence[str]) -> tuple[str, ...]:
@@ -128,7 +128,7 @@ def each_once(names: Sequence[str]) -> tuple[str, ...]:
 # --- her side -------------------------------------------------------------------------------------
 
 
-class _Her:
+class EavesdropperServer:
     """The eavesdropper, once she was made."""
 
     def __init__(self, name: str) -> None:
@@ -149,10 +149,10 @@ class _Her:
 def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
     if what == "observe":
         guess = _told(tap.observe(argument))
-        settled = [_told(one) for one in getattr(tap, "settled", ())]
-        if settled:
-            tap.settled.clear()
-        return guess, settled
+        final_guesses = [_told(one) for one in getattr(tap, "settled", ())]
+        if final_guesses:
+            tap.final_guesses.clear()
+        return guess, final_guesses
     if what == "review":
         return [_told(one) for one in tap.review()]
     if what == "hear":
@@ -176,4 +176,4 @@ def _told(guess: object) -> object:
 
 
 if __name__ == "__main__":
-    serve(_Her(sys.argv[2]).answer, ((KnowledgeError, LACKS),))
+    serve(EavesdropperServer(sys.argv[2]).answer, ((KnowledgeError, LACKS),))

@@ -12,13 +12,13 @@ import pytest
 
 from runtime import files
 from runtime.files import StatusFile
-from runtime.pulse import Pulse, Space
+from runtime.liveness import DiskSpace, Liveness
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def lines(beats: Sequence[tuple[float, int, int]]) -> list[tuple[str, str]]:
-    judge = Pulse()
+    judge = Liveness()
     return [judge.beat(*beat)[:2] for beat in beats]
 
 
@@ -86,7 +86,7 @@ def test_steps_made_now_and_then_are_no_health() -> None:
 
 
 def test_good_news_are_no_warning() -> None:
-    judge = Pulse()
+    judge = Liveness()
     beats = [
         judge.beat(t, 12 * t if t < 20 else 240 + 100 * (t - 20), 88 * min(t, 20))
         for t in range(1, 60)
@@ -112,7 +112,7 @@ def test_a_disk_that_fills_is_told_once(tmp_path: Path, monkeypatch: pytest.Monk
     usage = namedtuple("usage", "free")
     free = iter([10**12, 100 << 20, 90 << 20, 300 << 20, 600 << 20, 600 << 20])
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(next(free)))
-    space = Space(tmp_path)
+    space = DiskSpace(tmp_path)
     told = [space.look() for _ in range(6)]
     assert [(line.split(":")[0], good) for line, good in told if line] == [
         ("disk nearly full", False),

@@ -17,7 +17,7 @@ from typing import BinaryIO, Final
 from protocol.secret.galois import tables
 from protocol.secret.records import StoreError
 from protocol.secret.tasks import Broken, Done, Task
-from runtime.keys.keeper import Keeper, KeeperAt, work
+from runtime.keys.key_maker import KeyMaker, KeyMakerAt, work
 
 _PR_SET_PDEATHSIG: Final = 1
 _PR_SET_DUMPABLE: Final = 4
@@ -50,26 +50,26 @@ def step_back() -> None:
 
 def keep_all(asked: BinaryIO, told: BinaryIO) -> None:
     """Do what is asked, one task after another, until nobody can ask any more."""
-    keepers: dict[KeeperAt, Keeper] = {}
+    key_makers: dict[KeyMakerAt, KeyMaker] = {}
     while True:
         try:
             at, task = pickle.load(asked)
         except (EOFError, pickle.UnpicklingError):
             break
         if task is not None:
-            pickle.dump(_done(keepers, at, task), told)
+            pickle.dump(_done(key_makers, at, task), told)
             told.flush()
-        elif at in keepers:
-            keepers.pop(at).store.close()
-    for keeper in keepers.values():
-        keeper.store.close()
+        elif at in key_makers:
+            key_makers.pop(at).store.close()
+    for key_maker in key_makers.values():
+        key_maker.store.close()
 
 
-def _done(keepers: dict[KeeperAt, Keeper], at: KeeperAt, task: Task) -> Done:
+def _done(key_makers: dict[KeyMakerAt, KeyMaker], at: KeyMakerAt, task: Task) -> Done:
     try:
-        if at not in keepers:
-            keepers[at] = at.open()
-        return work(keepers[at], task)
+        if at not in key_makers:
+            key_makers[at] = at.open()
+        return work(key_makers[at], task)
     except StoreError as error:
         return Broken(str(error))
 

@@ -42,7 +42,7 @@ class TlsFiles:
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoints:
+class Addresses:
     """Where one bus listens and connects; the parameters of :class:`ZenohBus`."""
 
     listen: tuple[str, ...] = ()

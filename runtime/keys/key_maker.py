@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from protocol.secret.blocks import Closed, Judgement, Stored
+from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import BlockRow, Side, StoreError
 from protocol.secret.tasks import Broken, Done, Judged, Task
 from runtime.keys.ledger import Authentication, Made, spent_rows
@@ -19,7 +19,7 @@ PUBLIC_TAG_BYTES: Final = 16
 """Of row 0 shown to the partner: chance faults pass with 2^-128, forgers are another matter."""
 
 
-class Keeper:
+class KeyMaker:
     """Makes keys of blocks and keeps them.
 
     Parameters
@@ -33,7 +33,7 @@ class Keeper:
         self.store = store
         self.authentication = authentication
 
-    def keep(self, closed: Closed) -> Stored:
+    def make_keys(self, closed: ClosedBlock) -> Stored:
         """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
 
         A signed block of many rows spends two more (:mod:`runtime.keys.ledger`). Where there is
@@ -76,36 +76,36 @@ class Keeper:
         stored = Stored(session, number, tag, accepted, keys=len(keys))
         return stored._replace(exhausted=exhausted, older=older, signed=origin)
 
-    def judge(self, session: str, judgement: Judgement) -> None:
+    def judge(self, session: str, judgement: BlockResult) -> None:
         """Confirm a block or erase it, as the partner's word has it."""
         if judgement.what == "unequal":
             self.store.drop(session, judgement.number)
             return
         self.store.confirm(session, judgement.number)
         if self.authentication is not None:
-            self.authentication.settle(session, judgement.number)
+            self.authentication.confirm(session, judgement.number)
 
 
-def work(keeper: Keeper, task: Task) -> Done:
+def work(key_maker: KeyMaker, task: Task) -> Done:
     """Do one task; whoever has no loop to spare calls this."""
     try:
-        if isinstance(task, Closed):
-            return keeper.keep(task)
-        keeper.judge(task.session, task.judgement)
+        if isinstance(task, ClosedBlock):
+            return key_maker.make_keys(task)
+        key_maker.judge(task.session, task.judgement)
         number = task.judgement.number
-        row = keeper.store.block_tag(task.session, number)
+        row = key_maker.store.block_tag(task.session, number)
         return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
     except StoreError as error:
         return Broken(str(error))
 
 
-class KeeperAt(NamedTuple):
+class KeyMakerAt(NamedTuple):
     """Where a keeper's store is, for whoever opens it."""
 
     path: Path
     side: Side
 
-    def open(self) -> Keeper:
+    def open(self) -> KeyMaker:
         """The keeper of that store.
 
         Raises
@@ -114,4 +114,4 @@ class KeeperAt(NamedTuple):
             When it cannot be opened.
         """
         store = KeyStore(self.path, self.side)
-        return Keeper(store, Authentication(store) if store.note("secret") is not None else None)
+        return KeyMaker(store, Authentication(store) if store.note("secret") is not None else None)

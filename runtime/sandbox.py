@@ -60,7 +60,7 @@ _PR_SET_CHILD_SUBREAPER: Final = 36
 _LENGTH: Final = struct.Struct(">I")
 
 
-class GuestError(Failure):
+class SandboxError(Failure):
     """A guest did not answer as it should; the text says how.
 
     Attributes
@@ -74,7 +74,7 @@ class GuestError(Failure):
         self.kind = kind
 
 
-class GuestProcess:
+class SandboxProcess:
     """A guest's process: asks it, waits so long, and ends it with all that it started.
 
     Parameters
@@ -122,7 +122,7 @@ class GuestProcess:
             it raised, and of which ``kind``.
         """
         if not self.close.alive:
-            raise GuestError("the process ended")
+            raise SandboxError("the process ended")
         patience = _Patience(within_s)
         try:
             self._send(pickle.dumps((what, argument, within_s)), patience)
@@ -135,9 +135,9 @@ class GuestProcess:
             if self._child.returncode == OVERSPENT:
                 text = f"more than {PROCESSOR_S:g} s of processor time beside its answers"
                 known = True
-            raise GuestError(str(text) if known else "an answer that is none") from None
+            raise SandboxError(str(text) if known else "an answer that is none") from None
         if kind != "value":
-            raise GuestError(str(value), str(kind))
+            raise SandboxError(str(value), str(kind))
         return value
 
     def _send(self, body: bytes, patience: "_Patience") -> None:
@@ -167,19 +167,19 @@ class GuestProcess:
         return b"".join(parts)
 
 
-_idle: dict[tuple[str, tuple[str, ...], int], GuestProcess] = {}
+_idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
 """Processes that nobody asks for now, one of a kind: a sweep makes one guest after the other."""
 
 
-def borrowed(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> GuestProcess:
-    """A :class:`GuestProcess` that was given back, or a new one."""
+def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> SandboxProcess:
+    """A :class:`SandboxProcess` that was given back, or a new one."""
     waiting = _idle.pop((module, arguments, memory), None)
     if waiting is not None and waiting.alive:
         return waiting
-    return GuestProcess(module, arguments, memory)
+    return SandboxProcess(module, arguments, memory)
 
 
-def give_back(process: GuestProcess) -> None:
+def give_back(process: SandboxProcess) -> None:
     """Keep a process that lives for the next of its kind, where none is kept."""
     if not process.alive or _idle.setdefault(process.like, process) is not process:
         process.close()
@@ -252,14 +252,14 @@ def serve(
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
     meter = Meter()
-    warden = os.getpid()
+    supervisor = os.getpid()
     guest = os.fork()
     if guest:
         os.close(1)  # so that its end is seen when the guest closes its own
         os._exit(_guard(guest, meter))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != warden:
+    if os.getppid() != supervisor:
         os._exit(1)
     _bound(memory)
     to, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime import endpoints
-from runtime.endpoints import free_endpoints
+from runtime.addresses import free_endpoints
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,7 +44,7 @@ def test_two_programs_at_once_are_given_different_ports(monkeypatch: pytest.Monk
 
 
 def test_a_port_is_free_again_once_its_program_has_ended() -> None:
-    code = "from runtime.endpoints import free_endpoints; print(*free_endpoints(1))"
+    code = "from runtime.addresses import free_endpoints; print(*free_endpoints(1))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
     )

@@ -2,7 +2,7 @@
 
 Messages and the time go in, :class:`Actions` come out. Who carries them out, and in which order,
 stands in :mod:`runtime.perform`; no other module knows it. The two endpoints are
-:mod:`controller_service.endpoint` and :mod:`plant_service.endpoint`.
+:mod:`controller_service.peer` and :mod:`plant_service.peer`.
 """
 
 from typing import Final, Literal, NamedTuple, Protocol
@@ -11,7 +11,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Message, Status
-from protocol.secret.nonces import Raw
+from protocol.secret.nonces import Contribution
 from protocol.secret.tasks import Done, Task
 
 
@@ -23,19 +23,19 @@ class Append(NamedTuple):
     step twice writes it before it acts, with nothing said yet, and again once it has been read.
     """
 
-    heard: bytes
-    said: bytes
+    request: bytes
+    response: bytes
     coin: int = NO_SYMBOL
 
 
-class Keep(NamedTuple):
+class Save(NamedTuple):
     """A record for the journal, with what came along, all or nothing.
 
     ``later``: the next :class:`Append` takes it along; until then nothing is lost, for it can be
     counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
     ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
-    ``queued`` is a message for the controller's queue, after its identifier. ``raw`` is the row of
-    a transition for its key block, ``settled`` names transitions whose rows may go; rows of another
+    ``queued`` is a message for the controller's queue, after its identifier. ``contribution`` is the row of
+    a transition for its key block, ``obsolete_rows`` names transitions whose rows may go; rows of another
     session than the record's go anyway.
     """
 
@@ -45,8 +45,8 @@ class Keep(NamedTuple):
     drop_chunks: bool = False
     received: bytes | None = None
     queued: tuple[str, bytes] | None = None
-    raw: Raw | None = None
-    settled: tuple[range, ...] = ()
+    contribution: Contribution | None = None
+    obsolete_rows: tuple[range, ...] = ()
 
     @property
     def for_tables(self) -> bool:
@@ -55,7 +55,7 @@ class Keep(NamedTuple):
         return more or bool(self.chunk) or self.drop_chunks
 
 
-Write = Append | Keep
+Write = Append | Save
 
 
 class Outgoing(NamedTuple):
@@ -78,8 +78,8 @@ class Actions(NamedTuple):
 
     ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
     them, once more. ``keys`` are tasks for the keeper of keys, which may take its time.
-    ``health`` is the status of which the run's folder keeps what a file may. ``settle`` asks for
-    :meth:`Endpoint.settle`, once everything else is done.
+    ``health`` is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
+    :meth:`Peer.finish_step`, once everything else is done.
     """
 
     events: tuple[Event, ...] = ()
@@ -87,14 +87,14 @@ class Actions(NamedTuple):
     publish: tuple[Outgoing, ...] = ()
     notices: tuple[Notice, ...] = ()
     health: Status | None = None
-    settle: bool = False
+    finish_step: bool = False
     keys: tuple[Task, ...] = ()
 
 
 NOTHING_TO_DO: Final = Actions()
 
 
-class Endpoint(Protocol):
+class Peer(Protocol):
     """One end of one loop. All times are seconds of one monotonic clock."""
 
     hears: tuple[type[Message], ...]
@@ -118,10 +118,10 @@ class Endpoint(Protocol):
     def wake(self, now: float) -> Actions:
         """Do what is due at ``now``."""
 
-    def settle(self) -> Actions:
+    def finish_step(self) -> Actions:
         """What can wait until the message is on its way, while the partner works on it."""
 
-    def kept(self, done: Done, now: float) -> Actions:
+    def key_task_done(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done one of its tasks."""
 
     def appear(self, count: int) -> Actions:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.endpoint import NOTHING_TO_DO, Actions
+from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.messages import Message, SealedReceipt
 from protocol.topics import key_of
-from runtime.beside import Beside
 from runtime.keys.store import KeyStore
 from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.sealed_thread import SealedThread
 
 
 class Faulty:
@@ -47,7 +47,7 @@ def test_a_fault_is_told_in_a_line_and_ends_nothing(
     buses = MemoryBus(MemoryHub()), MemoryBus(hub)
     with (
         caplog.at_level(logging.WARNING),
-        Beside(end, store, "one", *buses, logging.getLogger("x")),
+        SealedThread(end, store, "one", *buses, logging.getLogger("x")),
     ):
         publisher = MemoryBus(hub).publisher(key_of(SealedReceipt, "one"))
         publisher.put(b"first")
