@@ -35,7 +35,7 @@ from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantH
 
 if TYPE_CHECKING:
     from protocol.link.events import Event
-    from protocol.link.peer import Notice, Write
+    from protocol.link.peer import Notice, Peer, Write
     from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
     from protocol.messages import Message, Status
@@ -245,7 +245,7 @@ class LivingEnd:
 
 def open_end(
     side: str, name: str, folder: Path, now: float
-) -> "tuple[Endpoint, Files, Sender] | tuple[Endpoint, Files, Receiver]":
+) -> "tuple[Peer, Files, Sender] | tuple[Peer, Files, Receiver]":
     """An end of the scenario's link as the services open it."""
     from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law

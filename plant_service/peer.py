@@ -469,8 +469,8 @@ class PlantPeer:
             self._answered_at = now
         if outcome == "nothing":
             return NOTHING_TO_DO
-        greeted = outcome == "stranger" and hello.verdict == "greeting"
-        answers = outcome in ("greet", "rival") or greeted
+        greeted = outcome == "incompatible" and hello.verdict == "greeting"
+        answers = outcome in ("greet", "competing") or greeted
         publish = (self._hello(),) if answers else ()
         record = receiver.record
         if outcome == "refused":
@@ -480,12 +480,12 @@ class PlantPeer:
             )
             self._telemetry.phase("refused", detail)
             return _told(f"{detail}: the two ends must share one scenario", "error")
-        if outcome in ("stranger", "rival"):
+        if outcome in ("incompatible", "competing"):
             model = f"has another model, {proquint(hello.fingerprint)}; ignored"
             competing = f"speaks up while controller {receiver.controller} has the session: "
             competing += "two controllers on one loop?"
             text = f"controller {hello.instance} {competing if outcome == 'competing' else model}"
-            return Actions(publish=publish, notices=(Notice(text, "warning", "strangers"),))
+            return Actions(publish=publish, notices=(Notice(text, "warning", "incompatible"),))
         if outcome == "accepted":
             self._telemetry.phase("running")
             taken_up = (hello.instance, record.session)

@@ -30,7 +30,7 @@ from runtime.files import make_folder, open_private
 from runtime.keys.store_file import check_of
 from runtime.step_log import LARGEST_STEP, STEPS, TAG_BYTES, Damaged, Step, StepLog
 
-JOURNAL_VERSION: Final = 8
+JOURNAL_VERSION: Final = 9
 
 _M = TypeVar("_M", bound=BaseModel)
 _N = TypeVar("_N", bound=BaseModel)

@@ -11,8 +11,8 @@ traced, and then saved with the next step. So a process may die between any two 
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
-puts it into the ports (:class:`CrashingPorts`): every one of them is called by :func:`perform` alone. A
-device is no port; a make-believe one asks :meth:`CrashingPorts.passes` itself.
+puts it into the ports (:class:`CrashingPorts`): every one of them is called by :func:`perform`
+alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes` itself.
 """
 
 from typing import Literal, Protocol

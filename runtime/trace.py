@@ -15,7 +15,7 @@ from runtime.jsonl import END_BYTES, MARKS, LineWriter, dumps, read_lines
 from runtime.parts import Bounds, Parts, number_of, part_path, parts_of
 
 TRACE_FORMAT: Final = "wyner-trace"
-TRACE_VERSION: Final = 1
+TRACE_VERSION: Final = 2
 
 REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 """Events that report on the transition before them, which completed a frame."""

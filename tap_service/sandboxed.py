@@ -136,6 +136,7 @@ class EavesdropperServer:
         self._tap: Eavesdropper | None = None
 
     def answer(self, what: str, argument: Any) -> object:
+        """What the eavesdropper's code says when it is asked."""
         kind = named(self._name)
         if what == "who":
             return {attribute: getattr(kind, attribute) for attribute in TOLD}

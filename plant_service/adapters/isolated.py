@@ -141,6 +141,7 @@ class PlantServer:
         self._adapter: PlantAdapter | None = None
 
     def answer(self, what: str, argument: Any) -> object:
+        """What the plant's code says when it is asked."""
         if what == "path":
             sys.path[:] = argument
             return None

@@ -34,9 +34,9 @@ class Save(NamedTuple):
     ``later``: the next :class:`Append` takes it along; until then nothing is lost, for it can be
     counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
     ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
-    ``queued`` is a message for the controller's queue, after its identifier. ``contribution`` is the row of
-    a transition for its key block, ``obsolete_rows`` names transitions whose rows may go; rows of another
-    session than the record's go anyway.
+    ``queued`` is a message for the controller's queue, after its identifier. ``contribution`` is
+    the row of a transition for its key block, ``obsolete_rows`` names transitions whose rows may
+    go; rows of another session than the record's go anyway.
     """
 
     record: SenderRecord | ReceiverRecord
@@ -77,8 +77,8 @@ class Actions(NamedTuple):
     """What a shell must do after an endpoint heard something or woke.
 
     ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
-    them, once more. ``keys`` are tasks for the keeper of keys, which may take its time.
-    ``health`` is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
+    them, once more. ``keys`` are tasks for the keeper of keys, which may take its time. ``health``
+    is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
     :meth:`Peer.finish_step`, once everything else is done.
     """
 

@@ -29,8 +29,8 @@ class ReceiverEffects(NamedTuple):
     """What the plant's shell must save and trace after a transition.
 
     ``chunk`` has symbols of the frame under way that leave the record for the journal's own table;
-    ``frame`` is a frame that ended, whose symbols the journal may drop. ``contribution`` is what the
-    transition contributes to its key block, ``judged`` what the offer's word says of blocks.
+    ``frame`` is a frame that ended, whose symbols the journal may drop. ``contribution`` is what
+    the transition contributes to its key block, ``judged`` what the offer's word says of blocks.
     """
 
     transition: CountedTransition
@@ -130,18 +130,19 @@ class Receiver:
 
     def heard_controller(
         self, hello: ControllerHello, new_session: str
-    ) -> Literal["nothing", "greet", "accepted", "ended", "stranger", "rival", "refused"]:
+    ) -> Literal["nothing", "greet", "accepted", "ended", "incompatible", "competing", "refused"]:
         """The controller spoke on ops; says what the shell must do next.
 
         ``greet``: save the record and answer with :meth:`hello`. ``ended``: a new session,
-        ``new_session``, has begun; drop the journal's partial frame as well. ``competing``: a second
-        controller; answer, so that it learns whose the session is. ``incompatible``: a controller of
-        another model beside the one known, answer a greeting of it. ``refused``: the models differ.
+        ``new_session``, has begun; drop the journal's partial frame as well. ``competing``: a
+        second controller; answer, so that it learns whose the session is. ``incompatible``: a
+        controller of another model beside the one known, answer a greeting of it. ``refused``: the
+        models differ.
         """
         record = self.record
         if hello.fingerprint != self.rules.fingerprint:
             if self._known:
-                return "stranger"
+                return "incompatible"
             self._refused = True
             return "refused"
         if hello.verdict == "greeting":
@@ -149,7 +150,7 @@ class Receiver:
         if hello.answers != self.instance or hello.session != record.session:
             return "nothing"
         if hello.instance != self._met.controller:
-            return "rival"
+            return "competing"
         self._anyone = False
         if hello.verdict == "accepted":
             self._met.accepted = self._known = True
@@ -160,7 +161,7 @@ class Receiver:
 
     def _greeted(
         self, hello: ControllerHello, new_session: str
-    ) -> Literal["nothing", "greet", "ended", "rival"]:
+    ) -> Literal["nothing", "greet", "ended", "competing"]:
         """A controller is there: ask it, unless the session is with another that may still live.
 
         From the journal that the session was kept in, the newest life counts and no other.
@@ -170,7 +171,7 @@ class Receiver:
         returned = hello.session == record.session
         over = returned and hello.incarnation < record.incarnation
         if over or not (hello.instance == asked or returned or self._anyone):
-            return "nothing" if asked is None else "rival"
+            return "nothing" if asked is None else "competing"
         self._anyone = False
         taken = record.controller not in ("", hello.instance)
         self.record = record._replace(controller=hello.instance, incarnation=hello.incarnation)

@@ -56,15 +56,15 @@ class SenderRecord(NamedTuple):
 class ReceiverRecord(NamedTuple):
     """All that the plant must not forget, as its journal keeps it.
 
-    ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it;
-    ``u`` is the input in force, which the fallback may hold; ``partial`` has the newest symbols of
-    the frame under way in hexadecimal digits. Counters run over all sessions but ``transitions``
-    and ``p``, which begin with the session. ``controller`` is the process that was asked last to
-    take the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy 0
-    of Measurement(k); the three fields behind it are those of that message. ``blocks_begun`` counts
-    key blocks that were begun, in all sessions, whatever became of them. ``begun`` is there only in
-    what is written while a plant acts: the step that is under way. The session of its offer may be
-    one that has ended since.
+    ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it; ``u``
+    is the input in force, which the fallback may hold; ``partial`` has the newest symbols of the
+    frame under way in hexadecimal digits. Counters run over all sessions but ``transitions`` and
+    ``p``, which begin with the session. ``controller`` is the process that was asked last to take
+    the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
+    0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
+    counts key blocks that were begun, in all sessions, whatever became of them. ``begun`` is there
+    only in what is written while a plant acts: the step that is under way. The session of its offer
+    may be one that has ended since.
     """
 
     session: str

@@ -21,8 +21,8 @@ class SenderEffects(NamedTuple):
     ``save`` asks for the record; ``append`` for the measurement and the ``offer`` in answer, beside
     the record before them, and then for the sender's ``finish_step``, once the offer is on its way.
     ``refusal`` is a line for the log; ``greet`` asks for a hello, because the plant speaks of a
-    session that is not this process's. ``contribution`` is what the transition contributes to its key block,
-    ``judged`` what the measurement's word says of blocks.
+    session that is not this process's. ``contribution`` is what the transition contributes to its
+    key block, ``judged`` what the measurement's word says of blocks.
     """
 
     save: bool = False

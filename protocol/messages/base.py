@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from protocol.secret.nonces import NONCE_FORM
 
-SCHEMA: Final = 2
+SCHEMA: Final = 3
 """Version of the wire format; a message of another version is garbage."""
 
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]

@@ -43,9 +43,9 @@ class Measurement(Message):
 class Offer(Message):
     """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
 
-    ``predictions`` are the predictions f_c(x, u_i) where f_c is not linear, else none. ``heard`` is the
-    copy of that measurement which came first; the other fields of keys are those
-    of `Measurement`.
+    ``predictions`` are the predictions f_c(x, u_i) where f_c is not linear, else none. ``heard`` is
+    the copy of that measurement which came first; the other fields of keys are those of
+    `Measurement`.
     """
 
     topic: ClassVar[str] = "offer"

@@ -37,8 +37,8 @@ SETTINGS: Final = ("loop", "knowledge", "view")
 class CaptureReader:
     """Reads a capture in order, part by part, also while it is being written.
 
-    Every line after a header is given out or counted once: as ``torn``, ``malformed`` or ``skipped``.
-    A part without a header is left out, its lines are ``torn``.
+    Every line after a header is given out or counted once: as ``torn``, ``malformed`` or
+    ``skipped``. A part without a header is left out, its lines are ``torn``.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from runtime.jsonl import END_BYTES, LineWriter, dumps
 from runtime.parts import Bounds, Parts, part_path
 from runtime.trace import TRACE_FORMAT, TRACE_VERSION
 
-CAPTURE_VERSION: Final = 1
+CAPTURE_VERSION: Final = 2
 
 
 class Limits(Bounds):

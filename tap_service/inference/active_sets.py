@@ -151,7 +151,7 @@ class Explanations:
         Q: Array,
         scales: Scales,
     ) -> list[Ways]:
-        """All ways of an offer, or of a state that was heard, that ``predictions`` do not rule out."""
+        """All ways of an offer, or of a state heard, that ``predictions`` do not rule out."""
         out: list[Ways] = []
         C, y = np.empty((1, 0, self._n)), np.empty((1, 0))
         if state is not None:

@@ -154,8 +154,8 @@ class ParticleSmoother:
     ) -> tuple[Array, Array, Array]:
         """States after what was heard of an offer: draws, log weights, and whence they came.
 
-        ``predictions``, shape (R, n), of log weights ``w``, stand for Gaussians of covariance ``Q``.
-        The mean of the weights is the evidence.
+        ``predictions``, shape (R, n), of log weights ``w``, stand for Gaussians of covariance
+        ``Q``. The mean of the weights is the evidence.
         """
         assert self._scales is not None
         count = DRAWS * self._count

@@ -169,7 +169,7 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     bench.device.calls.clear()
     actions = bench.offer(0.2)
     assert isinstance(actions.write, Append)
-    assert actions.write.said == b""
+    assert actions.write.response == b""
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(actions)
     assert bench.device.calls == ["append", "apply"]

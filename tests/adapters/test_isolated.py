@@ -11,6 +11,7 @@ import pytest
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import KINDS, open_plant
 from protocol.scenario import Scenario
+from runtime import sandbox
 from tests.adapters.test_device import line
 
 PLANT = """
@@ -80,7 +81,7 @@ def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: P
     first = opened(tmp_path, "pass")
     first.start(None)
     first.close()
-    for process in guest._idle.values():
+    for process in sandbox._idle.values():
         process._child.kill()
         process._child.wait()
     second = opened(tmp_path, "pass")
@@ -175,8 +176,8 @@ def test_what_it_started_ends_with_it(tmp_path: Path, leave: str, then: str) -> 
     plant.close()
 
 
-def guest_of(plant: Operated) -> guest.SandboxProcess:
-    found: guest.SandboxProcess = plant.adapter.plant._far._process  # type: ignore[attr-defined]
+def guest_of(plant: Operated) -> sandbox.SandboxProcess:
+    found: sandbox.SandboxProcess = plant.adapter.plant._far._process  # type: ignore[attr-defined]
     return found
 
 

@@ -86,7 +86,7 @@ def test_a_plant_asks_whoever_greets_first_and_no_other() -> None:
     assert receiver.hello().controller is None
     assert receiver.heard_controller(controller(A).greeting(), NEW) == "greet"
     assert receiver.hello().controller == A
-    assert receiver.heard_controller(controller(B).greeting(), NEW) == "rival"
+    assert receiver.heard_controller(controller(B).greeting(), NEW) == "competing"
     assert receiver.hello().controller == A
     assert not receiver.accepted
 
@@ -137,7 +137,7 @@ def test_a_controller_that_comes_back_with_its_journal_goes_on_at_once() -> None
 def test_a_controller_without_the_journal_waits_until_the_other_one_is_silent() -> None:
     sender, receiver = met(5)
     second = controller(B)
-    assert receiver.heard_controller(second.greeting(), NEW) == "rival"
+    assert receiver.heard_controller(second.greeting(), NEW) == "competing"
     second.heard_plant(receiver.hello())
     step(sender, receiver)
     receiver.look_around()
@@ -176,7 +176,7 @@ def test_a_greeting_of_a_former_life_counts_for_nothing(silent: bool) -> None:
     meet(again, receiver)
     if silent:
         receiver.look_around()
-    assert receiver.heard_controller(late, NEW) == "rival"
+    assert receiver.heard_controller(late, NEW) == "competing"
     assert receiver.controller == B
     # nor in the plant's next life
     restarted = plant(Q, receiver.record)
@@ -194,7 +194,7 @@ def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> N
         meet(sender, receiver)
     back = controller("9" * 16, kept)
     assert (back.record.incarnation, receiver.record.incarnation) == (2, 3)
-    assert receiver.heard_controller(back.greeting(), NEW) == "rival"
+    assert receiver.heard_controller(back.greeting(), NEW) == "competing"
     receiver.look_around()
     effects = back.heard_plant(receiver.hello())
     assert effects.save
@@ -244,7 +244,7 @@ def test_an_answer_of_one_that_was_not_asked_counts_for_nothing() -> None:
     assert reply is not None
     for verdict in ("accepted", "unknown-session"):
         stray = reply.model_copy(update={"instance": B, "verdict": verdict})
-        assert receiver.heard_controller(stray, NEW) == "rival"
+        assert receiver.heard_controller(stray, NEW) == "competing"
     assert receiver.record.sessions == 1
     assert receiver.controller == A
 
@@ -314,7 +314,7 @@ def test_a_plant_of_another_model_is_told_so_and_the_pair_goes_on() -> None:
 def test_a_controller_of_another_model_is_ignored_by_a_pair() -> None:
     sender, receiver = met(2)
     stray = controller(B).greeting().model_copy(update={"fingerprint": OTHER})
-    assert receiver.heard_controller(stray, NEW) == "stranger"
+    assert receiver.heard_controller(stray, NEW) == "incompatible"
     assert not receiver.refused
     assert receiver.accepted
     step(sender, receiver)
@@ -326,7 +326,7 @@ def test_a_journal_that_has_met_its_partner_is_not_refused_after_a_restart() -> 
     strange_plant = plant(P).hello().model_copy(update={"fingerprint": OTHER})
     strange_controller = controller(A).greeting().model_copy(update={"fingerprint": OTHER})
     sender.heard_plant(strange_plant)
-    assert receiver.heard_controller(strange_controller, NEW) == "stranger"
+    assert receiver.heard_controller(strange_controller, NEW) == "incompatible"
     assert not sender.refused
     assert not receiver.refused
     meet(sender, receiver)

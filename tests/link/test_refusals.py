@@ -414,7 +414,7 @@ def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
     record: ReceiverRecord,
 ) -> None:
     receiver = Receiver(RULES, P, record)
-    assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "stranger"
+    assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "incompatible"
     assert not receiver.refused
 
 

@@ -173,7 +173,7 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
 def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
     """With a deadline too, where most of it comes while the plant waits for the tick."""
     field, ops = MemoryBus(system.field), MemoryBus(system.ops)
-    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":3}', b'{"v":2,"session":"x"}', b"null" * 50]
+    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":4}', b'{"v":3,"session":"x"}', b"null" * 50]
     offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
     measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
     rounds = 20

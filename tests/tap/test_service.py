@@ -140,7 +140,7 @@ def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> 
     rng = random.Random(2)
     wire = Wire(config(run, tmp_path))
     junk = [rng.randbytes(rng.randrange(60)) for _ in range(40)]
-    junk += [b"{}", b"null", b'{"v":2}', run.messages[0].wire()]
+    junk += [b"{}", b"null", b'{"v":3}', run.messages[0].wire()]
     for i, message in enumerate(run.messages):
         wire.send(message)
         if i < len(junk):

@@ -253,7 +253,7 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
             if event["event"] != "transition":
                 continue
             base = {"session": event["session"], "k": event["k"], "nonce": "", "copy_number": 0}
-            common = {"v": 2, **base, "block": -1, "tag": ""}
+            common = {"v": 3, **base, "block": -1, "tag": ""}
             offer = {**common, "candidates": event["candidates"], "cipher": 0, "heard": 0}
             x = {"x": event["x"], "applied_k": event["k"] - 1, "x_after": event["x"]}
             for topic, message in (

@@ -216,7 +216,7 @@ AGREED = {"role": "test", "s": 2}
 CARRIES = {"role": "message"}
 SEALED = {
     "topic": "sealed",
-    "message": {"v": 2, "id": "m", "key_ids": ["a"], "cipher": "aGk=", "tag": "0" * 32},
+    "message": {"v": 3, "id": "m", "key_ids": ["a"], "cipher": "aGk=", "tag": "0" * 32},
 }
 SENT = {"event": "sent", "id": "m7", "payload": text_of(b"c")}
 

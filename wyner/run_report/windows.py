@@ -1,8 +1,8 @@
 """Stretches of a run, short enough that every step is seen: what an overview of a long one lacks.
 
-Of a run of up to :data:`MOST_WINDOWS` stretches all are kept, of a longer one as many at equal distances,
-the one about a step that was asked for, and the last. So a page of a million steps needs no more
-memory than any other.
+Of a run of up to :data:`MOST_WINDOWS` stretches all are kept, of a longer one as many at equal
+distances, the one about a step that was asked for, and the last. So a page of a million steps needs
+no more memory than any other.
 """
 
 from collections import deque
