@@ -162,7 +162,7 @@ class AgreementRule:
     def verdict_at(
         self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]
     ) -> AgreementResult:
-        """Evaluate it for centres c_i = f_c(x(k), u_i) that are given."""
+        """Evaluate it for predictions c_i = f_c(x(k), u_i) that are given."""
         gauges = []
         symbol = NO_SYMBOL
         inside = 0

@@ -143,7 +143,7 @@ class ZenohChannel:
 
 
 def _bounded(sample: "zenoh.Sample") -> bytes:
-    """The payload; of one that is too long its size and its first bytes, which is garbage."""
+    """The payload; of one that is too long its size and its first bytes, which is malformed."""
     size = len(sample.payload)
     payload = sample.payload.to_bytes()
     return payload if size <= LARGEST_MESSAGE else b"%d bytes: " % size + payload[:SHOWN]
@@ -251,7 +251,7 @@ class ZenohBus(Bus):
     def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """Call ``deliver`` on Zenoh's thread with every message of others that fits.
 
-        Of a message beyond `LARGEST_MESSAGE` its size and its first bytes are delivered: garbage,
+        Of a message beyond `LARGEST_MESSAGE` its size and its first bytes are delivered: malformed,
         which whoever gets it counts.
 
         A ``patient`` one naps there as soon as it is up to date: the kernel keeps what comes

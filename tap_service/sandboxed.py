@@ -150,7 +150,7 @@ class EavesdropperServer:
 def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
     if what == "observe":
         guess = _told(tap.observe(argument))
-        final_guesses = [_told(one) for one in getattr(tap, "settled", ())]
+        final_guesses = [_told(one) for one in getattr(tap, "final_guesses", ())]
         if final_guesses:
             tap.final_guesses.clear()
         return guess, final_guesses

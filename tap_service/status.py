@@ -105,14 +105,14 @@ class Listener:
 
     def final_guesses(self) -> Sequence[Guess]:
         """Take off her last thoughts on the transitions that she has let go."""
-        found = getattr(self.tap, "settled", None)
+        found = getattr(self.tap, "final_guesses", None)
         if not found or self.failed:
             return ()
         try:
             guesses = [sound_guess(g, self._size) for g in found]
             found.clear()
         except Exception as error:
-            self._fail("settled", error)
+            self._fail("final_guesses", error)
             return ()
         return guesses
 

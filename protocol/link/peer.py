@@ -110,7 +110,7 @@ class Peer(Protocol):
         """The first word, and what a journal left to be counted."""
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A message came; what is garbage is counted, and changes nothing."""
+        """A message came; a malformed one is counted, and changes nothing."""
 
     def wake_at(self) -> float:
         """When :meth:`wake` is due: the earliest of all timers."""

@@ -239,7 +239,7 @@ class Receiver:
         Raises
         ------
         ValueError
-            When its shape is not the plant's, or a candidate is not admissible: garbage.
+            When its shape is not the plant's, or a candidate is not admissible: malformed.
         """
         rules = self.rules
         if len(offer.candidates) != rules.size:

@@ -118,7 +118,7 @@ class Sender(SenderSession):
         ------
         ValueError
             When its vectors do not have the plant's dimension, or are too large to reckon with:
-            garbage; nothing has changed.
+            malformed; nothing has changed.
         """
         assert self._answer is None, "the answer before has not been settled"
         record = self.record

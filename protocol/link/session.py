@@ -94,9 +94,9 @@ class Rules:
     def malformed_predictions(self, predictions: tuple[Vector, ...]) -> str:
         """What is wrong with an offer's predictions; nothing where they are as the rules say."""
         if not self.predicted:
-            return "offer.centres: expected none, as f_c is linear" if predictions else ""
+            return "offer.predictions: expected none, as f_c is linear" if predictions else ""
         if len(predictions) != self.size or any(len(c) != self.states for c in predictions):
-            return f"offer.centres: expected {self.size} predictions of {self.states} states"
+            return f"offer.predictions: expected {self.size} predictions of {self.states} states"
         return ""
 
     def admissible(self, u: Vector) -> bool:

@@ -53,7 +53,7 @@ class Transition:
         Whether this is the first of its session, for certain.
     gap : bool
         Whether transitions right before this one were missed altogether.
-    centres : tuple of tuple of float, shape (M, n), optional
+    predictions : tuple of tuple of float, shape (M, n), optional
         The offer's predictions; empty where f_c is linear.
     """
 

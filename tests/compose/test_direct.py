@@ -200,11 +200,11 @@ def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:
 def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     direct: Composition,
 ) -> None:
-    """What the profile `secure` prevents. Here it is counted as garbage, and harms nothing."""
+    """What the profile `secure` prevents. Here it is counted as malformed, and harms nothing."""
     all_healthy(direct, SERVICES)
     text = "she forges meanwhile, all the time"
     forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v1/loop/offer")
-    wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "garbage counted")
+    wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "malformed counted")
     forged_under_way(direct, forger, text, "controller")
     arrives(direct, "plant", text)
 

@@ -114,7 +114,7 @@ def test_garbage_and_terminal_codes_do_no_harm(
     said = capsys.readouterr().out
     assert fleet.table.malformed == 2
     assert "1 of 1 loops run" in said
-    assert "0 of them lately; 2 messages were garbage\n" in said
+    assert "0 of them lately; 2 messages were malformed\n" in said
     assert "\x1b" not in said
 
 

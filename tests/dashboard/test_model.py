@@ -417,7 +417,7 @@ def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
             bus = taps if isinstance(message, TapStatus) else services
             bus.publisher(key_of(type(message), "loop")).put(message.wire())
             bus.publisher(key_of(type(message), "other")).put(message.wire())
-    services.publisher(key_of(ControllerStatus, "loop")).put(b"\xff{garbage")
+    services.publisher(key_of(ControllerStatus, "loop")).put(b"\xff{malformed")
     taps.publisher(key_of(TapStatus, "loop")).put(b'{"v": 1}')
     arrivals = source.drain()
     assert [a.message for a in arrivals] == [

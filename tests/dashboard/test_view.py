@@ -466,18 +466,18 @@ def test_a_large_gauge_is_short() -> None:
 @pytest.mark.parametrize(
     ("width", "tail"),
     [
-        (120, "357 messages, 5 garbage"),
-        (80, "357 messages, 5 garbage"),
-        (72, "357 messages, 5 garbage"),
-        (60, "357 messages, 5 garbage"),
-        (40, "  5 garbage"),
+        (120, "357 messages, 5 malformed"),
+        (80, "357 messages, 5 malformed"),
+        (72, "357 messages, 5 malformed"),
+        (60, "357 messages, 5 malformed"),
+        (40, "  5 malformed"),
     ],
 )
 def test_garbage_is_told_at_every_width(width: int, tail: str) -> None:
     text = shown(replace(board_after(700), unreadable=5), width, 24)
     assert text.splitlines()[-1].endswith(tail)
     many = replace(board_after(700), unreadable=12_345, received=9_876_543)
-    assert "12345 garbage" in shown(many, width, 24).splitlines()[-1]
+    assert "12345 malformed" in shown(many, width, 24).splitlines()[-1]
 
 
 def test_a_filter_that_lets_nobody_through_does_not_say_that_nobody_was_heard() -> None:

@@ -84,9 +84,9 @@ def receiver(scenario: Scenario) -> Receiver:
 @pytest.mark.parametrize(
     ("model", "predictions", "says"),
     [
-        (False, ((0.0, 0.0),) * 4, "offer.centres: expected none, as f_c is linear"),
-        (True, (), "offer.centres: expected 4 predictions of 2 states"),
-        (True, ((0.0,),) * 4, "offer.centres: expected 4 predictions of 2 states"),
+        (False, ((0.0, 0.0),) * 4, "offer.predictions: expected none, as f_c is linear"),
+        (True, (), "offer.predictions: expected 4 predictions of 2 states"),
+        (True, ((0.0,),) * 4, "offer.predictions: expected 4 predictions of 2 states"),
     ],
 )
 def test_predictions_of_another_kind_are_garbage(

@@ -336,7 +336,7 @@ def plant(rules: Rules = RULES) -> Receiver:
         ({"candidates": ((0.0,), (0.0, 0.0))}, "offer.candidates: expected 1 inputs in each"),
         ({"candidates": ((0.0,), (5.1,))}, "offer.candidates: expected inputs in U"),
         ({"cipher": 2}, "offer.cipher: got 2, expected below 2"),
-        ({"predictions": ((0.0,),) * 2}, "offer.centres: expected none, as f_c is linear"),
+        ({"predictions": ((0.0,),) * 2}, "offer.predictions: expected none, as f_c is linear"),
     ],
 )
 def test_an_offer_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
@@ -356,7 +356,7 @@ def test_predictions_of_another_shape_are_garbage(predictions: tuple[Vector, ...
     receiver = plant(replace(RULES, predicted=True))
     with pytest.raises(ValueError) as refused:
         receiver.check(OFFER.model_copy(update={"predictions": predictions}))
-    assert str(refused.value) == "offer.centres: expected 2 predictions of 1 states"
+    assert str(refused.value) == "offer.predictions: expected 2 predictions of 1 states"
     right = OFFER.model_copy(update={"predictions": ((0.0,),) * 2})
     assert receiver.check(right) == "current"
 

@@ -1,4 +1,4 @@
-"""The wire: flat schemas, nothing secret on the field bus, garbage refused."""
+"""The wire: flat schemas, nothing secret on the field bus, malformed refused."""
 
 import json
 import random

@@ -145,11 +145,11 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
         assert journal.step() is None
 
 
-@pytest.mark.parametrize("heard", [b"{}", b"not json", wire(MEASUREMENT)])
-def test_a_step_that_is_none_is_refused(tmp_path: Path, request: bytes) -> None:
+@pytest.mark.parametrize("request_", [b"{}", b"not json", wire(MEASUREMENT)])
+def test_a_step_that_is_none_is_refused(tmp_path: Path, request_: bytes) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         journal.write(Save(RECEIVER))
-        journal.write(Append(request, wire(MEASUREMENT), 0))
+        journal.write(Append(request_, wire(MEASUREMENT), 0))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
         journal.step()
     assert "record" in one_line(error, tmp_path / "p")

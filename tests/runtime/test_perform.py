@@ -144,7 +144,7 @@ def test_who_dies_after_so_many_things_has_done_as_many(after: int) -> None:
     assert happened == DONE[:after]
 
 
-def test_who_is_not_doomed_or_no_longer_lives_on() -> None:
+def test_who_does_not_crash_or_no_longer_lives_on() -> None:
     for crash_at in (lambda _: None, lambda ports: ports.crash_at(after=5)):
         happened: list[object] = []
         ports = CrashingPorts(Listing(happened))
@@ -270,7 +270,7 @@ def test_a_run_without_a_death_delivers() -> None:
     assert pair.inbox == [PAYLOAD]
 
 
-@pytest.mark.parametrize("doomed", ["controller", "plant"])
+@pytest.mark.parametrize("crashing", ["controller", "plant"])
 def test_no_death_of_a_short_run_changes_what_is_counted_or_ends_the_session(crashing: str) -> None:
     """One death at each thing that an end does in its first 25 acts, some hundred runs in all."""
     deaths = 0

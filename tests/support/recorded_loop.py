@@ -100,7 +100,7 @@ class RecordedLoop:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCENARIO).write_bytes((SCENARIOS / f"{name}.toml").read_bytes())
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        header = {"capture_version": 1, "part": 0, "view": view}
+        header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
         self._mail: dict[Side, deque[Outgoing]] = {side: deque() for side in SIDES}
         self._ends: dict[Side, _End] = {}

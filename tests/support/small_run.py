@@ -87,7 +87,7 @@ class SmallRun:
         self._plant_trace = self._writer("plant")
         self._trace = self._writer("controller")
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        self._view = {"capture_version": 1, "part": 0, "view": view}
+        self._view = {"capture_version": 2, "part": 0, "view": view}
         self._seen: Lines = []
         self._queue = Queue(payloads)
         self._t_ns = 0

@@ -216,7 +216,7 @@ def recovered(run_dir: Path) -> int:
 
 
 def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: Path) -> None:
-    """The controller comes first and waits; messages are sent to it while garbage flies."""
+    """The controller comes first and waits; messages are sent to it while malformed flies."""
     by_hand.start("controller")
     by_hand.start("tap")
     by_hand.start("plant", "--pace", "fast")

@@ -1,4 +1,4 @@
-"""The two services on a bus in memory: garbage, foreign models, deadlines, lost journals."""
+"""The two services on a bus in memory: malformed, foreign models, deadlines, lost journals."""
 
 import base64
 import errno

@@ -347,7 +347,7 @@ def test_second_thoughts_that_are_none_stop_her_alone() -> None:
     listener = odd()
     listener.tap.final_guesses = [Guess(0, (1.0,), 0.0)]
     assert listener.final_guesses() == ()
-    assert listener.failed.startswith("settled: ValueError")
+    assert listener.failed.startswith("final_guesses: ValueError")
 
 
 def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:

@@ -272,7 +272,7 @@ class _Progress:
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
-        with suppress(ValidationError):  # the dashboard counts garbage
+        with suppress(ValidationError):  # the dashboard counts malformed
             self._received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:

@@ -143,7 +143,7 @@ class FleetTable:
             f"{running} of {len(rows)} loops run, {missed} steps missed, {lately} of them lately"
         )
         if self.malformed:
-            total += f"; {self.malformed} messages were garbage"
+            total += f"; {self.malformed} messages were malformed"
         if self._arrived.dropped:
             total += f"; {self._arrived.dropped} came faster than they were read"
         shown = [row.line(now_s) for row in rows]

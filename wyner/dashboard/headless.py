@@ -167,7 +167,7 @@ def _events(before: Board, board: Board) -> Iterator[str]:
         yield from _tap_events(printable(name), before, tap, board)
     yield from _key_events(before, board)
     if board.malformed > before.malformed:
-        yield f"{board.malformed - before.malformed} messages were garbage"
+        yield f"{board.malformed - before.malformed} messages were malformed"
 
 
 def _session(before: Board, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:

@@ -81,7 +81,7 @@ class BusSource:
         return self._malformed
 
     def drain(self) -> Sequence[Arrival]:
-        """Parse all that is waiting; garbage is counted and left out."""
+        """Parse all that is waiting; malformed is counted and left out."""
         arrivals = []
         with self._delivering:
             waiting, self._waiting, self._bytes = self._waiting, deque(), 0

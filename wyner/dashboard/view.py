@@ -204,7 +204,7 @@ class _Page(Panels):
         if self.wishes.note:
             return Text(f" {self.wishes.note}", style="bold")
         messages = f"{count(self.board.received)} messages"
-        malformed = f"{count(self.board.malformed)} garbage"
+        malformed = f"{count(self.board.malformed)} malformed"
         tails = (f"{messages}, {malformed}", malformed) if self.board.malformed else (messages,)
         line = self._keys(named=self.width >= FOOTER_NAMED)
         if self.board.malformed and line.cell_len + len(malformed) + 2 > self.width:

@@ -20,7 +20,7 @@ PUBLIC: Final = {
     topic: frozenset(fields.split())
     for topic, fields in {
         "measurement": "v session k x applied_k x_after copy_number nonce applied_copy block tag",
-        "offer": "v session k candidates cipher centres copy_number nonce heard block tag",
+        "offer": "v session k candidates cipher predictions copy_number nonce heard block tag",
         "sealed": "v id key_ids cipher tag",
     }.items()
 }

@@ -15,7 +15,7 @@ from wyner.verify.records import Problem
 from wyner.verify.sides import HEADS, Segments
 
 SHOWN: Final = 60
-"""Bytes of garbage that are shown."""
+"""Bytes of a malformed message that are shown."""
 
 CAPTURE_HEADS: Final = {**HEADS, "vantage": "tap", "capture_version": CAPTURE_VERSION}
 
@@ -53,7 +53,7 @@ class CaptureLines:
     parts : list of Segments
         Each part's marks.
     lines : dict of int
-        Messages and garbage together, by the number of the part.
+        Well-formed and malformed messages together, by the number of the part.
     dropped_parts : int
         Parts that were dropped for want of room, from the beginning.
     """
@@ -148,7 +148,7 @@ class CaptureLines:
 
 
 def _malformed(line: dict[str, Any]) -> str:
-    """What a capture's line of garbage holds: its key, and how its bytes begin."""
+    """What a capture's line of a malformed message holds: its key, and how its bytes begin."""
     try:
         content = base64.b64decode(str(line.get("base64")))
     except ValueError:
