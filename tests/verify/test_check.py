@@ -526,7 +526,7 @@ def test_no_run_is_one_line_and_2(
         (b"nothing of the kind\n", "line 1: not a JSON object"),
         (b'{"event":"missed"}\n', "line 1: expected a header"),
         (b'{"event":"continued"}\n', "line 1: expected a header"),
-        (b'{"event":"header","format":"wyner-trace","version":2}\n', "line 1: version"),
+        (b'{"event":"header","format":"wyner-trace","version":1}\n', "line 1: version"),
         (b"[" * 100_000 + b"\n", "line 1: not a JSON object"),
     ],
 )
