@@ -58,7 +58,7 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 
 
 class _Kept(NamedTuple):
-    """What a loop's keeper of keys has done."""
+    """What a loop's key maker has done."""
 
     loop: str
     done: Done

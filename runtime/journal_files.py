@@ -5,7 +5,7 @@ the message about to be said. That is all it takes to count the step again, so a
 first and count afterwards, while its partner works. The next save brings the record up to date.
 
 A step is one write to a file (:mod:`runtime.step_log`). What is rare goes to a database
-(SQLite): messages, symbols that have left the record, settled rows, a new session. It has the
+(SQLite): messages, symbols that have left the record, obsolete rows, a new session. It has the
 record too, as of then; the steps are what came after. Both survive ``kill -9`` of the process at
 any instant. After a power failure the last saves may be missing; the two journals then do not fit
 together and the session ends, as rule 6 says. A journal is held by one process at a time.
@@ -198,7 +198,7 @@ class JournalFiles(ABC, Generic[R]):
             ) from None
 
     def contributions(self, session: str | None) -> list[Contribution]:
-        """Rows of the session's key blocks that are not settled, in order."""
+        """Rows of the session's key blocks that are still needed, in order."""
         self._rows_of = session
         rows = self._rows_kept("SELECT session, j, steps, offer, measurement, check_ FROM raw")
         found = {row[0]: Contribution(*row) for of, *row in rows if of == session}

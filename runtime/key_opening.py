@@ -42,7 +42,7 @@ def open_keeper(
     secret: Path | None,
     record: Counting | None = None,
 ) -> KeyMakerAt | None:
-    """Make a side's key store ready for its keeper; None where the scenario has no table ``keys``.
+    """Make a side's key store ready; None where the scenario has no table ``keys``.
 
     A store is there also where no key will be: it says why. ``record`` is the journal's: a new
     store makes no key of a block that began before it, since one that was removed may have.

@@ -50,7 +50,7 @@ class _MemoryJournal(Generic[R]):
         self._rows.clear()
 
     def contributions(self, session: str | None) -> list[Contribution]:
-        """Rows of the session's key blocks that are not settled, in order."""
+        """Rows of the session's key blocks that are still needed, in order."""
         return [
             contribution
             for (whose, _), contribution in sorted(self._contributions.items())

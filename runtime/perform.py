@@ -7,7 +7,7 @@ traced, and then saved with the next step. So a process may die between any two 
 - before the step is saved: nothing was sent, and deciding again does no harm;
 - before it is published: the journal has it, and the same bytes go out when it is asked again;
 - before it is counted or traced: it is counted, and traced, when the journal is read again;
-- before a task is handed to the keeper of keys: its rows are in the journal, and it is asked again;
+- before a task is handed to the key maker: its rows are in the journal, and it is asked again;
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
@@ -36,7 +36,7 @@ class Ports(Protocol):
         """Write it down for whoever checks the run."""
 
     def submit_key_task(self, task: Task) -> None:
-        """Hand it to the keeper of keys, without waiting for it."""
+        """Hand it to the key maker, without waiting for it."""
 
     def log_notice(self, notice: Notice) -> None:
         """Log it."""

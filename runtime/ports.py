@@ -1,4 +1,4 @@
-"""The ports of one end of one loop: its files, its publishers, its log, its keeper of keys."""
+"""The ports of one end of one loop: its files, its publishers, its log, its key maker."""
 
 import logging
 import time

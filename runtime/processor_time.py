@@ -24,7 +24,7 @@ _METER: Final = struct.Struct("ddd")
 
 
 class Meter:
-    """What processor time a guest may have used; the guest and its warden share it.
+    """What processor time a guest may have used; the guest and its supervisor share it.
 
     Parameters
     ----------

@@ -5,8 +5,8 @@ floods what it is asked for, whoever asked is told in a line, and goes on. What 
 as JSON and checked by the asker, never unpickled. It runs as the user who started the service, so
 it may read that user's files: a bound for mistakes, and no wall against malice.
 
-Two processes stand behind it. The guest runs the code. Its *warden* runs none: every process that
-the guest started comes to be its child sooner or later, also one that called ``setsid`` (it is
+Two processes stand behind it. The guest runs the code. Its *supervisor* runs none: every process
+that the guest started comes to be its child sooner or later, also one that called ``setsid`` (it is
 their subreaper), and it kills them all once the guest or whoever asks is gone. It watches their
 processor time as well: threads and children that go on between two answers are not for ever.
 """
@@ -44,16 +44,16 @@ FORKS: Final = 64
 """Processes that a guest may start beside those of its user; root is not held to it."""
 
 LOOK_S: Final = 1.0
-"""Seconds after which the warden looks at the processor time again."""
+"""Seconds after which the supervisor looks at the processor time again."""
 
 OVERSPENT: Final = 3
-"""The warden's exit code where a guest has used too much processor time."""
+"""The supervisor's exit code where a guest has used too much processor time."""
 
 SLICE_S: Final = 0.2
 """Seconds of waiting after which the clock is looked at."""
 
 END_S: Final = 5.0
-"""Seconds that the warden has to end everything."""
+"""Seconds that the supervisor has to end everything."""
 
 _PR_SET_PDEATHSIG: Final = 1
 _PR_SET_CHILD_SUBREAPER: Final = 36
@@ -213,7 +213,7 @@ class _Patience:
 
 
 def _end(child: "subprocess.Popen[bytes]") -> None:
-    """Let go of the warden, which ends everything; end it where it does not."""
+    """Let go of the supervisor, which ends everything; end it where it does not."""
     for pipe in (child.stdin, child.stdout):
         if pipe is not None:
             with suppress(OSError):
@@ -234,7 +234,7 @@ def _end(child: "subprocess.Popen[bytes]") -> None:
 def serve(
     answer: Callable[[str, Any], object], known: tuple[tuple[type[Exception], str], ...] = ()
 ) -> None:
-    """Become a warden and its guest; the guest answers until whoever asks is gone.
+    """Become a supervisor and its guest; the guest answers until whoever asks is gone.
 
     ``sys.argv`` begins with the bytes of address space.
 

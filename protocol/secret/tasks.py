@@ -1,4 +1,4 @@
-"""What is asked of a keeper of keys, and what it answers."""
+"""What is asked of a key maker, and what it answers."""
 
 from typing import NamedTuple
 

@@ -1,7 +1,7 @@
 """Both ends alike: ask the other to mark what is about to be given, and answer when asked.
 
 What is asked stands in the key store, put there by whoever gives: a key server in a process of its
-own, the sealed messages, or the keeper of keys. So it is looked for again and again.
+own, the sealed messages, or the key maker. So it is looked for again and again.
 
 An end that starts asks besides which of the keys and pads that it holds were given before, and
 erases them: it may have been put back from a copy, and the other end may be put back later.

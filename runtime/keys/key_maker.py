@@ -1,8 +1,8 @@
 """From a closed block to stored keys: extract, tag, insert. The slow half, off the loop's path.
 
-A keeper belongs to one store, and remembers nothing that is not in it. So it may work in a process
-of its own: what it is given again, after a death at any instant, it does again to the same rows,
-ids and tags.
+A key maker belongs to one store, and remembers nothing that is not in it. So it may work in a
+process of its own: what it is given again, after a death at any instant, it does again to the same
+rows, ids and tags.
 """
 
 import time
@@ -100,13 +100,13 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
 
 
 class KeyMakerAt(NamedTuple):
-    """Where a keeper's store is, for whoever opens it."""
+    """Where a key maker's store is, for whoever opens it."""
 
     path: Path
     side: Side
 
     def open(self) -> KeyMaker:
-        """The keeper of that store.
+        """The key maker of that store.
 
         Raises
         ------

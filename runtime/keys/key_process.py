@@ -75,7 +75,7 @@ def _done(key_makers: dict[KeyMakerAt, KeyMaker], at: KeyMakerAt, task: Task) ->
 
 
 def main() -> None:
-    """Become the keeper of the process that is named in the command line."""
+    """Become the key maker of the process that is named in the command line."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends with its service, and not before
     die_with(int(sys.argv[1]))

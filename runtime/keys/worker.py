@@ -34,8 +34,8 @@ class KeyWorker:
     """Has tasks done in order in a process of its own, :mod:`runtime.keys.key_process`.
 
     The process is started at once, one for all loops of a host, and has its libraries before there
-    is a loop to disturb. Where it dies it is started again and asked again: a keeper does what it
-    is given twice to the same rows, ids and tags. A thread waits for it, and does nothing else.
+    is a loop to disturb. Where it dies it is started again and asked again: a key maker does what
+    it is given twice to the same rows, ids and tags. A thread waits for it, and does nothing else.
     """
 
     def __init__(self) -> None:

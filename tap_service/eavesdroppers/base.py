@@ -187,7 +187,7 @@ class Eavesdropper(ABC):
         What both ends follow: she may know every algorithm, and no threshold and no key.
     certain : bool
         Whether the policy that she was told makes every transition agree.
-    settled : list of Guess
+    final_guesses : list of Guess
         Last thoughts on transitions that she lets go, because she keeps a bounded number of them.
         Whoever feeds her takes them off.
 

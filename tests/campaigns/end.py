@@ -1,4 +1,4 @@
-"""One real end of the link as a state: endpoint, journal and keeper of keys, and what it has done.
+"""One real end of the link as a state: endpoint, journal and key maker, and what it has done.
 
 All that an end does next follows from itself and from what it hears: :meth:`End.do` is a function.
 So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
@@ -49,7 +49,7 @@ class Doing(NamedTuple):
     """What may happen to one end.
 
     ``what`` it is: it ``hears`` a message (by number, with the plant's coin), it ``wakes`` when it
-    is due, its keeper ``keeps`` the next task and it is told, it ``freezes`` longer than any
+    is due, its key maker ``keeps`` the next task and it is told, it ``freezes`` longer than any
     silence, it ``dies``, or it ``forgets``: dies and comes back without its journal. ``pace`` is
     ``late`` when its partner has been silent for long, and ``soon`` when less than a tenth of a
     second has passed.
@@ -289,7 +289,7 @@ class End:
         self.view = self.view._replace(counted=(*counted, mine)[-window:])
 
     def submit_key_task(self, task: Task) -> None:
-        """A task for the keeper of keys; a nonce counts once, and a copy 1's never."""
+        """A task for the key maker; a nonce counts once, and a copy 1's never."""
         self.things += 1
         if isinstance(task, ClosedBlock):
             nonces = {*task.nonces, base64.b64decode(DUMMY)}

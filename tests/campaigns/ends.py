@@ -21,7 +21,7 @@ class Outcome(NamedTuple):
     ``label`` is the number of what happened, ``after`` its state, ``said`` the messages that it
     sent, ``counted`` the transitions that it counted. ``again``: a message arrived that had
     arrived; ``ended``: a session ended in which something was counted; ``carried``: a message
-    symbol came through; ``confirmed``: a key block was; ``kept``: its keeper of keys did something;
+    symbol came through; ``confirmed``: a key block was; ``kept``: its key maker did something;
     ``answered``: the plant heard its controller. ``broken`` says which property does not hold.
     """
 
@@ -68,7 +68,7 @@ class Ends:
         self.side: Side = side
         self.views: list[View] = []
         self.busy: list[bool] = []
-        """Whether its keeper of keys has something to do."""
+        """Whether its key maker has something to do."""
         self.doings: list[Doing] = []
         self._labels: dict[Doing, int] = {}
         self._kept: dict[Hashable, Hashable] = {}

@@ -1,4 +1,4 @@
-"""Key stores by what is in them: what a keeper makes of a task is worked out once."""
+"""Key stores by what is in them: what a key maker makes of a task is worked out once."""
 
 import hashlib
 import zlib
@@ -43,7 +43,7 @@ class Stores:
         return self._numbers[digest]
 
     def work(self, side: Side, number: int, task: Task) -> tuple[int, Done]:
-        """What a keeper makes of a task: the number of its store afterwards, and its answer."""
+        """What a key maker makes of a task: the number of its store afterwards, and its answer."""
         known = self._worked.get((side, number, task))
         if known is None:
             with KeyStore(None, side) as store:

@@ -245,7 +245,7 @@ class Simulation:
             self._at(late, lambda: self._deliver(to, kind, payload))
 
     def key_maker(self, side: Side) -> KeyMaker | None:
-        """A new process's keeper of keys, over the store that outlives it."""
+        """A new process's key maker, over the store that outlives it."""
         if self._scenario.keys is None:
             return None
         if side not in self.stores:

@@ -63,7 +63,8 @@ def closed_loop(
     candidates : callable
         x to the M inputs.
     judge : callable
-        (x, candidates, predictions, x_next) to the verdict: :attr:`protocol.link.session.Rules.judge`.
+        (x, candidates, predictions, x_next) to the verdict:
+        :attr:`protocol.link.session.Rules.judge`.
     coin : callable
         k to b_r, the index of the input to apply.
     move : callable
