@@ -15,6 +15,7 @@ import json
 import math
 import multiprocessing
 import os
+import secrets
 import sys
 import tempfile
 import time
@@ -204,11 +205,8 @@ class LivingEnd:
             kept.append(drawn)
             return drawn
 
-        os.urandom = urandom
-        try:
+        with patch.object(os, "urandom", urandom), patch.object(secrets, "token_bytes", urandom):
             yield
-        finally:
-            os.urandom = system
 
     @property
     def carries(self) -> bool:

@@ -51,8 +51,8 @@ class ModelledElsewhere(PlantTable):
 
     @property
     def shipped(self) -> bool:
-        """Whether the code that it names is this package's own."""
-        return getattr(self, "object", "").startswith("wyner.")
+        """Whether the code that it names comes with the shipped scenarios."""
+        return getattr(self, "object", "").startswith("runtime.scenarios.")
 
     @field_validator("A", "B")
     @classmethod

@@ -40,6 +40,7 @@ from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
 from tests.support.safety import violations
+from tests.support.told import log_of
 from tests.support.twin_journals import TwinPlantJournal
 from wyner.api import load, vary
 from wyner.simulate.faults import Faults
@@ -527,7 +528,7 @@ def device_service(
 
 
 def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Stuck(Device):
         def close(self) -> None:
@@ -538,11 +539,11 @@ def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
     service = device_service(device, tmp_path, monkeypatch, threading.Event())
     service.endpoint._moved = True
     device.reading = lambda y: (float("nan"), 0.0)
-    with pytest.raises(PlantError, match="expected finite numbers"):
+    with log_of("plant") as lines, pytest.raises(PlantError, match="expected finite numbers"):
         service.run()
     assert device.calls[-2:] == ["safe", "close"]
     assert "expected finite numbers" in (tmp_path / PLANT_SAFE).read_text()
-    assert "plant: close: OSError: the port is gone" in caplog.text
+    assert "plant: close: OSError: the port is gone" in lines
     # and what was open is closed: its journal can be opened again
     PlantJournal(tmp_path / PLANT_JOURNAL, line().fingerprint()).close()
 

@@ -28,11 +28,11 @@ def test_two_programs_at_once_are_given_different_ports(monkeypatch: pytest.Monk
     assert len(set(ports)) == 3
     code = (
         "import sys\n"
-        "from tests.runtime.test_endpoints import SamePorts, endpoints\n"
+        "from tests.runtime.test_addresses import SamePorts, addresses\n"
         "SamePorts.ports = [int(p) for p in sys.argv[1:]]\n"
-        "endpoints.socket.socket = lambda *k: SamePorts(*k) if not k else real(*k)\n"
-        "print(*endpoints.free_endpoints(1))\n"
-    ).replace("SamePorts.ports", "real = endpoints.socket.socket\nSamePorts.ports")
+        "addresses.socket.socket = lambda *k: SamePorts(*k) if not k else real(*k)\n"
+        "print(*addresses.free_endpoints(1))\n"
+    ).replace("SamePorts.ports", "real = addresses.socket.socket\nSamePorts.ports")
     spare = 65000 + ports[0] % 500  # nobody asks the kernel for it here
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, ports), str(spare)],

@@ -70,8 +70,8 @@ def test_a_nice_programs_guest_is_as_nice_as_a_session(
     own = os.nice(0)
     assert guest.ask("weight", None, 20.0) == ["nice", str(own)]
     guest.close()
-    asks = "from runtime.sandbox import GuestProcess\nimport os\nos.nice(7)\n"
-    asks += "print(GuestProcess('looping_guest').ask('weight', None, 20.0))"
+    asks = "from runtime.sandbox import SandboxProcess\nimport os\nos.nice(7)\n"
+    asks += "print(SandboxProcess('looping_guest').ask('weight', None, 20.0))"
     told = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert told.stdout == f"['nice', '{min(own + 7, 19)}']\n"
 

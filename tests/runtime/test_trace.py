@@ -98,7 +98,7 @@ def test_what_is_no_trace_is_one_line(tmp_path: Path, content: bytes, expected: 
 def test_a_missing_trace_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(TraceError, match="cannot be read: No such file"):
         read_trace(tmp_path / "none")
-    assert TRACE_VERSION == 1
+    assert TRACE_VERSION == 2
 
 
 def test_what_is_no_regular_file_is_refused_by_name(tmp_path: Path) -> None:
