@@ -256,12 +256,12 @@ def test_the_live_services_do_what_the_engine_says(case: Case, tmp_path: Path) -
         # Under the paper's own law the candidates coincide after ten steps: fewer are enough.
         Case("paper", 10_000, seed=2),
         Case("sustained", 100_000, seed=2, payload=LONG),
-        Case("quadruple-tank", 100_000, seed=2, payload=LONG),
+        Case("quadruple-tank", 20_000, seed=2, payload=6 * TEXT),
     ],
     ids=lambda case: case.name,
 )
-def test_all_three_are_the_same_over_a_hundred_thousand_steps(case: Case, tmp_path: Path) -> None:
-    assert case.delivered() == ([] if case.name == "paper" else [LONG])
+def test_all_three_are_the_same_over_a_long_run(case: Case, tmp_path: Path) -> None:
+    assert case.delivered() == ([] if case.name == "paper" else [case.payload])
     compare_all(case, tmp_path)
     shutil.rmtree(tmp_path)  # 200 MB of traces, which pytest would keep
 
