@@ -1,18 +1,22 @@
 """Journals: what each end must not forget, saved before anything is sent.
 
-How it is kept on disk stands in :mod:`runtime.journal_files`.
+:class:`SenderJournal` and :class:`ReceiverJournal` say what a journal does, wherever it lies. There
+are two of each: in files, here and in :mod:`runtime.journal_files`, and in memory
+(:mod:`runtime.memory_journal`).
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from pydantic import TypeAdapter
 
 from protocol.link.peer import Save
 from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
+from protocol.secret.nonces import Contribution
 from runtime.journal_files import JournalError, JournalFiles
 from runtime.keys.store_file import check_of
+from runtime.ports import Journal
 
 
 class SenderStep(NamedTuple):
@@ -30,8 +34,57 @@ class ReceiverStep(NamedTuple):
     coin: int
 
 
-class ControllerJournal(JournalFiles[SenderRecord]):
-    """The controller's record and the messages it has to deliver."""
+class SenderJournal(Journal, Protocol):
+    """The controller's journal, with the queue of messages that it has to deliver.
+
+    ``queued`` counts them; they are numbered from 0.
+    """
+
+    queued: int
+
+    def load(self) -> SenderRecord | None:
+        """The record as last written, to be gone on from; None in a new journal."""
+
+    def step(self) -> SenderStep | None:
+        """The step that followed the record, to be counted again; None where none did."""
+
+    def contributions(self, session: str | None) -> list[Contribution]:
+        """Rows of the session's key blocks that are still needed, in order."""
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
+
+    def identifier(self, number: int) -> str:
+        """Identifier of the queued message ``number``."""
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        """The message that was ever queued under this identifier, or None."""
+
+
+class ReceiverJournal(Journal, Protocol):
+    """The plant's journal, with the symbols of the frame under way and the messages received."""
+
+    def load(self) -> ReceiverRecord | None:
+        """The record as last written, to be gone on from; None in a new journal."""
+
+    def step(self) -> ReceiverStep | None:
+        """The step that followed the record, to be counted again; None where none did."""
+
+    def begun(self) -> BegunStep | None:
+        """The step that was begun and not read, if any: after the record, or as the record says."""
+
+    def contributions(self, session: str | None) -> list[Contribution]:
+        """Rows of the session's key blocks that are still needed, in order."""
+
+    def chunks(self) -> str:
+        """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
+
+    def inbox(self, last: int = 100) -> list[bytes]:
+        """The last messages received, oldest first."""
+
+
+class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
+    """The controller's, in files."""
 
     kind = "controller"
     adapter = TypeAdapter(SenderRecord)
@@ -56,9 +109,9 @@ class ControllerJournal(JournalFiles[SenderRecord]):
         found = self._step(Measurement, Offer)
         return None if found is None else SenderStep(*found[:2])
 
-    def _add_to_tables(self, keep: Save) -> None:
-        if keep.queued is not None:
-            self.enqueue(*keep.queued)
+    def _add_to_tables(self, save: Save) -> None:
+        if save.queued is not None:
+            self.enqueue(*save.queued)
 
     def enqueue(self, identifier: str, payload: bytes) -> bool:
         """Queue a message; False when one of this identifier is there already."""
@@ -99,8 +152,8 @@ class ControllerJournal(JournalFiles[SenderRecord]):
         return identifier
 
 
-class PlantJournal(JournalFiles[ReceiverRecord]):
-    """The plant's record, the symbols of the frame under way, and the messages received."""
+class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
+    """The plant's, in files."""
 
     kind = "plant"
     adapter = TypeAdapter(ReceiverRecord)
@@ -151,13 +204,13 @@ class PlantJournal(JournalFiles[ReceiverRecord]):
         )
         return [payload for (payload,) in reversed(rows)]
 
-    def _add_to_tables(self, keep: Save) -> None:
-        if keep.drop_chunks:
+    def _add_to_tables(self, save: Save) -> None:
+        if save.drop_chunks:
             self._execute("DELETE FROM chunk")
-        if keep.chunk:
-            self._add("chunk", "symbols", keep.chunk)
-        if keep.received is not None:
-            self._add("inbox", "payload", keep.received)
+        if save.chunk:
+            self._add("chunk", "symbols", save.chunk)
+        if save.received is not None:
+            self._add("inbox", "payload", save.received)
 
     def _add(self, table: str, name: str, value: object) -> None:
         row = (value, check_of(value))

@@ -215,37 +215,37 @@ class JournalFiles(ABC, Generic[R]):
             with self._transaction():
                 self._add_to_tables(write)
         elif not write.later:
-            self._keep()
+            self._save()
         self._steps.make_ready()
 
     @abstractmethod
-    def _add_to_tables(self, keep: Save) -> None:
-        """Put what ``keep`` has beside its record into this side's own tables."""
+    def _add_to_tables(self, save: Save) -> None:
+        """Put what ``save`` has beside its record into this side's own tables."""
 
-    def _stage(self, keep: Save) -> None:
-        """What ``keep`` has goes with the next write, its record as what the next step follows."""
-        self._body = self.adapter.dump_json(keep.record)
-        session = keep.record.session
+    def _stage(self, save: Save) -> None:
+        """What ``save`` has goes with the next write, its record as what the next step follows."""
+        self._body = self.adapter.dump_json(save.record)
+        session = save.record.session
         if session != self._rows_of:
             self._rows_of, self._forget = session, True
             self._logged.clear()
-        if keep.contribution is not None or keep.obsolete_rows:
-            self._rows.append(keep)
+        if save.contribution is not None or save.obsolete_rows:
+            self._rows.append(save)
 
     def _write_rows(self) -> None:
         """Within a transaction."""
         if self._forget:
             self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
-        staged = [keep for keep in self._rows if keep.record.session == self._rows_of]
+        staged = [save for save in self._rows if save.record.session == self._rows_of]
         for contribution in (
             *self._logged,
-            *(keep.contribution for keep in staged if keep.contribution is not None),
+            *(save.contribution for save in staged if save.contribution is not None),
         ):
             row = (self._rows_of, *contribution)
             self._execute(
                 "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?, ?)", (*row, check_of(*row))
             )
-        for over in (over for keep in staged for over in keep.obsolete_rows):
+        for over in (over for save in staged for over in save.obsolete_rows):
             self._execute(
                 "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
                 (self._rows_of, over.start, over.stop),
@@ -275,12 +275,12 @@ class JournalFiles(ABC, Generic[R]):
     def _append(self, request: bytes, response: bytes, coin: int) -> None:
         """The staged record and what followed it."""
         if self._rare and not (self._last is not None and self._last.begun):
-            self._keep()
+            self._save()
         self._log(self._following(request, response, coin))
         if response:
             self._body = None
 
-    def _keep(self) -> None:
+    def _save(self) -> None:
         """The staged record, and nothing after it."""
         if self._rare:
             with self._transaction():
@@ -295,7 +295,7 @@ class JournalFiles(ABC, Generic[R]):
         return (
             self._forget
             or len(rows) > 1
-            or any(keep.obsolete_rows for keep in rows)
+            or any(save.obsolete_rows for save in rows)
             or self._steps.size > LARGEST_STEP
         )
 

@@ -10,7 +10,7 @@ from protocol.link.peer import Append, Save, Write
 from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
-from runtime.journal import ReceiverStep, SenderStep
+from runtime.journal import ReceiverJournal, ReceiverStep, SenderJournal, SenderStep
 from runtime.journal_files import R
 
 
@@ -40,11 +40,11 @@ class _MemoryJournal(Generic[R]):
             self._write_rows()
 
     def _write_rows(self) -> None:
-        for keep in self._rows:
-            session = keep.record.session
-            if keep.contribution is not None and session is not None:
-                self._contributions[session, keep.contribution.j] = keep.contribution
-            over = {j for gone in keep.obsolete_rows for j in gone}
+        for save in self._rows:
+            session = save.record.session
+            if save.contribution is not None and session is not None:
+                self._contributions[session, save.contribution.j] = save.contribution
+            over = {j for gone in save.obsolete_rows for j in gone}
             for at in [at for at in self._contributions if at[0] != session or at[1] in over]:
                 del self._contributions[at]
         self._rows.clear()
@@ -73,7 +73,7 @@ class _MemoryJournal(Generic[R]):
         """Nothing is open."""
 
 
-class MemoryControllerJournal(_MemoryJournal[SenderRecord]):
+class MemoryControllerJournal(_MemoryJournal[SenderRecord], SenderJournal):
     """The controller's; :meth:`forget` leaves the queue of messages, which is the operator's.
 
     Parameters
@@ -116,7 +116,7 @@ class MemoryControllerJournal(_MemoryJournal[SenderRecord]):
         return dict(self._queue).get(identifier)
 
 
-class MemoryPlantJournal(_MemoryJournal[ReceiverRecord]):
+class MemoryPlantJournal(_MemoryJournal[ReceiverRecord], ReceiverJournal):
     """The plant's, with the symbols of the frame under way and the messages received."""
 
     def __init__(self) -> None:

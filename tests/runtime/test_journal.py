@@ -251,7 +251,7 @@ def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> 
 WRITER = """
 import sys
 from pathlib import Path
-from protocol.link.peer import Append, Keep
+from protocol.link.peer import Append, Save
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
 from protocol.link.records import ReceiverRecord
@@ -259,18 +259,18 @@ from protocol.link.records import ReceiverRecord
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
     if record.p % 50 == 0:
-        journal.write(Keep(record, drop_chunks=True, received=b"%d" % record.p))
+        journal.write(Save(record, drop_chunks=True, received=b"%d" % record.p))
     elif record.p % 7 == 0:
-        journal.write(Keep(record, chunk="1"))
+        journal.write(Save(record, chunk="1"))
     else:
-        journal.write(Keep(record, later=True))
+        journal.write(Save(record, later=True))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
 record = journal.load()
 if record is None:
     record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
-    journal.write(Keep(record))
+    journal.write(Save(record))
 if journal.step() is not None:
     record = count(record)
 while True:

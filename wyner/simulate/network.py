@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final, Literal, Protocol
 
 from controller_service.peer import ControllerPeer
-from plant_service import from_journal
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.from_journal import plant_endpoint
 from plant_service.peer import PlantPeer
@@ -29,11 +28,13 @@ from protocol.messages import Message, Offer, Status
 from protocol.scenario import Scenario
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from runtime.journal import ReceiverJournal
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.model import load_model
 from runtime.perform import Crashed, CrashingPorts, perform
+from runtime.ports import Journal
 from wyner.simulate.faults import Faults
 from wyner.simulate.single import Law
 
@@ -67,17 +68,14 @@ LONGEST: Final = 5
 four of a step (save it, publish it, trace what it counted, keep the record), or after all."""
 
 
-class Disk(Protocol):
+class Disk(Journal, Protocol):
     """A journal that may be lost."""
-
-    def write(self, write: Write) -> None:
-        """Keep it."""
 
     def forget(self) -> None:
         """Lose everything."""
 
 
-class PlantStorage(Disk, from_journal.PlantDisk, Protocol):
+class PlantStorage(Disk, ReceiverJournal, Protocol):
     """The plant's."""
 
 
@@ -140,7 +138,7 @@ class Simulation:
         None: nothing goes wrong.
     step_s : float, optional
         A deadline each step, in virtual seconds; None for lock-step.
-    plant_journal : PlantDisk, optional
+    plant_journal : PlantStorage, optional
         None: one in memory.
     own : callable, optional
         Gives what stands in the place of the scenario's plant, for each life of its process.

@@ -1,0 +1,140 @@
+"""What a journal means, asked of both: of the one in files after each death, and of its like."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from protocol.link.peer import Append, Save
+from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer
+from protocol.secret.nonces import Contribution
+from runtime.journal import ControllerJournal, PlantJournal, ReceiverJournal, SenderJournal
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+
+SCENARIO = "f" * 64
+SESSION, NEXT = "0123456789abcdef", "fedcba9876543210"
+SENDER = SenderRecord(session=SESSION, k=4, state=(0,))
+RECEIVER = ReceiverRecord(session=SESSION, k=4, x=(0.5,), u=(0.0,))
+OFFER = Offer(session=SESSION, k=4, candidates=((1.0,), (2.0,)), cipher=1)
+MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1,), applied_k=4, x_after=(0.25,))
+
+PlantAfterDeath = Callable[[], ReceiverJournal]
+ControllerAfterDeath = Callable[[], SenderJournal]
+
+
+def row(j: int) -> Contribution:
+    return Contribution(j, 1, bytes([j]) * 32, None if j % 2 else bytes([j + 100]) * 32)
+
+
+@pytest.fixture(params=["files", "memory"])
+def plant(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[PlantAfterDeath]:
+    """The plant's journal as the next process finds it."""
+    in_memory = MemoryPlantJournal()
+    with ExitStack() as opened:
+
+        def after_death() -> ReceiverJournal:
+            if request.param == "memory":
+                return in_memory
+            opened.close()
+            return opened.enter_context(PlantJournal(tmp_path / "p", SCENARIO))
+
+        yield after_death
+
+
+@pytest.fixture(params=["files", "memory"])
+def controller(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ControllerAfterDeath]:
+    """The controller's journal as the next process finds it."""
+    in_memory = MemoryControllerJournal()
+    with ExitStack() as opened:
+
+        def after_death() -> SenderJournal:
+            if request.param == "memory":
+                return in_memory
+            opened.close()
+            return opened.enter_context(ControllerJournal(tmp_path / "c", SCENARIO))
+
+        yield after_death
+
+
+def test_a_new_journal_has_nothing(
+    plant: PlantAfterDeath, controller: ControllerAfterDeath
+) -> None:
+    for journal in (plant(), controller()):
+        assert (journal.load(), journal.step(), journal.contributions(SESSION)) == (None, None, [])
+    assert (plant().begun(), plant().chunks(), plant().inbox()) == (None, "", [])
+    assert (controller().queued, controller().payload(0), controller().queued_as("a")) == (
+        *(0, None, None),
+    )
+
+
+def test_a_step_comes_back_with_the_record_before_it_until_the_next_record(
+    plant: PlantAfterDeath, controller: ControllerAfterDeath
+) -> None:
+    journal = plant()
+    journal.write(Save(RECEIVER))
+    journal.write(Append(OFFER.wire(), MEASUREMENT.wire(), 1))
+    queue = controller()
+    queue.write(Save(SENDER))
+    queue.write(Append(MEASUREMENT.wire(), OFFER.wire()))
+    journal = plant()
+    assert (journal.load(), journal.step()) == (RECEIVER, (OFFER, MEASUREMENT, 1))
+    assert journal.begun() is None
+    assert (controller().load(), controller().step()) == (SENDER, (MEASUREMENT, OFFER))
+    journal.write(Save(RECEIVER._replace(k=5)))
+    assert (plant().load(), plant().step()) == (RECEIVER._replace(k=5), None)
+
+
+def test_a_staged_record_and_its_row_are_lost_with_the_process(plant: PlantAfterDeath) -> None:
+    plant().write(Save(RECEIVER, contribution=row(3)))
+    plant().write(Save(RECEIVER._replace(k=5), later=True, contribution=row(4)))
+    journal = plant()
+    assert journal.load() == RECEIVER
+    assert journal.contributions(SESSION) == [row(3)]
+    journal.write(Save(RECEIVER._replace(k=5), later=True, contribution=row(4)))
+    journal.write(Append(OFFER.wire(), MEASUREMENT.wire(), 0))
+    assert plant().load() == RECEIVER._replace(k=5)
+    assert plant().contributions(SESSION) == [row(3), row(4)]
+
+
+def test_a_step_is_begun_and_then_read(plant: PlantAfterDeath) -> None:
+    journal = plant()
+    journal.write(Save(RECEIVER))
+    journal.write(Append(OFFER.wire(), b"", 1))
+    journal = plant()
+    assert (journal.load(), journal.step()) == (RECEIVER, None)
+    assert journal.begun() == BegunStep(OFFER, 1)
+    journal.write(Save(RECEIVER._replace(begun=BegunStep(OFFER, 1))))
+    assert plant().begun() == BegunStep(OFFER, 1)
+
+
+def test_rows_go_when_they_are_obsolete_and_with_their_session(plant: PlantAfterDeath) -> None:
+    for j in range(5):
+        plant().write(Save(RECEIVER, contribution=row(j)))
+    plant().write(Save(RECEIVER, obsolete_rows=(range(2), range(3, 4))))
+    assert plant().contributions(SESSION) == [row(2), row(4)]
+    plant().write(Save(RECEIVER._replace(session=NEXT), contribution=row(0)))
+    assert plant().contributions(SESSION) == []
+    assert plant().contributions(NEXT) == [row(0)]
+
+
+def test_symbols_and_messages_come_with_the_record(plant: PlantAfterDeath) -> None:
+    plant().write(Save(RECEIVER, chunk="100"))
+    plant().write(Save(RECEIVER, chunk="11"))
+    assert plant().chunks() == "10011"
+    plant().write(Save(RECEIVER, chunk="1", drop_chunks=True, received=b"whole"))
+    plant().write(Save(RECEIVER, received=b"second"))
+    assert plant().chunks() == "1"
+    assert plant().inbox() == [b"whole", b"second"]
+    assert plant().inbox(1) == [b"second"]
+
+
+def test_messages_are_numbered_in_order(controller: ControllerAfterDeath) -> None:
+    controller().write(Save(SENDER, queued=("a", b"first")))
+    controller().write(Save(SENDER, queued=("b", b"second")))
+    journal = controller()
+    assert journal.queued == 2
+    assert [journal.payload(number) for number in range(3)] == [b"first", b"second", None]
+    assert journal.identifier(1) == "b"
+    assert (journal.queued_as("b"), journal.queued_as("c")) == (b"second", None)
