@@ -4,15 +4,17 @@
 imports this package too, never does.
 """
 
-from typing import TYPE_CHECKING
-
-# Each says which laws, services and plants it brings; none of them loads more than that.
+# Each says which laws, services and plants it brings; none of them loads more than that. They come
+# before anything of Python's library: loading `protocol` sees to signals first.
 import controller_service as _controller_service  # noqa: F401
 import plant_service as _plant_service  # noqa: F401
 import tap_service as _tap_service  # noqa: F401
 from protocol.registry import provide as _provide
 
 _provide("service", "wyner.clients")
+
+TYPE_CHECKING = False
+"""As `typing` has it, which is not loaded for that."""
 
 if TYPE_CHECKING:
     from wyner.api import *  # noqa: F403

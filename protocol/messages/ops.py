@@ -111,7 +111,7 @@ _Names = Annotated[
 ]
 
 
-_What = Literal["keys", "pads", "unused", "marked", "ready"]
+_What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
 
 
 class BlockAnnouncement(Message):
@@ -132,8 +132,9 @@ class KeyRequest(Message):
     """An end asks the other to mark ``keys``, or ``pads``, that it is about to give, for a use.
 
     After its start it asks besides which of those that it holds were given before: keys that it
-    knows of no use for (``unused``), keys that were given there (``marked``), pads (``ready``). It
-    is said again until it is answered.
+    knows of no use for (``unused``, and ``made`` for those made since), keys that were given there
+    (``marked``), pads (``ready``); which blocks it had beyond its newest ``blocks``; which of its
+    own are ``lacked`` there. It is said again until it is answered.
     """
 
     topic: ClassVar[str] = "ops/keys/request"

@@ -57,6 +57,8 @@ class Asker:
         self._audit("unused", unused)
         self._audit("marked", marked)
         self._audit("ready", ledger.ready(self._store))
+        self._audit("blocks", self._store.newest_blocks())
+        self._audit("lacked", self._store.blocks_held())
 
     def wake_at(self) -> float:
         """When it looks again."""
@@ -78,6 +80,14 @@ class Asker:
         self._said_at = said_at
         return tuple(said)
 
+    def _pending(self) -> tuple[Outgoing, ...]:
+        """What the other end has not answered, once more."""
+        requests = (
+            KeyRequest(side=self._side, use=use, what=what, names=names)
+            for use, what, names in pending(self._store)
+        )
+        return tuple(Outgoing(KeyRequest, request.wire()) for request in requests)
+
     def receive(self, kind: type[Message], payload: bytes) -> Actions:
         """The other end asks, or answers; what this end said itself is not for it."""
         try:
@@ -92,17 +102,25 @@ class Asker:
         if request.side == self._side:
             return Actions()
         store, what, names = self._store, request.what, request.names
+        first: tuple[Outgoing, ...] = ()
         refused: Sequence[str]
         if what == "pads":
             refused = ledger.mark(store, request.use, names)
         elif what == "keys":
             refused = store.mark(request.use, names)
-        elif what == "ready":
-            refused = ledger.given_before(store, names)
+        elif what == "blocks":
+            refused = store.blocks_beyond(names, AT_ONCE)
+        elif what == "lacked":
+            refused = store.lacking(names)
         else:
-            refused = store.given_before(what, names)
+            # what waits for the other end's mark counts as given: it hears of that one first
+            first = self._pending()
+            if what == "ready":
+                refused = ledger.given_before(store, names)
+            else:
+                refused = store.given_before(what, names)
         answer = KeyAnswer(side=request.side, use=request.use, what=what, refused=tuple(refused))
-        return Actions(publish=(Outgoing(KeyAnswer, answer.wire()),))
+        return Actions(publish=(*first, Outgoing(KeyAnswer, answer.wire())))
 
     def _answered(self, answer: KeyAnswer) -> Actions:
         if answer.side != self._side:
@@ -122,12 +140,18 @@ class Asker:
         """The other end knows what of this was given before."""
         if what == "ready":
             erased = ledger.were_given(self._store, answer.refused)
-        elif what in ("unused", "marked"):
+        elif what == "blocks":
+            self._store.lose(answer.refused)
+            erased = 0
+        elif what == "lacked":
+            erased = self._store.doubt(answer.refused)
+        elif what in ("unused", "made", "marked"):
             erased = self._store.were_given(what, answer.refused)
         else:
             return Actions()
         del self._audits[answer.use]
         notices = _erased(what, erased)
+        self._audit_newer()  # a block may have been made before it was known to be lost
         if not self._audits and not self._met:
             self._met = True
             notices = (*notices, Notice(AUDITED))
@@ -140,7 +164,7 @@ class Asker:
             unused, _ = self._store.held(self._looked_at, newest)
             self._looked_at = newest
             if unused:
-                self._audit("unused", unused)
+                self._audit("made", unused)
 
     def _audit(self, what: What, names: Sequence[str]) -> None:
         for at in range(0, max(1, len(names)), AT_ONCE):

@@ -31,7 +31,7 @@ SERVED: Final = "served"
 SEALED: Final = "sealed"
 """What a use begins with: a key server's caller, or a sealed message, whose identifier follows."""
 
-What = Literal["keys", "pads", "unused", "marked", "ready"]
+What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
 
 
 class Unanswered(Exception):

@@ -48,7 +48,7 @@ class KeyMaker:
         tag, accepted, origin = "", "", ""
         pads: tuple[Made, ...] = ()
         first = closed.last - closed.transitions + 1
-        older = known is None and self.store.is_younger(session, first)
+        older = known is None and self.store.is_younger(session, number, first)
         if closed.makes_keys and not older:
             from protocol.secret.extractor import extract
 
@@ -71,7 +71,9 @@ class KeyMaker:
                 state="stored" if tag else "empty",
                 t_ns=time.time_ns(),
             )
-            self.store.add(row, keys, tag=tag, pads=pads)
+            if not self.store.add(row, keys, tag=tag, pads=pads):  # the partner has just said so
+                older, keys, tag, accepted, origin = True, [], "", "", ""
+                self.store.add(row._replace(keys=0, state="empty"), keys)
         exhausted = closed.makes_keys and not tag and not older
         stored = Stored(session, number, tag, accepted, keys=len(keys))
         return stored._replace(exhausted=exhausted, older=older, signed=origin)

@@ -271,10 +271,16 @@ def ready(store: KeyStore) -> list[str]:
 
 
 def given_before(store: KeyStore, origins: Sequence[str]) -> list[str]:
-    """Which of the sets that the partner has left serve a session already, as this side knows."""
-    statement = "SELECT 1 FROM pad WHERE origin = ? AND state IN ('agreed', 'spent')"
+    """Which of the sets that the partner has left may serve a session already.
+
+    As this side knows, or has forgotten: a set that is not here is of no use to anybody. Without a
+    secret it knows nothing, and marks nothing.
+    """
+    if store.note("secret") is None:
+        return []
+    statement = "SELECT 1 FROM pad WHERE origin = ? AND state IN ('held', 'ready')"
     with store.transaction() as db:
-        return [origin for origin in origins if db.execute(statement, (origin,)).fetchone()]
+        return [origin for origin in origins if not db.execute(statement, (origin,)).fetchone()]
 
 
 def were_given(store: KeyStore, origins: Sequence[str]) -> int:

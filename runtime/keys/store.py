@@ -20,6 +20,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Final, Literal
 
 from protocol.secret.records import (
@@ -38,7 +39,7 @@ from protocol.secret.records import (
     block_name,
     key_id,
 )
-from runtime.keys.store_file import StoreFile, check_of
+from runtime.keys.store_file import UNREADABLE, StoreFile, check_of
 
 MOST_KEYS: Final = 100_000
 """Undelivered keys that a side keeps of its own half: those among so many, the newest of the half.
@@ -49,8 +50,14 @@ TOMBSTONES: Final = 1_000_000
 
 _BEGUN: Final = "begun"
 
+Held = Literal["unused", "made", "marked"]
+"""Keys that may be given: of which no use is known, at the start or made since, and those of the
+partner's half that it has given."""
+
 _READY: Final = "own = 1 AND state = 'confirmed' AND use IS NULL AND (row - 1) / 2 % ? = ?"
 """Keys of a share of this side's own half that may be delivered."""
+
+_DOUBTFUL: Final = "EXISTS (SELECT 1 FROM doubtful WHERE doubtful.block = key.block)"
 
 _DROPPED: Final = "state = 'dropped', body = NULL, check_ = NULL"
 
@@ -88,16 +95,110 @@ class KeyStore(StoreFile):
         if self.note(_BEGUN) is None:
             self.set_note(_BEGUN, f"{session}/{transitions}")
 
-    def is_younger(self, session: str, first: int) -> bool:
-        """Whether the block that begins at transition ``first`` began before this store did.
+    def is_younger(self, session: str, number: int, first: int) -> bool:
+        """Whether a block that begins at transition ``first`` began before this store did.
 
-        Its keys may be in one that was removed, and given.
+        Its keys may be in one that was removed, or in what this one was before it was put back, and
+        given.
         """
+        if self._is_lost(session, number):
+            return True
         begun = self.note(_BEGUN)
         if begun is None:
             return False
         theirs, _, transitions = begun.rpartition("/")
         return theirs == session and first < int(transitions)
+
+    def newest_blocks(self) -> list[str]:
+        """The names of the newest blocks, newest first."""
+        rows = self.rows("SELECT session, number FROM block ORDER BY place DESC LIMIT 64")
+        return [block_name(*row) for row in rows]
+
+    def blocks_beyond(self, names: Sequence[str], most: int) -> list[str]:
+        """Blocks that the partner has stored once and has no more, as far as this side knows.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Its newest ones. Beyond them are those that were confirmed here, or of which a key was
+            used: it had them before. Those that this side has lost belong to them.
+        most : int
+            So many at most, the oldest: only those right behind its newest can it make anew.
+        """
+        with self.transaction() as db:
+            place = 0
+            for name in names:
+                session, _, number = name.rpartition("/")
+                if session and number.isdecimal():
+                    known = "SELECT place FROM block WHERE session = ? AND number = ?"
+                    row = db.execute(known, (session, int(number))).fetchone()
+                    place = max(place, 0 if row is None else row[0])
+            used = "EXISTS (SELECT 1 FROM key WHERE block = block.place AND "
+            used += "(use IS NOT NULL OR there IS NOT NULL OR key.state = 'delivered'))"
+            beyond = db.execute(
+                "SELECT session, number FROM block WHERE place > ? AND "
+                f"(state IN ('confirmed', 'dropped') OR {used}) ORDER BY place LIMIT ?",
+                (place, most // 2),
+            ).fetchall()
+            lost = db.execute(
+                "SELECT name FROM lost ORDER BY rowid DESC LIMIT ?", (most // 2,)
+            ).fetchall()
+        found = [block_name(*row) for row in beyond] + [name for (name,) in lost]
+        return [name for name in dict.fromkeys(found) if name not in set(names)]
+
+    def lose(self, names: Sequence[str]) -> None:
+        """Blocks that this side had before it was put back: it makes no key of them any more."""
+        with self.transaction() as db:
+            db.executemany("INSERT OR IGNORE INTO lost VALUES (?)", ((name,) for name in names))
+
+    def blocks_held(self) -> list[str]:
+        """The names of blocks with keys that may still be given."""
+        rows = self.rows(
+            "SELECT session, number FROM block WHERE place IN (SELECT block FROM key "
+            "WHERE state IN ('stored', 'confirmed') AND use IS NULL) ORDER BY place"
+        )
+        return [block_name(*row) for row in rows]
+
+    def lacking(self, names: Sequence[str]) -> list[str]:
+        """Which of these blocks made no key here, or are not here: as far as this side knows."""
+        with self.transaction() as db:
+            rows = db.execute("SELECT session, number FROM block WHERE keys > 0").fetchall()
+        known = {block_name(*row) for row in rows}
+        return [name for name in names if name not in known]
+
+    def doubt(self, names: Sequence[str]) -> int:
+        """The partner lacks these blocks: it was put back, and what it gave of them it forgot.
+
+        Those that it had confirmed are erased. Others it may be about to make: they are doubtful,
+        and nothing of them is given, until it confirms them.
+
+        Returns
+        -------
+        int
+            How many keys were erased.
+        """
+        erased = 0
+        with self.transaction() as db:
+            for name in names:
+                session, _, number = name.rpartition("/")
+                if not number.isdecimal():
+                    continue
+                row = db.execute(
+                    "SELECT place, state FROM block WHERE session = ? AND number = ?",
+                    (session, int(number)),
+                ).fetchone()
+                if row is not None and row[1] == "confirmed":
+                    erased += db.execute(
+                        f"UPDATE key SET {_DROPPED} WHERE block = ? AND use IS NULL "
+                        "AND state IN ('stored', 'confirmed')",
+                        (row[0],),
+                    ).rowcount
+                elif row is not None:
+                    db.execute("INSERT OR IGNORE INTO doubtful VALUES (?)", (row[0],))
+        return erased
+
+    def _is_lost(self, session: str, number: int) -> bool:
+        return bool(self.rows("SELECT 1 FROM lost WHERE name = ?", (block_name(session, number),)))
 
     # --- the service's side -----------------------------------------------------------------------
 
@@ -126,9 +227,12 @@ class KeyStore(StoreFile):
         Returns
         -------
         bool
-            False when the block was there already; nothing has changed.
+            False when the block was there already, or would make keys of one that was lost here
+            (:meth:`lose`); nothing has changed.
         """
         with self.transaction() as db:
+            if block.state != "empty" and self._is_lost(block.session, block.number):
+                return False
             cursor = db.execute(
                 "INSERT OR IGNORE INTO block VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (*block, tag, check_of(block.session, block.number, tag, block.keys)),
@@ -191,6 +295,11 @@ class KeyStore(StoreFile):
         """The partner holds the same block: its keys may be delivered, its pads used."""
         with self.transaction() as db:
             self._change(db, session, number, "confirmed")
+            db.execute(
+                "DELETE FROM doubtful WHERE block = "
+                "(SELECT place FROM block WHERE session = ? AND number = ?)",
+                (session, number),
+            )
             db.execute(
                 "UPDATE pad SET state = 'ready' WHERE origin IN (?, ?) AND state = 'held'",
                 _pads_of(session, number),
@@ -376,10 +485,12 @@ class KeyStore(StoreFile):
 
     @staticmethod
     def _markable(db: sqlite3.Connection, use: str, name: str) -> bool:
-        row = db.execute("SELECT own, state, use, there FROM key WHERE id = ?", (name,)).fetchone()
-        if row is None:
+        row = db.execute(
+            f"SELECT own, state, use, there, {_DOUBTFUL} FROM key WHERE id = ?", (name,)
+        ).fetchone()
+        if row is None or row[4]:
             return False
-        own, state, here, there = row
+        own, state, here, there, _ = row
         if there is not None:
             return bool(there == use)
         if own:
@@ -403,20 +514,22 @@ class KeyStore(StoreFile):
         marked = self.rows(f"{alive} AND there IS NOT NULL AND own = 0 ORDER BY place", places)
         return [name for (name,) in unused], [name for (name,) in marked]
 
-    def given_before(self, what: Literal["unused", "marked"], ids: Sequence[str]) -> list[str]:
+    def given_before(self, what: Held, ids: Sequence[str]) -> list[str]:
         """Which of the keys that the partner holds it must not give: this side knows their use.
 
-        Not those that it is about to be asked for.
+        Also those that it is about to be asked for, since it may have been asked in a former life;
+        of ``unused`` ones also those of doubtful blocks (:meth:`doubt`).
         """
         used = "there IS NOT NULL"
+        if what != "marked":
+            used += " OR use IS NOT NULL OR state IN ('delivered', 'dropped')"
         if what == "unused":
-            used += " OR state IN ('delivered', 'dropped') OR (use IS NOT NULL AND NOT EXISTS "
-            used += "(SELECT 1 FROM asked WHERE asked.use = key.use AND asked.refused IS NULL))"
+            used += f" OR {_DOUBTFUL}"
+        statement = f"SELECT 1 FROM key WHERE id = ? AND ({used})"
         with self.transaction() as db:
-            statement = f"SELECT 1 FROM key WHERE id = ? AND ({used})"
             return [name for name in ids if db.execute(statement, (name,)).fetchone()]
 
-    def were_given(self, what: Literal["unused", "marked"], ids: Sequence[str]) -> int:
+    def were_given(self, what: Held, ids: Sequence[str]) -> int:
         """The partner knows a use of these keys: erase those of which none is known here still.
 
         Returns
@@ -424,7 +537,7 @@ class KeyStore(StoreFile):
         int
             How many were erased.
         """
-        mark = "there IS NULL" if what == "unused" else "there IS NOT NULL"
+        mark = "there IS NOT NULL" if what == "marked" else "there IS NULL"
         with self.transaction() as db:
             return sum(
                 db.execute(
@@ -566,6 +679,34 @@ class KeyStore(StoreFile):
             "COALESCE(there, '') FROM key ORDER BY place"
         )
         return {name: (here, there) for name, here, there in rows}
+
+    def same_as(self, partner: "KeyStore") -> bool:
+        """Whether what both stores hold is the same: ids, order, and the bytes that are there.
+
+        The last block of a run may have been closed at one end only, and is confirmed at none.
+        Both are files; a million keys take no memory.
+        """
+        self.rows("ATTACH ? AS partner", (str(partner.path),))
+        try:
+            with self._lock, closing(self._db.cursor()) as shared:
+                shared.execute(
+                    "SELECT theirs.place, mine.body IS NOT NULL AND theirs.body IS NOT NULL AND "
+                    "mine.body != theirs.body FROM main.key AS mine "
+                    "CROSS JOIN partner.key AS theirs ON theirs.id = mine.id ORDER BY mine.place"
+                )
+                last = 0
+                for place, differs in shared:
+                    if differs or place < last:
+                        return False
+                    last = place
+            kept = "SELECT 1 FROM {}.key AS one WHERE state IN ('confirmed', 'delivered') AND NOT "
+            kept += "EXISTS (SELECT 1 FROM {}.key AS other WHERE other.id = one.id) LIMIT 1"
+            sides = ("main", "partner"), ("partner", "main")
+            return not any(self.rows(kept.format(*both)) for both in sides)
+        except UNREADABLE as error:
+            raise StoreError(f"{self.path}: {error}") from None
+        finally:
+            self.rows("DETACH partner")
 
     def compare(self) -> dict[str, bytes | None]:
         """Every key by its id, in order, None where it was erased: for whoever holds both stores.

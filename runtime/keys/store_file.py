@@ -36,6 +36,8 @@ CREATE TABLE IF NOT EXISTS key (
 CREATE INDEX IF NOT EXISTS key_use ON key (use);
 CREATE TABLE IF NOT EXISTS asked (
     use TEXT PRIMARY KEY, what TEXT NOT NULL, names TEXT NOT NULL, refused TEXT);
+CREATE TABLE IF NOT EXISTS lost (name TEXT PRIMARY KEY);
+CREATE TABLE IF NOT EXISTS doubtful (block INTEGER PRIMARY KEY);
 CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
 CREATE INDEX IF NOT EXISTS key_block ON key (block);
 CREATE TABLE IF NOT EXISTS pad (
@@ -56,6 +58,15 @@ def check_of(*values: Any) -> int:
     It tells something of them, so it goes where they are erased.
     """
     return crc32(repr(values).encode())
+
+
+def _inode(path: Path | None) -> tuple[int, int] | None:
+    """Which file there is under a name."""
+    try:
+        found = None if path is None else path.stat()
+    except OSError:
+        return 0, 0
+    return None if found is None else (found.st_dev, found.st_ino)
 
 
 class StoreFile:
@@ -84,6 +95,7 @@ class StoreFile:
         self._lock = threading.RLock()
         self._anchor = None if path is None else Anchor(path)
         self._gives = False
+        self._opened: tuple[int, int] | None = None
         try:
             if path is None:
                 pass
@@ -97,10 +109,11 @@ class StoreFile:
                 path or ":memory:", isolation_level=None, timeout=BUSY_S, check_same_thread=False
             )
             weakref.finalize(self, self._db.close)  # whoever drops a store has closed it
+            self._opened = _inode(path)
         except (OSError, sqlite3.Error) as error:
             raise StoreError(f"{path}: cannot be opened: {error}") from None
         try:
-            self._open()
+            self._open(create)
         except UNREADABLE as error:
             self._db.close()
             raise StoreError(f"{path}: not a key store: {error}") from None
@@ -108,7 +121,7 @@ class StoreFile:
             self._db.close()
             raise
 
-    def _open(self) -> None:
+    def _open(self, create: bool) -> None:
         db = self._db
         # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
         # at each commit, and it has the database's own mode.
@@ -125,16 +138,21 @@ class StoreFile:
                     self.set_note(name, value)
                 elif found != value:
                     raise StoreError(f"{self.path}: {name}: got {found!r}, expected {value!r}")
-        self._look_through()
+        self._look_through("integrity_check" if create else "quick_check")
         if self._anchor is not None:
             with self.transaction():  # nobody else is between the two
                 self._anchor.compare(self._given())
 
-    def _look_through(self) -> None:
-        """See that the notes are as they were written, and the file's pages in order."""
+    def _look_through(self, how: str = "quick_check") -> None:
+        """See that the notes are as they were written, and the file's pages in order.
+
+        A copy that was taken of a file in use may hold an index that does not fit its table: only
+        ``integrity_check`` sees that. It takes 8 s for a million keys, and a service asks for it
+        once, at its start.
+        """
         for (name,) in self._db.execute("SELECT name FROM meta").fetchall():
             self.note(name)
-        if (wrong := self._db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+        if (wrong := self._db.execute(f"PRAGMA {how}(1)").fetchone()[0]) != "ok":
             raise sqlite3.DatabaseError(" ".join(wrong.split()))
 
     @classmethod
@@ -207,6 +225,7 @@ class StoreFile:
             When the file cannot be read or written.
         """
         with self._lock:
+            self.stay()
             try:
                 self._db.execute("BEGIN IMMEDIATE")
                 self._gives = False
@@ -236,10 +255,26 @@ class StoreFile:
             When the file cannot be read.
         """
         with self._lock:
+            self.stay()
             try:
                 return self._db.execute(statement, values).fetchall()
             except UNREADABLE as error:
                 raise StoreError(f"{self.path}: {error}") from None
+
+    def stay(self) -> None:
+        """See that the file has not been moved away under whoever has it open.
+
+        SQLite finds its rollback journal by the name: one that is moved away and the one that was
+        put in its place would spoil each other.
+
+        Raises
+        ------
+        StoreError
+        """
+        if self._opened is not None and _inode(self.path) != self._opened:
+            raise StoreError(
+                f"{self.path}: it is gone, or another one is in its place: start again"
+            )
 
     # --- notes ------------------------------------------------------------------------------------
 

@@ -9,8 +9,10 @@ has said that it learned from the other one what was given.
 
 What must hold is measured on the field bus, by a tap that hears all: no key is in two different
 sealed messages, and no two tags are under one pad. The names of the pads are what the ends traced,
-in all lives. Nor may an application get a key twice. An end that cannot use what was put back says
-so in one line; then its folder is what it was before. Goes on where it stopped.
+in all lives. Nor may an application get a key twice. An end that cannot use what was put back, for
+a copy of a file in use may be of two minds, says so in one line; then its folder is what it was
+before. A key server under which its store is put back ends, and is started again. Goes on where it
+stopped.
 """
 
 import json
@@ -119,7 +121,8 @@ class PutBack:
         _copied(copy, here)
         told_before = process.log.stat().st_size
         process.start()
-        if not process.alive() or process.wait(1.0):
+        wait_for(lambda: AUDITED in _log(process.log, told_before) or not process.alive(), MET_S)
+        if not process.alive():
             told = self.loop.last_line(side)
             self.counts["refused in a line"] += 1
             if "sqlite3" not in told:
@@ -131,7 +134,7 @@ class PutBack:
         else:
             self.counts["restorations"] += 1
             self.counts[f"of the {side}"] += 1
-            met = wait_for(lambda: AUDITED in _log(process.log, told_before), MET_S)
+            met = AUDITED in _log(process.log, told_before)
             self.counts["had not met"] += not met
             if not met:
                 self.wrong.append(f"{side}: the other end has not said what was given")

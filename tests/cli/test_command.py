@@ -319,6 +319,23 @@ def test_ctrl_c_while_a_program_is_loaded_ends_it_without_a_word(
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
 
 
+def test_the_command_sees_to_ctrl_c_before_it_loads_anything_else() -> None:
+    """As pip's script does: of two in 60 early ones a traceback was seen, of `typing`."""
+    code = (
+        "import sys\n"
+        "seen = []\n"
+        "class Note:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        seen.append(name)\n"
+        "for name in ('typing', 'enum', 'functools'): sys.modules.pop(name, None)\n"
+        "sys.meta_path.insert(0, Note())\n"
+        "import wyner.__main__\n"
+        "print(*seen[: seen.index('protocol') + 1])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=True)
+    assert done.stdout == b"wyner controller_service protocol\n"
+
+
 def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:
     code = "import signal, wyner; assert signal.getsignal(2) is signal.default_int_handler"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)

@@ -5,9 +5,12 @@ import http.client
 import json
 import re
 import select
+import shutil
 import signal
 import socket
 import ssl
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -18,6 +21,7 @@ from typing import Any
 import pytest
 
 from runtime.keys.store import KeyStore
+from runtime.run_folder import CONTROLLER_KEYS
 from tests.support.giving import agree
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
 from wyner.cli.main import main
@@ -349,6 +353,23 @@ def test_without_the_services_no_key_is_given_and_none_is_lost(tmp_path: Path) -
         assert (code, [key["key_ID"] for key in told["keys"]]) == (200, [first[0]])
     finally:
         one.stop()
+
+
+@pytest.mark.slow
+def test_a_server_whose_store_is_put_back_under_it_ends_with_a_line(tmp_path: Path) -> None:
+    one = Sites(tmp_path, keys=8)
+    one.end_services()
+    command = [sys.executable, "-m", "wyner", *one.command("controller")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
+        assert server.stderr is not None
+        assert " serves alice " in server.stderr.readline()
+        folder = (one.run_dir("controller") / CONTROLLER_KEYS).parent
+        folder.rename(folder.with_name("before"))
+        shutil.copytree(folder.with_name("before"), folder)
+        told = server.stderr.read()
+    assert server.returncode == 1
+    assert told.endswith("it is gone, or another one is in its place: start again\n")
+    assert told.count("\n") == 1
 
 
 @pytest.mark.slow

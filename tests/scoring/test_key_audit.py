@@ -1,6 +1,7 @@
 """What the audit of a run says of her: by direction, and of what she was there for alone."""
 
 import random
+import tracemalloc
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,11 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.trace import TraceWriter
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
-from wyner.scoring.keys import KeyAudit, audit_keys
+from wyner.scoring.keys import Copies, Heard, KeyAudit, audit_keys
 
 S = "1" * 16
 STEPS = 600
-Heard = Callable[[str, int], bool]
+HeardBy = Callable[[str, int], bool]
 """Whether she heard the copy 0 of that message of that step."""
 
 
@@ -41,7 +42,7 @@ def message(topic: str, k: int) -> Offer | Measurement:
 def audited(
     run_dir: Path,
     scenario: Scenario,
-    heard: Heard,
+    heard: HeardBy,
     lives: tuple[range, ...] = (range(STEPS),),
     appearances: Mapping[int, int] | None = None,
 ) -> KeyAudit:
@@ -74,7 +75,7 @@ def audited(
     return audit
 
 
-def losing(offers: float, measurements: float, seed: int = 1) -> Heard:
+def losing(offers: float, measurements: float, seed: int = 1) -> HeardBy:
     draw = random.Random(seed)
     shares = {"offer": offers, "measurement": measurements}
     return lambda topic, _k: draw.random() >= shares[topic]
@@ -149,3 +150,17 @@ def test_messages_that_left_twice_are_judged_by_themselves(
     assert set(audit.rates) == {"offers", "measurements", "measurements that left 2 times"}
     assert not audit.rates["measurements"].refuted
     assert audit.rates["measurements that left 2 times"].refuted
+
+
+def test_a_million_copies_take_a_few_bytes_each() -> None:
+    tracemalloc.start()
+    sent, heard = Copies(), Heard()
+    for k in range(100_000):
+        sent.add(("measurement", S, k), ("offer", S, k))
+        heard.add(("offer", S, k), 1)
+    taken, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert taken < 12 * len(sent)
+    assert list(sent)[-2:] == [("measurement", S, 99_999), ("offer", S, 99_999)]
+    assert heard.life(("offer", S, 7)) == 1
+    assert heard.life(("measurement", S, 7)) is None

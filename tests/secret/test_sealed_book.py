@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import KeyAnswer, KeyRequest
+from protocol.link.peer import Notice
+from protocol.messages import KeyRequest
 from protocol.secret.records import BlockRow, KeysRefused, UnknownKeys
 from protocol.secret.sealed import Unsealed
-from runtime.keys.asking import Asker
+from runtime.keys.asking import AUDITED, Asker
 from runtime.keys.sealed_book import MOST_TRIES, SealedBook
 from runtime.keys.store import KeyStore
-from tests.support.giving import agree, sealed_by
+from tests.support.giving import agree, ask, sealed_by
 
 TEXT = b"The old mill, at nine."
 KEYS = [bytes([row]) * 32 for row in range(1, 13)]
@@ -270,21 +271,169 @@ def test_both_put_back_together_is_what_nobody_can_tell(
     assert first.key_ids == second.key_ids  # which the page and `wyner status` say
 
 
-def test_keys_that_are_made_anew_are_asked_about_too(books: tuple[SealedBook, SealedBook]) -> None:
-    """A journal that was put back makes the keys of its last block once more."""
+@pytest.mark.parametrize("early", [False, True])
+def test_no_key_of_a_block_is_given_that_a_journal_makes_anew(
+    books: tuple[SealedBook, SealedBook], early: bool
+) -> None:
+    """A journal that was put back has the rows of its last block: the plant knows it was made."""
     controller, plant = books
     add_keys(plant.store, number=1)
     given = [name for name, _ in plant.store.ids()][-12:]
     assert plant.store.mark("served in a life that is forgotten", given[:1]) == ()
     asker, partner = Asker(controller), Asker(plant)
-
-    def meet(now: float) -> None:
-        for _, request in asker.wake(now):
-            for _, answer in partner.receive(KeyRequest, request).publish:
-                asker.receive(KeyAnswer, answer)
-
-    meet(0.0)
-    add_keys(controller.store, number=1)
-    meet(1.0)
+    if early:  # before the plant has said so
+        add_keys(controller.store, number=1)
+    ask(asker, partner, 0.0)
+    if not early:
+        add_keys(controller.store, number=1)
+    ask(asker, partner, 1.0)
     states = dict(controller.store.ids())
-    assert [states[name] for name in given] == ["dropped"] + ["confirmed"] * 11
+    found = [states.get(name) for name in given]
+    assert found == (["dropped"] + ["confirmed"] * 11 if early else [None] * 12)
+
+
+def test_an_end_that_was_put_back_has_not_met_the_other_before_its_newest_keys_are_asked_about(
+    books: tuple[SealedBook, SealedBook],
+) -> None:
+    """Its keeper makes a block anew while the answers come: the other may be put back after."""
+    controller, plant = books
+    asker, partner = Asker(plant), Asker(controller)
+    told: list[Notice] = []
+    requests = asker.wake(0.0)
+    for place, (kind, request) in enumerate(requests):
+        if place == len(requests) - 1:
+            add_keys(plant.store, number=1)
+        for answer_kind, answer in partner.receive(kind, request).publish:
+            told += asker.receive(answer_kind, answer).notices
+    assert told == []
+    ((kind, request),) = asker.wake(1.0)
+    assert KeyRequest.model_validate_json(request).what == "made"
+    for answer_kind, answer in partner.receive(kind, request).publish:
+        told += asker.receive(answer_kind, answer).notices
+    assert [notice.text for notice in told] == [AUDITED]
+
+
+def test_a_block_made_anew_after_the_meeting_gives_nothing_to_a_partner_that_is_put_back_then(
+    books: tuple[SealedBook, SealedBook],
+) -> None:
+    """The plant is put back, meets, and its slow keeper makes a block of its journal once more."""
+    controller, plant = books
+    for _ in range(2):  # the keys of the first block are gone
+        controller.queue("early", bytes(5 * 32))
+        sealed = sealed_by(controller, plant.store)
+    assert sealed is not None
+    plant.open(sealed)
+    controller.acknowledged("early")
+    old_plant = copy_of(plant.store)
+    add_keys(controller.store, plant.store, number=1)
+    old_controller = copy_of(controller.store)
+    controller.queue("a", TEXT)
+    first = sealed_by(controller, plant.store)
+    assert first is not None
+    put_back(plant.store, old_plant)
+    agree(plant.store, controller.store)
+    add_keys(plant.store, number=1)
+    put_back(controller.store, old_controller)
+    agree(controller.store, plant.store)
+    controller.queue("b", TEXT[::-1])
+    second = sealed_by(controller, plant.store)
+    assert second is None or not set(first.key_ids) & set(second.key_ids)
+
+
+def test_a_mark_that_was_forgotten_while_its_answer_is_on_its_way_serves_no_other_message(
+    books: tuple[SealedBook, SealedBook],
+) -> None:
+    """The plant has marked, is put back and meets the controller, which hears of the mark late."""
+    controller, plant = books
+    old_controller, old_plant = copy_of(controller.store), copy_of(plant.store)
+    asker, partner = Asker(controller), Asker(plant)
+    ask(asker, partner, 0.0)
+    controller.queue("a", TEXT)
+    controller.next()
+    ((kind, request),) = asker.wake(1.0)
+    (late,) = partner.receive(kind, request).publish
+    put_back(plant.store, old_plant)
+    anew = Asker(plant)
+    for kind, request in anew.wake(2.0):
+        # what the controller asks once more is lost on the way
+        *_, (answer_kind, answer) = asker.receive(kind, request).publish
+        anew.receive(answer_kind, answer)
+    asker.receive(*late)
+    first = controller.next()
+    assert first is not None
+    put_back(controller.store, old_controller)
+    agree(controller.store, plant.store)
+    controller.queue("b", TEXT[::-1])
+    second = None
+    for _ in range(3):
+        second = second or sealed_by(controller, plant.store)
+    assert second is not None
+    assert not set(first.key_ids) & set(second.key_ids)
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_what_the_other_end_has_lost_is_given_by_nobody(
+    books: tuple[SealedBook, SealedBook], confirmed: bool
+) -> None:
+    """Three are put back in turn, each after it has met the other: to before keys were made, to
+    before they were given, and again to before they were given.
+    """
+    controller, plant = books
+    empty = copy_of(controller.store)
+    add_keys(controller.store, number=1)
+    row = BlockRow("s", 1, 256, 256, 512, 13, 12, "stored", 1)
+    plant.store.add(row, KEYS, tag="t")
+    if confirmed:
+        plant.store.confirm("s", 1)
+    copies = [copy_of(book.store) for book in books]
+    plant.store.confirm("s", 1)
+    used: list[str] = []
+    for name in ("a", "b", "c", "d"):
+        controller.queue(name, TEXT)
+        sealed = sealed_by(controller, plant.store)
+        assert sealed is not None
+        used += sealed.key_ids
+        plant.open(sealed)
+        controller.acknowledged(name)
+    put_back(controller.store, empty)
+    agree(controller.store, plant.store)
+    put_back(plant.store, copies[1])
+    agree(plant.store, controller.store)
+    put_back(controller.store, copies[0])
+    agree(controller.store, plant.store)
+    controller.queue("e", TEXT[::-1])
+    for _ in range(4):
+        if (sealed := sealed_by(controller, plant.store)) is not None:
+            assert not set(sealed.key_ids) & set(used)
+
+
+def test_a_mark_that_is_asked_for_comes_before_the_word_that_it_was_given(
+    books: tuple[SealedBook, SealedBook],
+) -> None:
+    """A plant that starts while the controller waits for its mark loses no key by that."""
+    controller, plant = books
+    controller.queue("a", TEXT)
+    assert controller.next() is None
+    asker, partner = Asker(plant), Asker(controller)
+    ask(asker, partner, 0.0)
+    assert controller.next() is not None
+    assert "dropped" not in dict(plant.store.ids()).values()
+
+
+def test_a_block_that_the_other_end_is_slow_to_make_is_kept_and_given_once_it_is_confirmed(
+    books: tuple[SealedBook, SealedBook],
+) -> None:
+    """A run ended while one end had stored its last block and the other had not."""
+    controller, plant = books
+    row = BlockRow("s", 1, 256, 256, 512, 13, 12, "stored", 1)
+    plant.store.add(row, KEYS, tag="t")
+    agree(plant.store, controller.store)
+    names = [name for name, _ in plant.store.ids()][-12:]
+    assert plant.store.mark("sealed m", names[:1]) == (names[0],)
+    assert plant.store.given_before("unused", names) == names
+    controller.store.add(row, KEYS, tag="t")
+    for store in (controller.store, plant.store):
+        store.confirm("s", 1)
+    assert plant.store.mark("sealed m", names[:1]) == ()
+    assert {state for _, state in controller.store.ids()} == {"confirmed"}
+    assert {state for _, state in plant.store.ids()} == {"confirmed"}

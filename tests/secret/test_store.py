@@ -207,6 +207,46 @@ def test_what_is_no_store_is_said_in_one_line(tmp_path: Path) -> None:
         KeyStore(tmp_path / "controller.sqlite3", "plant")
 
 
+def test_a_copy_of_a_file_in_use_whose_index_does_not_fit_is_refused_at_the_start(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "controller.sqlite3"
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        ((root,),) = keys.rows("SELECT rootpage FROM sqlite_master WHERE name = 'key_ready'")
+        ((size,),) = keys.rows("PRAGMA page_size")
+        page = slice((root - 1) * size, root * size)
+        before = path.read_bytes()[page]
+        keys.confirm(SESSION, 0)
+    torn = bytearray(path.read_bytes())
+    assert torn[page] != before
+    torn[page] = before
+    path.write_bytes(torn)
+    with pytest.raises(StoreError, match=r"^[^\n]*not a key store: [^\n]*key_ready$"):
+        store(tmp_path)
+
+
+def test_whoever_has_a_store_open_leaves_one_alone_that_is_put_in_its_place(
+    tmp_path: Path,
+) -> None:
+    """SQLite finds its journal by name: the old file's pages would come into the new one."""
+    path = tmp_path / "controller.sqlite3"
+    with store(tmp_path) as keys:
+        keys.add(row(0, 8), bodies(0, 8))
+        keys.confirm(SESSION, 0)
+        copy = path.read_bytes()
+        path.rename(tmp_path / "moved")
+        for copied in (False, True):
+            if copied:
+                path.write_bytes(copy)
+            with pytest.raises(StoreError, match="another one is in its place: start again"):
+                keys.available()
+            with pytest.raises(StoreError, match="another one is in its place: start again"):
+                keys.set_aside("served x", 1)
+    with store(tmp_path) as keys:
+        assert keys.available() == 4
+
+
 def test_an_older_copy_gives_nothing_twice(tmp_path: Path) -> None:
     path = tmp_path / "controller.sqlite3"
     beside = Anchor(path).path
@@ -387,3 +427,25 @@ def test_a_key_is_delivered_once_through_kill_9(tmp_path: Path) -> None:
         (buried,) = db.execute("SELECT COUNT(*) FROM key WHERE state = 'delivered'").fetchone()
     db.close()
     assert len(given) <= buried <= len(given) + 3  # killed between the burial and the word
+
+
+@pytest.mark.parametrize(
+    ("spoil", "same"),
+    [
+        ("UPDATE key SET body = NULL WHERE row = 1", True),  # delivered here
+        ("UPDATE key SET body = zeroblob(32) WHERE row = 2", False),
+        ("DELETE FROM key WHERE row = 2", False),
+        ("UPDATE key SET place = 100 WHERE row = 3", False),
+    ],
+)
+def test_two_stores_are_compared_where_they_lie(tmp_path: Path, spoil: str, same: bool) -> None:
+    with (
+        store(tmp_path) as mine,
+        KeyStore(tmp_path / "plant.sqlite3", "plant", create=True) as theirs,
+    ):
+        for one in (mine, theirs):
+            one.add(row(0, 8), bodies(0, 8))
+            one.confirm(SESSION, 0)
+        theirs.rows(spoil)
+        assert mine.same_as(theirs) == same
+        assert theirs.same_as(mine) == same

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-from protocol.messages import KeyAnswer
 from protocol.secret.records import WHOLE, Key, Share
 from runtime.keys import ledger
 from runtime.keys.asking import Asker
@@ -15,9 +14,15 @@ def agree(*stores: KeyStore) -> None:
     """Each of two ends asks what it has to ask, and the other one answers."""
     ends = [Asker(SealedBook(store)) for store in stores]
     for asker, partner in (ends, ends[::-1]):
-        for kind, request in asker.wake(0.0):
-            for _, answer in partner.receive(kind, request).publish:
-                asker.receive(KeyAnswer, answer)
+        ask(asker, partner, 0.0)
+
+
+def ask(asker: Asker, partner: Asker, now: float) -> None:
+    """One end asks what it has to ask; all that is said comes to the other in its order."""
+    said = [(partner, asker, out) for out in asker.wake(now)]
+    while said:
+        hearer, speaker, (kind, payload) = said.pop(0)
+        said += [(speaker, hearer, out) for out in hearer.receive(kind, payload).publish]
 
 
 def sealed_by(book: SealedBook, plant: KeyStore) -> SealedText | None:

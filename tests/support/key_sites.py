@@ -45,6 +45,7 @@ class Sites:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.blocks = 0
         self._over = threading.Event()
+        self._meeting = threading.Lock()  # each meeting is a start, and what one end lacks is lost
         self._services = threading.Thread(target=self._agree, daemon=True)
         if keys:
             self.add_block(keys)
@@ -53,7 +54,7 @@ class Sites:
     def _agree(self) -> None:
         """What the services of both ends do for their key servers."""
         while not self._over.wait(0.02):
-            with suppress(StoreError), ExitStack() as opened:
+            with self._meeting, suppress(StoreError), ExitStack() as opened:
                 agree(*(opened.enter_context(self.store(side)) for side in SIDES))
 
     def run_dir(self, side: str) -> Path:
@@ -68,11 +69,12 @@ class Sites:
         bodies = [secrets.token_bytes(32) for _ in range(keys)]
         row = BlockRow("s", self.blocks, 256, 256, 512, keys + 1, keys, "stored", 1)
         self.blocks += 1
-        for side in SIDES:
-            with closing(self.store(side)) as store:
-                store.add(row, bodies, tag="t")
-                store.confirm("s", row.number)
-                store.set_note("assumption", "misses 30 %")
+        with self._meeting:
+            for side in SIDES:
+                with closing(self.store(side)) as store:
+                    store.add(row, bodies, tag="t")
+                    store.confirm("s", row.number)
+                    store.set_note("assumption", "misses 30 %")
 
     def command(self, side: str) -> list[str]:
         """The command that starts an entity, without ``wyner``."""

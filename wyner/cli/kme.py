@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from runtime.errors import DONE, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs
 from runtime.logs import RateLimitedLog, logger
 from runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
@@ -97,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         health = args.run_dir / f"kme-{args.side}" / HEALTH
 
         complaints = RateLimitedLog(log)
+        put_back: list[Failure] = []
 
         def tell(line: str) -> None:
             try:
@@ -115,6 +116,11 @@ def run(args: argparse.Namespace) -> int:
                     told_at = now
                     tell(server.health())
                 complaints.tell_rest()
+                try:
+                    store.stay()
+                except StoreError as error:
+                    put_back.append(Failure(str(error)))
+                    break
                 await asyncio.sleep(LOOK_S)
             stop.set()
             await serving
@@ -125,5 +131,7 @@ def run(args: argparse.Namespace) -> int:
             asyncio.run(serve())
         except OSError as error:
             raise UsageError(f"--listen: {args.listen}: {error.strerror or error}") from None
+    if put_back:
+        raise put_back[0]
     log.info("stopping")
     return DONE

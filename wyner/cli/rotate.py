@@ -145,10 +145,10 @@ def _slave(
     use: "Use",
     stopping: threading.Event,
 ) -> None:
-    from wyner.kme.rotation import accepted, check_partner, follow
+    from wyner.kme.rotation import Reception, check_partner, follow
 
     def turn() -> str:
-        with accepted(listening, tls) as line:
+        with reception.next(LOOK_S) as line:
             check_partner(line, args.partner_sae)
             return follow(line, client, args.partner_sae, use)
 
@@ -159,6 +159,7 @@ def _slave(
         raise UsageError(f"--listen: {args.listen}: {error.strerror or error}") from None
     with listening:
         listening.settimeout(LOOK_S)
+        reception = Reception(listening, tls)
         attempts = _Attempts()
         while attempts.made != args.count and not stopping.is_set():
             try:

@@ -11,11 +11,16 @@ import base64
 import hmac
 import json
 import os
+import queue
 import shlex
 import socket
 import ssl
 import subprocess
+import threading
+import time
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final, Literal
 
 from protocol.secret.records import Key
@@ -27,6 +32,11 @@ MOST_BYTES: Final = 4096
 
 HAND_OVER_S: Final = 20.0
 """A program that takes a key has so long; the partner waits a little longer for the answer."""
+
+MOST_AT_ONCE: Final = 64
+"""Connections that shake hands."""
+
+LOOK_S: Final = 0.2
 
 Role = Literal["master", "slave"]
 Use = Callable[[Key], None]
@@ -169,20 +179,78 @@ def connected(address: tuple[str, int], tls: ssl.SSLContext) -> ssl.SSLSocket:
         raise NotRotated(f"{address[0]}:{address[1]}: {error}") from None
 
 
-def accepted(listening: socket.socket, tls: ssl.SSLContext) -> ssl.SSLSocket:
-    """The next line from a master; waits as long as ``listening`` does.
+class Reception:
+    """Lines of masters; whoever shows no certificate holds nobody up.
 
-    Raises
-    ------
-    TimeoutError
-        When nobody came.
-    NotRotated
-        When whoever came has no certificate of the authority, or is too slow.
+    Each that comes shakes hands on a thread of its own, and the oldest that has not is sent away
+    where they are too many.
+
+    Parameters
+    ----------
+    listening : socket
+        Closed by its owner, which ends the reception.
+    tls : SSLContext
     """
-    plain, _ = listening.accept()
-    plain.settimeout(TIMEOUT_S)
-    try:
-        return tls.wrap_socket(plain, server_side=True)
-    except OSError as error:
-        plain.close()
-        raise NotRotated(f"a connection: {error}") from None
+
+    def __init__(self, listening: socket.socket, tls: ssl.SSLContext) -> None:
+        self._listening, self._tls = listening, tls
+        self._shaking: deque[ssl.SSLSocket] = deque()
+        self._came: queue.Queue[ssl.SSLSocket | NotRotated] = queue.Queue(MOST_AT_ONCE)
+        threading.Thread(target=self._receive, name="reception", daemon=True).start()
+
+    def next(self, wait_s: float) -> ssl.SSLSocket:
+        """The next line from a master.
+
+        Raises
+        ------
+        TimeoutError
+            When nobody came.
+        NotRotated
+            When whoever came has no certificate of the authority, or is too slow.
+        """
+        try:
+            came = self._came.get(timeout=wait_s)
+        except queue.Empty:
+            raise TimeoutError from None
+        if isinstance(came, NotRotated):
+            raise came
+        return came
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                plain, _ = self._listening.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                if self._listening.fileno() < 0:
+                    return
+                time.sleep(LOOK_S)  # no descriptor is left, as a rule
+                continue
+            plain.settimeout(TIMEOUT_S)
+            try:
+                line = self._tls.wrap_socket(plain, server_side=True, do_handshake_on_connect=False)
+            except OSError:
+                plain.close()
+                continue
+            self._shaking.append(line)
+            if len(self._shaking) > MOST_AT_ONCE:
+                with suppress(OSError, IndexError):
+                    socket.socket.shutdown(self._shaking.popleft(), socket.SHUT_RDWR)
+            threading.Thread(target=self._shake, args=(line,), daemon=True).start()
+
+    def _shake(self, line: ssl.SSLSocket) -> None:
+        came: ssl.SSLSocket | NotRotated = line
+        try:
+            line.do_handshake()
+        except OSError as error:
+            line.close()
+            came = NotRotated(f"a connection: {error}")
+        with suppress(ValueError):
+            self._shaking.remove(line)
+        if isinstance(came, NotRotated) and not self._came.empty():
+            return  # one is enough, and masters need the room
+        try:
+            self._came.put_nowait(came)
+        except queue.Full:  # its master tries again
+            line.close()

@@ -4,7 +4,8 @@ The claim is the operator's; a run can refute it, and never prove it. What she m
 her capture is all that she heard, and which copies counted stands in the plant's trace.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -29,11 +30,14 @@ from runtime.trace import TraceError, TraceReader
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import AWAY, Audit, MissRate
+from wyner.scoring.by_step import BySteps
 
 KEY_BITS: Final = 8 * NONCE_BYTES
 
 Copy = tuple[str, str, int]
 """A copy 0: which message (``offer``, ``measurement``), session and step."""
+
+_TOPICS: Final = ("measurement", "offer")
 
 _LEAVING: Final = (b'{"event":"appearances"', b'{"event":"session"')
 """How the lines of a trace begin that tell how often messages left, and in which session."""
@@ -60,12 +64,53 @@ class AuditedBlock(NamedTuple):
     lost: int
 
 
+class Copies:
+    """Copies 0 in their order, in eight bytes each: a run has millions."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, int] = {}
+        self._codes = array("q")
+
+    def add(self, *copies: Copy) -> None:
+        """Append copies."""
+        for topic, session, k in copies:
+            place = self._sessions.setdefault(session, len(self._sessions))
+            self._codes.append(k << 24 | place << 1 | (topic == "offer"))
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    def __iter__(self) -> Iterator[Copy]:
+        sessions = list(self._sessions)
+        for code in self._codes:
+            yield _TOPICS[code & 1], sessions[code >> 1 & 0x7FFFFF], code >> 24
+
+
+class Heard:
+    """Copies 0 that a tap has heard, each with the number of her recording."""
+
+    def __init__(self) -> None:
+        self._lives = {topic: BySteps() for topic in _TOPICS}
+
+    def add(self, copy: Copy, life: int) -> None:
+        """Note a copy, the first time."""
+        topic, session, k = copy
+        if (lives := self._lives.get(topic)) is not None:
+            lives.setdefault((session, k), life)
+
+    def life(self, copy: Copy) -> int | None:
+        """In which of her recordings a copy is; None where she missed it."""
+        topic, session, k = copy
+        found: int | None = self._lives[topic].get((session, k))
+        return found
+
+
 @dataclass(slots=True)
 class _Block:
     transitions: int = 0
     steps: int = 0
     last_k: int = -1
-    copies: list[Copy] = field(default_factory=list)
+    copies: Copies = field(default_factory=Copies)
 
 
 class _Leaving:
@@ -108,7 +153,7 @@ class _Walk:
 
     schedule: Schedule
     blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
-    sent: list[Copy] = field(default_factory=list)
+    sent: Copies = field(default_factory=Copies)
     keys: dict[tuple[str, int], int] = field(default_factory=dict)
     confirmed: set[tuple[str, int]] = field(default_factory=set)
     steps: int = 0
@@ -120,7 +165,7 @@ class _Walk:
         kind = event["event"]
         if kind == "missed":
             self.steps += 1
-            self.sent.append(("measurement", event["session"], event["k"]))
+            self.sent.add(("measurement", event["session"], event["k"]))
         elif kind == "transition" and event["j"] > self._last_j.get(event["session"], -1):
             self._transition(event)
         elif kind == "block":
@@ -134,7 +179,7 @@ class _Walk:
         self._last_k[session], self._last_j[session] = k, j
         self.steps += 1
         both: tuple[Copy, Copy] = (("measurement", session, k), ("offer", session, k))
-        self.sent += both
+        self.sent.add(*both)
         number = self.schedule.block_of(j)
         if number < 0:
             return
@@ -143,7 +188,7 @@ class _Walk:
         block.steps += k - before
         block.last_k = k
         counts = self.schedule.assumption.counting(event["counts"])
-        block.copies += [both[1]] * (counts & 1) + [both[0]] * (counts >> 1)
+        block.copies.add(*[both[1]] * (counts & 1), *[both[0]] * (counts >> 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,9 +352,7 @@ def audit_keys(run_dir: Path, scenario: Scenario) -> KeyAudit | None:
     )
 
 
-def _rates(
-    run_dir: Path, claim: Assumption, sent: Sequence[Copy], heard: Mapping[Copy, int]
-) -> dict[str, MissRate]:
+def _rates(run_dir: Path, claim: Assumption, sent: Copies, heard: Heard) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
     What left more often than the claim states was no copy 0, and what left just then may have been
@@ -322,32 +365,36 @@ def _rates(
         "measurement": _Leaving(run_dir / PLANT_TRACE),
         "offer": _Leaving(run_dir / CONTROLLER_TRACE),
     }
-    copies: list[tuple[str, Copy]] = []
-    for copy in sent:
-        name = f"{copy[0]}s"
-        times = leaving[copy[0]].times(*copy[1:])
-        if claim.directions not in ("both", name) or times is None or times > claim.appearances:
-            continue
-        copies.append((name if times == 1 else f"{name} that left {times} times", copy))
+
+    def copies() -> Iterator[tuple[str, Copy]]:
+        for copy in sent:
+            name = f"{copy[0]}s"
+            times = leaving[copy[0]].times(*copy[1:])
+            if claim.directions not in ("both", name) or times is None or times > claim.appearances:
+                continue
+            yield (name if times == 1 else f"{name} that left {times} times"), copy
+
+    names: dict[str, None] = {}
     last: dict[int, int] = {}  # of each of her recordings, the last copy in it
-    for i, (_, copy) in enumerate(copies):
-        if copy in heard:
-            last[heard[copy]] = i
-    ends = {i for i in last.values() if i < max(last.values()) or len(copies) - i > AWAY}
-    audit = Audit(claim.eps_E**hears, tuple(dict.fromkeys(name for name, _ in copies)))
-    for i, (name, copy) in enumerate(copies):
-        audit.add(name, missed=copy not in heard)
+    count = 0
+    for name, copy in copies():
+        names.setdefault(name)
+        if (life := heard.life(copy)) is not None:
+            last[life] = count
+        count += 1
+    ends = {i for i in last.values() if i < max(last.values()) or count - i > AWAY}
+    audit = Audit(claim.eps_E**hears, tuple(names))
+    for i, (name, copy) in enumerate(copies()):
+        audit.add(name, missed=heard.life(copy) is None)
         if i in ends:
             audit.gone()
     return audit.judge()
 
 
-def _audited(
-    walk: _Walk, at: tuple[str, int], block: _Block, heard: Mapping[Copy, int] | None
-) -> AuditedBlock:
+def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | None) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
-    missed = 0 if heard is None else sum(copy not in heard for copy in block.copies)
+    missed = 0 if heard is None else sum(heard.life(copy) is None for copy in block.copies)
     return AuditedBlock(
         *at,
         transitions=block.transitions,
@@ -363,15 +410,15 @@ def _audited(
     )
 
 
-def _heard(run_dir: Path) -> dict[Copy, int] | None:
+def _heard(run_dir: Path) -> Heard | None:
     """Every copy 0 in the capture, with the number of her recording; None where there is none."""
-    heard: dict[Copy, int] = {}
+    heard = Heard()
     try:
         reader = CaptureReader(run_dir / CAPTURE)
         for _, message in reader.records():
             if not isinstance(message, Sealed) and not message.copy_number:
                 copy = (message.topic, message.session, message.k)
-                heard.setdefault(copy, reader.lives)
+                heard.add(copy, reader.lives)
     except (CaptureError, OSError):
         return None
     return heard
@@ -392,19 +439,6 @@ def _same(run_dir: Path) -> bool | None:
             KeyStore(run_dir / CONTROLLER_KEYS, "controller") as controller,
             KeyStore(run_dir / PLANT_KEYS, "plant") as plant,
         ):
-            mine, theirs = controller.compare(), plant.compare()
-            kept = [
-                [name for name, state in store.ids() if state in ("confirmed", "delivered")]
-                for store in (controller, plant)
-            ]
+            return controller.same_as(plant)
     except StoreError:
         return None
-    shared = [name for name in mine if name in theirs]
-    in_order = shared == [name for name in theirs if name in mine]
-    alike = all(
-        mine[name] == theirs[name]
-        for name in shared
-        if mine[name] is not None and theirs[name] is not None
-    )
-    # the last block of a run may have been closed at one end only, and is confirmed at none
-    return in_order and alike and set(kept[0]) <= set(theirs) and set(kept[1]) <= set(mine)
