@@ -250,7 +250,7 @@ def open_end(
     from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
-    from plant_service.peer import PlantPeer
+    from plant_service.core import PlantCore
     from protocol.scenario import parse_scenario
     from protocol.streams import noise
     from runtime.pace import Pace
@@ -269,8 +269,8 @@ def open_end(
             return controller, files, controller.sender
         fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))
         plant, files = plants.open_plant(fast, now)
-        assert isinstance(plant, PlantPeer)
-        return plant, files, plant.plant.receiver
+        assert isinstance(plant, PlantCore)
+        return plant, files, plant
 
 
 def recorded(steps: int, scenario: str, folder: Path) -> dict[str, Life]:

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
-from plant_service import from_journal
+from plant_service import opening
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.device import DevicePeer, DevicePlant
-from plant_service.from_journal import plant_endpoint
+from plant_service.opening import open_core
 from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
@@ -97,7 +97,7 @@ class Bench:
         self.names = 0
         scenario = line(**link)
         self.news = PlantTelemetry(scenario, "realtime", seeded=True)
-        self.endpoint = plant_endpoint(
+        self.endpoint = open_core(
             scenario,
             self.journal,
             SeededSymbols(1, COIN),
@@ -117,7 +117,7 @@ class Bench:
 
     @property
     def record(self) -> Any:
-        return self.endpoint.plant.receiver.record
+        return self.endpoint.record
 
     def name(self) -> str:
         self.names += 1
@@ -134,18 +134,18 @@ class Bench:
         self.answer(now, "unknown-session")
 
     def answer(self, now: float, verdict: str) -> None:
-        receiver = self.endpoint.plant.receiver
+        receiver = self.endpoint
         session = receiver.record.session
         self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
 
     def hear(self, now: float, **said: Any) -> None:
-        fingerprint = self.endpoint.plant.receiver.rules.fingerprint
+        fingerprint = self.endpoint.rules.fingerprint
         hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Actions:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
-        size = self.endpoint.plant.receiver.rules.size
+        size = self.endpoint.rules.size
         candidates = rows[:size]
         offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
         return self.endpoint.receive(Offer, offer.wire(), now)
@@ -486,7 +486,7 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
     for step_s in (None, 0.1):
         device = Device()
         with pytest.raises(UsageError, match="--pace: expected realtime, as the plant is a device"):
-            plant_endpoint(
+            open_core(
                 line(),
                 MemoryPlantJournal(),
                 SeededSymbols(1, COIN),

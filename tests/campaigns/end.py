@@ -11,7 +11,7 @@ from math import inf
 from typing import Final, Literal, NamedTuple
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
@@ -119,7 +119,7 @@ class End:
             self.journal = MemoryControllerJournal(*PAYLOADS)
         else:
             self.journal = MemoryPlantJournal()
-        self.endpoint: ControllerPeer | PlantPeer
+        self.endpoint: ControllerPeer | PlantCore
         self._line: LinePlant | ActingLine | None = None
         self.mortal()
         self._begin_event()
@@ -174,7 +174,7 @@ class End:
 
     def new_session(self) -> str:
         """An id that no other session has."""
-        sessions = 0 if self._line is None else self._line.receiver.record.sessions
+        sessions = 0 if self._line is None else self.endpoint.record.sessions
         return f"{self.lives:08x}{sessions:08x}"
 
     def symbol(self, transition: int, size: int) -> int:
@@ -191,7 +191,7 @@ class End:
             session, k = self.endpoint.sender.record.session, self._heard_k
         else:
             assert self._line is not None
-            record = self._line.receiver.record
+            record = self.endpoint.record
             session, k = record.session, record.k
         drawn = _nonce(f"{self.side} {self.lives} {session} {k} {len(self._nonces)}")
         self._nonces.append(drawn)
@@ -337,7 +337,7 @@ class End:
                 self._line.coin, self._line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
-            if doing.pace == "late" and isinstance(endpoint, PlantPeer):
+            if doing.pace == "late" and isinstance(endpoint, PlantCore):
                 endpoint._answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
