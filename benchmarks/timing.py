@@ -34,9 +34,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
+    from protocol.link.receiver import Receiver
+
     from protocol.link.events import Event
     from protocol.link.peer import Notice, Peer, Write
-    from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
     from protocol.messages import Message, Status
     from protocol.secret.tasks import Done, Task

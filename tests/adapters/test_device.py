@@ -13,13 +13,12 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_service.device import DevicePeer, DevicePlant
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
-from plant_service import opening
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import open_plant
-from plant_service.device import DevicePeer, DevicePlant
 from plant_service.opening import open_core
 from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService

@@ -26,7 +26,7 @@ from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
-from tests.support.line_ends import LinePlant, line_controller, line_plant
+from tests.support.line_ends import LinePlant, Reports, line_controller, line_plant
 
 Side = Literal["plant", "controller"]
 
@@ -142,6 +142,7 @@ class End:
         self.again = self.ended = self.confirmed = self.answered = False
         self.things = 0
         self._nonces: list[str] = []
+        self._reports = Reports()
         self._heard_k = -1
 
     # --- lives ------------------------------------------------------------------------------------
@@ -174,7 +175,10 @@ class End:
 
     def new_session(self) -> str:
         """An id that no other session has."""
-        sessions = 0 if self._line is None else self.endpoint.record.sessions
+        sessions = 0
+        if self._line is not None:
+            assert isinstance(self.endpoint, PlantCore)
+            sessions = self.endpoint.record.sessions
         return f"{self.lives:08x}{sessions:08x}"
 
     def symbol(self, transition: int, size: int) -> int:
@@ -190,7 +194,7 @@ class End:
             assert isinstance(self.endpoint, ControllerPeer)
             session, k = self.endpoint.sender.record.session, self._heard_k
         else:
-            assert self._line is not None
+            assert isinstance(self.endpoint, PlantCore)
             record = self.endpoint.record
             session, k = record.session, record.k
         drawn = _nonce(f"{self.side} {self.lives} {session} {k} {len(self._nonces)}")
@@ -202,6 +206,7 @@ class End:
     def write(self, write: Write) -> None:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
+        self._reports.look(write)
         self.journal.write(write)
         if isinstance(write, Save) and write.received is not None:
             place = self.view.received

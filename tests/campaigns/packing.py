@@ -27,6 +27,7 @@ PASSING: Final = frozenset(
             "answered",
             "things",
             "_nonces",
+            "_reports",
             "_heard_k",
         ),  # of one event
     )

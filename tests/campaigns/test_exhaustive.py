@@ -5,12 +5,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from protocol.link.receiver import Receiver
 
 from protocol.link import keying, sender_session
 from protocol.link.ciphering import Ciphering
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
-from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import Contribution, contribution_of

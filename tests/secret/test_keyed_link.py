@@ -12,11 +12,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from protocol.link.receiver import Receiver
 
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Append, Peer
-from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.messages import Measurement
 from protocol.secret.blocks import Schedule

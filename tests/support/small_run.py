@@ -11,10 +11,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from protocol.link.receiver import Receiver
+
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.plant import Move, Plant, first_record
-from protocol.link.receiver import Receiver
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of

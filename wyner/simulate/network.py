@@ -17,8 +17,8 @@ from typing import Final, Literal, Protocol
 from controller_service.peer import ControllerPeer
 from plant_service import opening
 from plant_service.adapters.base import PlantAdapter, Stepped
-from plant_service.opening import open_core
 from plant_service.core import PlantCore
+from plant_service.opening import open_core
 from protocol.link.events import Applied, Event, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write

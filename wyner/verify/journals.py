@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.link.events import Applied
 from protocol.link.receiver import Receiver
+
+from protocol.link.events import Applied
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.streams import SystemSymbols
