@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_service.device import DevicePeer, DevicePlant
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
+from plant_service import opening
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.opening import open_core
@@ -104,7 +104,7 @@ class Bench:
             self.name,
             0.0,
             Pacing(1.0, scenario.link.repeats_per_period, 0.0),
-            news=self.news,
+            telemetry=self.news,
             own=device,
         )
         self.events: list[Any] = []
@@ -164,7 +164,7 @@ class Bench:
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
-    assert isinstance(bench.endpoint, DevicePeer)
+    assert bench.endpoint.plant.acts
     bench.device.calls.clear()
     actions = bench.offer(0.2)
     assert isinstance(actions.write, Append)
@@ -438,7 +438,7 @@ def test_the_watchdog_bites_once_and_for_good() -> None:
         bench.endpoint.wake(2.71)
     assert bench.device.calls[-1] == "safe"
     with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
-        bench.endpoint.plant.miss()
+        bench.endpoint._miss()
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["read", "begun"])
@@ -504,8 +504,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     service = PlantService(config, *buses, threading.Event())
-    plant = service.endpoint.plant
-    assert isinstance(plant, DevicePlant)
+    assert service.endpoint.plant.acts
     service.endpoint._moved = True
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
@@ -519,7 +518,7 @@ def device_service(
 ) -> PlantService:
     """The service of a plant that is a device in this process."""
     opened = partial(open_plant, own=device)
-    monkeypatch.setattr(from_journal, "open_plant", lambda scenario, *_: opened(scenario))
+    monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     return PlantService(config, *buses, stopping)

@@ -4,16 +4,16 @@ Time stands still but where it is asked for: a step ends when an offer was appli
 missed. What the core traced, saved and published is kept to be looked at.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from copy import copy, deepcopy
 from typing import Any
 
 from plant_service.core import HELLO_S, PlantCore
-from plant_service.plant import Coin
-from protocol.link.events import Applied, Event, SessionBegan
+from plant_service.plant import Coin, Plant
+from protocol.link.events import Applied, Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Append, Notice, Save
+from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
@@ -69,6 +69,8 @@ class PlantInHand:
     rules, instance, record, chunks, contributions, step
         As of :class:`plant_service.core.PlantCore`.
     fresh : NonceSource
+    plant, coin, fallback : optional
+        In place of those that do as they are told.
     """
 
     def __init__(
@@ -81,7 +83,9 @@ class PlantInHand:
         step: ReceiverStep | None = None,
         fresh: NonceSource = fresh_nonce,
         *,
-        telemetry: Any = None,
+        plant: Plant | None = None,
+        coin: Coin | None = None,
+        fallback: Callable[[Vector, Vector], Vector] | None = None,
     ) -> None:
         self.line = ScriptedLine()
         self.events: list[Event] = []
@@ -89,15 +93,15 @@ class PlantInHand:
         self.saved: list[Save] = []
         self.tasks: list[Task] = []
         self.appended: Append | None = None
-        self.published: list[tuple[type[Message], bytes]] = []
+        self.published: list[Outgoing] = []
         self._new = ""
         self._now = 0.0
         self._first: Measurement | None = None
         self.core = PlantCore(
             rules,
-            self.line,
-            self.line,
-            self.line.fall_back,
+            plant or self.line,
+            coin or self.line,
+            fallback or self.line.fall_back,
             Pacing(STEP_S, REPEATS, 0.0),
             lambda: self._new,
             0.0,
@@ -107,7 +111,6 @@ class PlantInHand:
             contributions=contributions,
             step=step,
             nonces=fresh,
-            telemetry=telemetry,
         )
         self.carry_out(self.core.start(0.0))
 
@@ -211,14 +214,14 @@ class PlantInHand:
                 verdict="greeting",
             )
             core = copy(self.core)  # a stranger's greeting leaves nothing behind
-            said = core.receive(ControllerHello, stranger.wire(), self._now).publish
+            said = list(core.receive(ControllerHello, stranger.wire(), self._now).publish)
         else:
             silent = self.core._state in ("silent", "unanswered")
             self.core._answered_at = self._now - SILENCE_S - 1 if silent else self._now
             self._now += HELLO_S
             self._forget()
             self.carry_out(self.core.wake(self._now))
-            said = tuple(self.published)  # type: ignore[assignment]
+            said = self.published
         (payload,) = [payload for kind, payload in said if kind is PlantHello]
         return PlantHello.model_validate_json(payload)
 
@@ -279,18 +282,24 @@ class PlantInHand:
 
     def applied(self, offer: Offer, coin: int, x_next: Vector) -> CountedTransition:
         """The offer is applied, and its step is over."""
-        self._begin(coin, x_next)
+        self.line.coin, self.line.x_next = coin, x_next
+        applied = self.takes(offer)
+        assert (applied.coin, applied.u) == (coin, offer.candidates[coin])
+        return applied.transition
+
+    def takes(self, offer: Offer) -> Applied:
+        """The offer is applied, and its step is over."""
+        self._first = None
         self.hear(Offer, offer.wire())
         (applied,) = [event for event in self.events if isinstance(event, Applied)]
-        assert (applied.coin, applied.u) == (coin, offer.candidates[coin])
         kept = self.events[:], self.notices[:], self.saved[:], self.appended
         self._tick()
         self.events, self.notices, self.saved, self.appended = kept
-        return applied.transition
+        return applied
 
     def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> ReceiverStep:
         """The offer is applied and saved, and the process is dead: what its journal has."""
-        self._begin(coin, x_next)
+        self.line.coin, self.line.x_next = coin, x_next
         self._forget()
         actions = self.core.receive(Offer, offer.wire(), self._now)
         assert isinstance(actions.write, Append)
@@ -308,13 +317,15 @@ class PlantInHand:
             Offer.model_validate_json(request), Measurement.model_validate_json(response), coin
         )
 
-    def _begin(self, coin: int, x_next: Vector) -> None:
-        self._first = None
-        self.line.coin, self.line.x_next = coin, x_next
-
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""
-        self.core._moved = True
         self.line.fallback, self.line.x_next = u, x_next
+        self.miss()
+
+    def miss(self) -> Missed:
+        """No offer comes in time."""
+        self.core._moved = True  # a plant that was never accepted misses no step
         self._first = None
         self._tick()
+        (missed,) = [event for event in self.events if isinstance(event, Missed)]
+        return missed

@@ -17,11 +17,13 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
-from plant_service.plant import Plant, PlantStep, first_record
+from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
+from protocol.link.events import Applied
 from protocol.link.peer import Save
+from protocol.link.session import rules_of
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -35,7 +37,6 @@ from protocol.messages import (
     SendReply,
 )
 from protocol.scenario import Scenario
-from protocol.streams import COIN, noise, symbols
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE, Failure, UsageError
 from runtime.journal import ControllerJournal, PlantJournal
@@ -52,6 +53,7 @@ from runtime.run_folder import (
 )
 from runtime.shipped import SCENARIOS
 from runtime.trace import read_trace
+from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
 from wyner.cli.main import main
 
@@ -392,15 +394,14 @@ def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: fl
 def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> None:
     news = PlantTelemetry(sustained, "fast", seeded=False)
     record = first_record(sustained, "2" * 16)
-    plant = Plant(sustained, "1" * 16, symbols(1, COIN), noise(1, sustained.n), record, "")
-    receiver = plant.receiver
-    offer = Offer(session="2" * 16, k=0, candidates=((1.7e308,), (0.0,)), cipher=0)
-    x = receiver.record.x
-    effects = receiver.applied(offer, 1, (0.0, 0.0))
+    plant = PlantInHand(rules_of(sustained), "1" * 16, record)
+    offer = Offer(session="2" * 16, k=0, candidates=((0.5,), (0.0,)), cipher=0)
+    plant.applied(offer, 1, (0.0, 0.0))
+    (applied,) = [event for event in plant.events if isinstance(event, Applied)]
     gauges = (float("inf"), 1.0)
-    transition = effects.transition._replace(verdict=AgreementResult(gauges, -1))
-    news.counted(PlantStep(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
-    status = news.status(receiver, 0, 1.0)
+    transition = applied.transition._replace(verdict=AgreementResult(gauges, -1))
+    news.counted(applied._replace(transition=transition))
+    status = news.status(plant.record, plant.deframer, plant.keying, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
 
@@ -409,7 +410,7 @@ def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System
     put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
     with system.plant("x20") as plant, system.controller(b"one") as controller:
         system.wait(lambda: system.k > 10)
-        true = plant.endpoint.measurement()
+        true = plant.endpoint._measurement()
         system.wait(lambda: controller.sender.record.k > true.k)
         put(far_ahead(controller, plant).wire())
         system.wait(lambda: controller.sender.record.k == 10**18)
