@@ -13,7 +13,10 @@ from typing import Any, Final, Literal
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.plant import first_record
+from plant_service.opening import first_record
+from plant_service.plant import Coin, Disturbances, LinearModel
+from protocol.link.events import Applied, Recovered, SessionBegan
+from protocol.link.fallback import Fallback
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
