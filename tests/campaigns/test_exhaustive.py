@@ -164,7 +164,7 @@ def count_any_copy(patch: Patch) -> None:
     def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Contribution:
         return contribution_of(applied_copy=0, measurement=measurement, **of)
 
-    patch.setattr(keying, "contribution", wrong)
+    patch.setattr(keying, "contribution_of", wrong)
 
 
 def announce_at_once(patch: Patch) -> None:

@@ -175,7 +175,7 @@ def nonces_swapped(patch: pytest.MonkeyPatch) -> None:
             )
         return contribution
 
-    patch.setattr(keying_module, "contribution", wrong)
+    patch.setattr(keying_module, "contribution_of", wrong)
 
 
 def both_own_all(patch: pytest.MonkeyPatch) -> None:
