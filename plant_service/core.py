@@ -530,7 +530,7 @@ class PlantCore:
         A cover symbol is worked on as a message symbol is, and thrown away: what comes after a step
         delays the next one, and would show.
         """
-        offer, coin, x_next, record = step.offer, step.coin, report.x, self.record
+        offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
         verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next)
         after, carry = scheme.follow(record.state, verdict.symbol)
@@ -559,7 +559,7 @@ class PlantCore:
         self.record = record._replace(
             k=record.k + 1,
             x=x_next,
-            u=step.u,
+            u=u,
             applied_k=record.k,
             x_after=x_next,
             partial=partial,
@@ -582,7 +582,7 @@ class PlantCore:
         self._coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         return self._counted_actions(
-            Applied(transition, coin, step.u), chunk, frame, contribution, judged
+            Applied(transition, coin, u), chunk, frame, contribution, judged
         )
 
     def _counted_actions(
