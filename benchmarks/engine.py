@@ -13,8 +13,7 @@ from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.design import Design
-from plant_service.disturbance import disturbance
-from plant_service.plant import linear_advance
+from plant_service.plant import Disturbances, LinearModel
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -54,13 +53,14 @@ def shipped(name: str) -> Scenario:
 def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> list[int]:
     """One run through the functions of the services, step by step."""
     noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
-    size, advance = scenario.secrecy.candidates, linear_advance(scenario)
+    size, plant = scenario.secrecy.candidates, LinearModel(scenario, Disturbances(scenario, noise))
 
     def toss(k: int) -> int:
         return int(coins.at(k)[0] * size)
 
     def move(k: int, x: Vector, u: Vector) -> Vector:
-        return advance(k, x, u, disturbance(scenario.plant.disturbance, k, noise.at(k)))
+        plant.begin(k, x, u)
+        return plant.end(k)
 
     judge, x = rules_of(scenario).judge, scenario.initial_state
     loop = closed_loop(law.candidates, judge, toss, move, x, steps)

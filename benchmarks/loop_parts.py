@@ -131,7 +131,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     """Plant and controller in lock-step, everything but transport and telemetry."""
     from controller_service.laws.registry import cached_design, make_law
     from controller_service.peer import ControllerPeer
-    from plant_service.from_journal import plant_endpoint
+    from plant_service.opening import open_core
     from protocol.link.pacing import Pacing
     from protocol.link.sender import Sender
     from protocol.link.session import rules_of
@@ -164,7 +164,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     coin, disturbances = symbols(None, COIN), noise(None, scenario.n)
     now = time.monotonic()
     pacing = Pacing(None, scenario.link.repeats_per_period, now)
-    plant = plant_endpoint(scenario, journal, coin, disturbances, new_id, now, pacing)
+    plant = open_core(scenario, journal, coin, disturbances, new_id, now, pacing)
     traces = [
         TraceWriter(folder / CONTROLLER_TRACE, "controller", {}),
         TraceWriter(folder / PLANT_TRACE, "plant", {}),
@@ -179,7 +179,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     ]
     for _name, endpoint, ports in ends:
         perform(endpoint.start(time.monotonic()), endpoint, ports)
-    while plant.plant.receiver.record.k < steps:
+    while plant.record.k < steps:
         for name, endpoint, ports in ends:
             now = time.monotonic()
             if endpoint.wake_at() <= now:

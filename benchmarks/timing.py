@@ -35,9 +35,9 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
+    from plant_service.core import PlantCore
     from protocol.link.events import Event
     from protocol.link.peer import Notice, Peer, Write
-    from protocol.link.receiver import Receiver
     from protocol.link.sender import Sender
     from protocol.messages import Message, Status
     from protocol.secret.tasks import Done, Task
@@ -189,7 +189,7 @@ class LivingEnd:
         self._perform = perform
         with self._drawing():
             self.endpoint, files, end = open_end(side, scenario, folder, life.began)
-            self.end: Sender | Receiver = end
+            self.end: Sender | PlantCore = end
             self.ports = TimingPorts(files)
             perform(self.endpoint.start(life.began), self.endpoint, self.ports)
 
@@ -243,12 +243,11 @@ class LivingEnd:
 
 def open_end(
     side: str, name: str, folder: Path, now: float
-) -> "tuple[Peer, Files, Sender] | tuple[Peer, Files, Receiver]":
+) -> "tuple[Peer, Files, Sender] | tuple[Peer, Files, PlantCore]":
     """An end of the scenario's link as the services open it."""
     from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
-    from plant_service.peer import PlantPeer
     from protocol.scenario import parse_scenario
     from protocol.streams import noise
     from runtime.pace import Pace
@@ -267,8 +266,7 @@ def open_end(
             return controller, files, controller.sender
         fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))
         plant, files = plants.open_plant(fast, now)
-        assert isinstance(plant, PlantPeer)
-        return plant, files, plant.plant.receiver
+        return plant, files, plant
 
 
 def recorded(steps: int, scenario: str, folder: Path) -> dict[str, Life]:

@@ -1,173 +1,143 @@
-"""The plant, pure: its dynamics, its coin and the receiving end, one step at a time.
+"""What the plant's core moves: one interface, a step of which is begun and ended.
 
-Time, files and networks are the shell's (:mod:`plant_service.service`); the single-process
-simulation drives the same class.
+A computed model, a simulation and a device differ in two facts: whether a step acts, and whether
+the plant moves by itself. The order of a step is the core's (:mod:`plant_service.core`).
 """
 
-from collections.abc import Callable, Iterable
 from math import isfinite
 from operator import add
-from typing import NamedTuple
+from typing import Protocol
 
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
-from protocol.link.fallback import Fallback
-from protocol.link.receiver import Receiver, ReceiverEffects
-from protocol.link.records import ReceiverRecord
-from protocol.link.session import rules_of
-from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
-from protocol.secret.nonces import Contribution
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import Failure
 
 
-class PlantStep(NamedTuple):
-    """One step of the plant: the input that was in force, and where it led.
+class Plant(Protocol):
+    """What is stepped.
 
-    ``coin`` is b_r and ``effects`` what the receiver made of it; both are None on a missed step.
+    Attributes
+    ----------
+    acts : bool
+        A step cannot be made twice, so its coin is saved before it begins. A step that does not
+        act begins and ends at once, and a process that died computes it again.
+    device : bool
+        The plant moves by itself. A step without an offer goes on under the input in force, and
+        the fallback is applied for the step after it.
     """
 
-    k: int
-    x: Vector
-    u: Vector
-    x_next: Vector
-    coin: int | None
-    effects: ReceiverEffects | None
+    acts: bool
+    device: bool
+
+    def prepare(self, k: int) -> None:
+        """Step ``k`` comes next, and nobody waits: draw what it needs."""
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        """Apply ``u`` at x(k)."""
+
+    def end(self, k: int) -> Vector:
+        """x(k+1), at the end of step ``k``."""
+
+    def safe(self, why: str) -> None:
+        """Go to the safe state."""
+
+    def close(self) -> str:
+        """Let go of the plant; what its own code raised over it in one line, or nothing."""
 
 
-class Draw(NamedTuple):
-    """What chance has decided for transition j and step k: the coin b_r and the disturbance d."""
+class Coin:
+    """b_r, the plant's choice of a candidate, drawn ahead where there is time.
 
-    j: int
-    k: int
-    coin: int
-    d: Vector
+    Parameters
+    ----------
+    source : SymbolSource
+        Draw j belongs to transition j.
+    size : int
+        M.
+    """
 
+    def __init__(self, source: SymbolSource, size: int) -> None:
+        self._source = source
+        self._size = size
+        self._j = -1
+        self._drawn = 0
 
-class Move(NamedTuple):
-    """A step that was made and is not counted yet: the offer, the coin b_r, and x(k+1)."""
+    def prepare(self, j: int) -> None:
+        """Transition ``j`` comes next, and nobody waits."""
+        self._j, self._drawn = j, self._source.symbol(j, self._size)
 
-    offer: Offer
-    coin: int
-    x_next: Vector
-
-
-def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
-    """The record of a plant that has not moved yet; ``x`` is its first reading, if it has one."""
-    start = scenario.initial_state if x is None else x
-    return ReceiverRecord(session=session, k=0, x=start, u=(0.0,) * scenario.m)
-
-
-Advance = Callable[[int, Vector, Vector, Vector], Vector]
-"""(k, x, u, d) -> x(k+1): a step that can be computed as often as one likes."""
-
-
-def linear_advance(scenario: Scenario) -> Advance:
-    """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component."""
-    A, B = scenario.plant_model
-
-    def advance(k: int, x: Vector, u: Vector, d: Vector) -> Vector:
-        x_next = tuple(map(add, predict(A, B, x, u), d))
-        if not all(map(isfinite, x_next)):
-            raise Failure(f"the state is no longer finite at step {k + 1}")
-        return x_next
-
-    return advance
+    def toss(self, j: int) -> int:
+        """b_r of transition ``j``."""
+        return self._drawn if j == self._j else self._source.symbol(j, self._size)
 
 
-def resuming_advance(operated: Operated, enters: str) -> Advance:
-    """Of a simulated plant whose reading is all its state: it is put there, and stepped."""
-
-    def advance(k: int, x: Vector, u: Vector, d: Vector) -> Vector:
-        operated.resume(x, k)
-        operated.apply(u, d if enters == "input" else None)
-        return operated.sample(d if enters == "state" else None)
-
-    return advance
-
-
-class Plant:
-    """A plant whose steps can be computed as often as one likes, with its receiver.
+class Disturbances:
+    """The simulated disturbance d(k), drawn ahead where there is time.
 
     Parameters
     ----------
     scenario : Scenario
-    instance : str
-        Random id of this process.
-    coin : SymbolSource
-        The plant's own coin b_r; draw j belongs to transition j.
     noise : Stream
-        Uniform numbers for the disturbance; draw k belongs to step k.
-    record : ReceiverRecord
-        As read back from the journal, or a new session's.
-    chunks : str
-        Symbols of the frame under way that have left the record.
-    raws : iterable of Raw
-        Rows of key blocks that are not settled.
-    said : Measurement, optional
-        Of a step that is to be counted first.
-    advance : Advance, optional
-        One step; the linear plant's by default.
+        Uniform numbers; draw k belongs to step k.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        instance: str,
-        coin: SymbolSource,
-        noise: Stream,
-        record: ReceiverRecord,
-        chunks: str,
-        contributions: Iterable[Contribution] = (),
-        said: Measurement | None = None,
-        advance: Advance | None = None,
-    ) -> None:
-        self.receiver = Receiver(rules_of(scenario), instance, record, chunks, contributions, said)
-        self._plant = scenario.plant
-        self._advance = advance or linear_advance(scenario)
-        self._fallback = Fallback.of(scenario)
-        self._size = scenario.secrecy.candidates
-        self._coin = coin
+    def __init__(self, scenario: Scenario, noise: Stream) -> None:
+        self._spec = scenario.plant.disturbance
         self._noise = noise
-        self._drawn: Draw | None = None
+        self._k = -1
+        self._d: Vector = ()
 
-    def move(self, offer: Offer) -> Move:
-        """Choose one input of the current ``offer`` by the coin, and apply it (Fig. 5)."""
-        record = self.receiver.record
-        draw = self._drawn
-        if draw is None or (draw.j, draw.k) != (record.transitions, record.k):
-            draw = self._draw()
-        x_next = self._advance(record.k, record.x, offer.candidates[draw.coin], draw.d)
-        return Move(offer, draw.coin, x_next)
+    def at(self, k: int) -> Vector:
+        """d(k); empty where the scenario has none."""
+        if k != self._k:
+            spec = self._spec
+            self._d = disturbance(spec, k, self._noise.at(k)) if spec.half_widths else ()
+            self._k = k
+        return self._d
 
-    def count(self, move: Move) -> PlantStep:
-        """Count the transition that ``move`` made, and draw for the one to come."""
-        offer, coin, x_next = move
-        record = self.receiver.record
-        effects = self.receiver.applied(offer, coin, x_next)
-        self._drawn = self._draw()
-        return PlantStep(record.k, record.x, offer.candidates[coin], x_next, coin, effects)
 
-    def miss(self) -> PlantStep:
-        """No offer came in time: apply the fallback (rule 4)."""
-        record = self.receiver.record
-        u = self._fallback.input(record.x, record.u)
-        x_next = self._advance(record.k, record.x, u, self._disturbance(record.k))
-        self.receiver.missed(u, x_next)
-        return PlantStep(record.k, record.x, u, x_next, None, None)
+class LinearModel:
+    """x+ = A x + B u + d, the sum of the prediction and the disturbance, by component.
 
-    def _draw(self) -> Draw:
-        """The coin of the next transition and the disturbance of the next step."""
-        record = self.receiver.record
-        j, k = record.transitions, record.k
-        return Draw(j, k, self._coin.symbol(j, self._size), self._disturbance(k))
+    Parameters
+    ----------
+    scenario : Scenario
+    disturbances : Disturbances
+    """
 
-    def _disturbance(self, k: int) -> Vector:
-        spec = self._plant.disturbance
-        return disturbance(spec, k, self._noise.at(k)) if spec.half_widths else ()
+    acts = device = False
+
+    def __init__(self, scenario: Scenario, disturbances: Disturbances) -> None:
+        self._A, self._B = scenario.plant_model
+        self._disturbances = disturbances
+        self._x: Vector = ()
+        self._u: Vector = ()
+
+    def prepare(self, k: int) -> None:
+        """Draw d(k)."""
+        self._disturbances.at(k)
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
+        """Stand at ``x``, with ``u`` applied."""
+        self._x, self._u = x, u
+
+    def end(self, k: int) -> Vector:
+        """x(k+1).
+
+        Raises
+        ------
+        Failure
+            When it is no longer finite.
+        """
+        d = self._disturbances.at(k)
+        x_next = tuple(map(add, predict(self._A, self._B, self._x, self._u), d))
+        if not all(map(isfinite, x_next)):
+            raise Failure(f"the state is no longer finite at step {k + 1}")
+        return x_next
 
     def safe(self, why: str) -> None:
         """Nothing moves that would have to be stopped."""
@@ -175,3 +145,57 @@ class Plant:
     def close(self) -> str:
         """Nothing is open, and nothing fails."""
         return ""
+
+
+class OperatedPlant:
+    """A device, or a simulation that somebody else wrote.
+
+    A simulation whose reading is all its state is put where the step begins, and does not act.
+
+    Parameters
+    ----------
+    operated : Operated
+        Started already.
+    disturbances : Disturbances
+    enters : {"state", "input", "none"}
+        Where the simulated disturbance reaches the plant.
+    """
+
+    def __init__(self, operated: Operated, disturbances: Disturbances, enters: str) -> None:
+        self.operated = operated
+        self.device = operated.device
+        self.acts = operated.device or not operated.resumable
+        self._disturbances = disturbances
+        self._enters = enters
+
+    def prepare(self, k: int) -> None:
+        """Draw d(k)."""
+        self._disturbances.at(k)
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        """Apply ``u`` now.
+
+        Raises
+        ------
+        PlantError
+        """
+        if not self.acts:
+            self.operated.resume(x, k)
+        self.operated.apply(u, self._disturbances.at(k) if self._enters == "input" else None)
+
+    def end(self, k: int) -> Vector:
+        """x(k+1), as it is read.
+
+        Raises
+        ------
+        PlantError
+        """
+        return self.operated.sample(self._disturbances.at(k) if self._enters == "state" else None)
+
+    def safe(self, why: str) -> None:
+        """Send the plant to its safe state."""
+        self.operated.safe(why)
+
+    def close(self) -> str:
+        """Let go of the plant; what its own code raised over it, or nothing."""
+        return self.operated.close()

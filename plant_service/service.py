@@ -1,4 +1,4 @@
-"""The plant service: its configuration, its endpoint, and the host that runs it."""
+"""The plant service: its configuration, its core, and the host that runs it."""
 
 import threading
 import time
@@ -9,8 +9,8 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
-from plant_service.from_journal import plant_endpoint
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
+from plant_service.opening import open_core
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.streams import COIN, noise, symbols
@@ -52,7 +52,7 @@ class PlantConfig(EndConfig):
 
 def open_plant(
     config: PlantConfig, now: float, *, phase: float | None = None, status_s: float = STATUS_S
-) -> tuple[PlantPeer, Files]:
+) -> tuple[PlantCore, Files]:
     """The plant's end of one loop as its journal has it, and its files.
 
     Parameters
@@ -72,37 +72,37 @@ def open_plant(
     """
     with ExitStack() as undone:
         try:
-            endpoint, files = _opened(config, now, phase, status_s, undone)
+            core, files = _opened(config, now, phase, status_s, undone)
         except (JournalError, PlantError) as error:
             raise UsageError(str(error)) from None
         undone.pop_all()
-    return endpoint, files
+    return core, files
 
 
-def let_go(endpoint: PlantPeer) -> None:
+def let_go(core: PlantCore) -> None:
     """Leave a plant safe whose service does not come to run."""
-    endpoint.plant.safe("its service could not start")
-    endpoint.plant.close()
+    core.plant.safe("its service could not start")
+    core.plant.close()
 
 
 def _opened(
     config: PlantConfig, now: float, phase: float | None, status_s: float, undone: ExitStack
-) -> tuple[PlantPeer, Files]:
+) -> tuple[PlantCore, Files]:
     """As :func:`open_plant`; ``undone`` closes what is open where something fails."""
     scenario, seeded = config.scenario, config.seed is not None
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
-    news = PlantTelemetry(scenario, config.pace.text, seeded=seeded)
+    telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
     key_maker = open_keeper(
         *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
         *(config.secret, journal.load()),
     )
     if scenario.keys is not None:
-        news.keys_refused = refusal(scenario, config.seed) or ""
+        telemetry.keys_refused = refusal(scenario, config.seed) or ""
     for payload in journal.inbox(1):
-        news.last_message = readable(payload)
+        telemetry.last_message = readable(payload)
     step_s = config.pace.step_s(scenario.plant.period_s)
-    endpoint = plant_endpoint(
+    core = open_core(
         scenario,
         journal,
         symbols(config.seed, COIN),
@@ -111,17 +111,16 @@ def _opened(
         now,
         Pacing(step_s, scenario.link.repeats_per_period, now, phase),
         steps=config.steps,
-        news=news,
+        telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
-        status_s=status_s,
     )
-    undone.callback(let_go, endpoint)
+    undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    return endpoint, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
+    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
 
 
-class PlantService(EndService[PlantPeer]):
+class PlantService(EndService[PlantCore]):
     """Runs one plant until it is told to stop, or has made its steps.
 
     Its parameters are those of :class:`EndService`.
@@ -152,7 +151,7 @@ class PlantService(EndService[PlantPeer]):
         except BaseException:
             let_go(opened[0])
             raise
-        record = self.endpoint.plant.receiver.record
+        record = self.endpoint.record
         code = getattr(config.scenario.plant, "object", None)
         if code is not None:
             log.info("plant.object: running %s, from %s", code, config.folder.resolve())
@@ -195,7 +194,7 @@ def run_plants(
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
 
-    def open_end(loop: FleetLoop, number: int) -> tuple[PlantPeer, Files]:
+    def open_end(loop: FleetLoop, number: int) -> tuple[PlantCore, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         scenario = scenario_of(loop.scenario)

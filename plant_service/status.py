@@ -3,16 +3,19 @@
 import time
 from bisect import bisect_left
 from collections import deque
-from math import isfinite
+from math import inf, isfinite
 from typing import Final, Literal
 
-from plant_service.plant import PlantStep
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.receiver import Receiver
+from protocol.link.events import Applied
+from protocol.link.keying import Keying
+from protocol.link.pacing import HEALTH_S, STATUS_S
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import LATENCY_BOUNDS_S, PlantModel, PlantStatus
 from protocol.scenario import Scenario
-from protocol.text import Shown
+from protocol.schemes.framing import Deframer
+from protocol.text import Shown, readable
 
 TAIL: Final = 64
 """Transitions shown in a whole status, and at most in any."""
@@ -23,17 +26,36 @@ TAIL_AT_LEAST: Final = 8
 RATE_S: Final = 0.5
 """Seconds over which the rate of steps is taken."""
 
+MODEL_S: Final = 1.0
+"""Seconds between two publications of the plant's model, where statuses come often."""
+
+MODEL_AFTER: Final = 4
+"""Where they come seldom, the model is published with every 4th status."""
+
 Phase = Literal["greeting", "running", "stopped", "refused"]
 
 
 class PlantTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``last_message`` and ``message_k`` are set by the service;
+    ``phase``, ``detail``, ``late``, ``last_message`` and ``message_k`` are set from outside;
     ``model`` is what does not change, as it travels.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    pace : str
+        As the operator gave it.
+    seeded : bool
+        Whether the run's symbols can be predicted.
+    status_s : float
+        Seconds between statuses.
     """
 
-    def __init__(self, scenario: Scenario, pace: str, *, seeded: bool) -> None:
+    def __init__(
+        self, scenario: Scenario, pace: str, *, seeded: bool, status_s: float = STATUS_S
+    ) -> None:
+        self.status_s = status_s
         self.phase: Phase = "greeting"
         self.detail = ""
         self.late = 0
@@ -50,28 +72,52 @@ class PlantTelemetry:
         self._seq = 0
         self._rate_mark = (0.0, 0)
         self._rate_hz = 0.0
+        self._published = 0
+        self._health_at = -inf
 
     def answered(self, seconds: float) -> None:
         """Count an offer that came so long after its measurement."""
         self._latencies[bisect_left(LATENCY_BOUNDS_S, seconds)] += 1
 
-    def counted(self, step: PlantStep) -> str | None:
-        """Take in a counted step; a line the first time that the promise of D_c is contradicted."""
-        assert step.effects is not None
-        assert step.coin is not None
-        self._tail.append((step.effects.transition, step.coin))
+    def counted(self, applied: Applied) -> str | None:
+        """Take in a transition; a line the first time that the promise of D_c is contradicted."""
+        self._tail.append((applied.transition, applied.coin))
         self._new += 1
-        return self.watch.counted(step.effects.transition, step.coin)
+        return self.watch.counted(applied.transition, applied.coin)
+
+    def recovered(self, payload: bytes, k: int) -> None:
+        """A message came through at step ``k``."""
+        self.last_message = readable(payload)
+        self.message_k = k
+
+    def model_is_due(self) -> bool:
+        """Whether the status to be published now is a whole one, with the model before it."""
+        whole = self._published % max(MODEL_AFTER, round(MODEL_S / self.status_s)) == 0
+        self._published += 1
+        return whole
+
+    def health_is_due(self, now_s: float, *, force: bool) -> bool:
+        """Whether a status is to be kept in the run's folder: once in :data:`HEALTH_S`."""
+        due = force or now_s >= self._health_at
+        if due:
+            self._health_at = now_s + HEALTH_S
+        return due
 
     def status(
-        self, receiver: Receiver, malformed: int, now_s: float, *, whole: bool = True
+        self,
+        record: ReceiverRecord,
+        deframer: Deframer,
+        keying: Keying,
+        malformed: int,
+        now_s: float,
+        *,
+        whole: bool = True,
     ) -> PlantStatus:
         """What the dashboard is told at monotonic time ``now_s``.
 
         A ``whole`` one shows all transitions that are remembered, for whoever has not heard the
         statuses before; the others what came since the last but one, should the last be lost.
         """
-        record = receiver.record
         mark, transitions = self._rate_mark
         if now_s - mark >= RATE_S:
             self._rate_hz = max(0.0, (record.transitions - transitions) / (now_s - mark))
@@ -104,16 +150,16 @@ class PlantTelemetry:
             last_message=self.last_message,
             message_k=self.message_k,
             latency_counts=tuple(self._latencies),
-            partial=self._partial.text(receiver.deframer.partial),
-            frame_symbols=len(receiver.deframer.symbols),
-            frame_length=receiver.deframer.expected_length,
+            partial=self._partial.text(deframer.partial),
+            frame_symbols=len(deframer.symbols),
+            frame_length=deframer.expected_length,
             frames_refused=record.frames_refused,
             outside=self.watch.outside,
             unexplained=self.watch.unexplained,
             sampled_late_s=self.punctuality.sampled_late_s,
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
-            **receiver.keying.told(self.keys_refused),
+            **keying.told(self.keys_refused),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=pictured.x if pictured else (),

@@ -1,7 +1,7 @@
 """Diagrams and tables of the documents, made from the schemes and messages that the programs use.
 
 ``python -m tools.diagrams --write`` puts them between their markers in
-docs/architecture.md; a test says when they are stale.
+docs/architecture.md and docs/protocol.md; a test says when they are stale.
 """
 
 import re
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link import plant_session as plants
 from protocol.messages import FIELD, INTEL, OPS, Message
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
@@ -19,6 +20,7 @@ from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
+PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
 
 _MARKED: Final = re.compile(
     r"(?P<begin><!-- generated: (?P<name>[a-z-]+) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
@@ -84,15 +86,45 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
     return "\n".join([*lines, ""])
 
 
+def plant_session() -> str:
+    """How a plant stands with a controller, what it may hear, and what comes of it."""
+    columns = [state for state in plants.STATES if state != "refused"]
+    lines = ["| state | |", "|---|---|"]
+    lines += [f"| *{state}* | {meaning} |" for state, meaning in plants.STATES.items()]
+    lines += ["", "| what is heard | |", "|---|---|"]
+    lines += [f"| {name} | {meaning} |" for name, meaning in plants.HEARD.items()]
+    lines += ["", "| answer | |", "|---|---|"]
+    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in plants.ANSWERS.items()]
+    lines += ["", "| heard, in state | " + " | ".join(f"*{state}*" for state in columns) + " |"]
+    lines.append("|---|" + "---|" * len(columns))
+    for name in plants.HEARD:
+        cells = [_cell(state, plants.TABLE[state, name]) for state in columns]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join([*lines, ""])
+
+
+def _cell(state: str, row: plants.Row) -> str:
+    """A row of the table: the answer, and the next state where it is another one."""
+    answer = "" if row.answer == "nothing" else f"**{row.answer}**"
+    following = "" if row.next == state else f"*{row.next}*"
+    return ", ".join(filter(None, (answer, following))) or "–"
+
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
     **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
     "ops": lambda: wire_table(OPS),
     "intel": lambda: wire_table(INTEL),
 }
+"""Of docs/architecture.md."""
+
+PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {"plant-session": plant_session}
+"""Of docs/protocol.md."""
+
+DOCUMENTS: Final = {DOCUMENT: PARTS, PROTOCOL: PROTOCOL_PARTS}
 
 
-def refreshed(text: str) -> str:
+def refreshed(text: str, parts: dict[str, Callable[[], str]] = PARTS) -> str:
     """``text`` with every marked part made anew.
 
     Raises
@@ -101,22 +133,24 @@ def refreshed(text: str) -> str:
         When a marker names no part, or a part has no marker.
     """
     names = [match["name"] for match in _MARKED.finditer(text)]
-    if sorted(names) != sorted(PARTS):
-        raise ValueError(f"markers: got {sorted(names)}, expected {sorted(PARTS)}")
-    return _MARKED.sub(lambda m: m["begin"] + PARTS[m["name"]]() + m["end"], text)
+    if sorted(names) != sorted(parts):
+        raise ValueError(f"markers: got {sorted(names)}, expected {sorted(parts)}")
+    return _MARKED.sub(lambda m: m["begin"] + parts[m["name"]]() + m["end"], text)
 
 
 def main(argv: Sequence[str]) -> int:
-    """Print the parts, or write them into the document."""
+    """Print the parts, or write them into the documents."""
     if list(argv) == ["--write"]:
-        text = DOCUMENT.read_text(encoding="utf-8")
-        write_atomically(DOCUMENT, refreshed(text).encode(), PUBLIC_FILE)
+        for document, parts in DOCUMENTS.items():
+            text = document.read_text(encoding="utf-8")
+            write_atomically(document, refreshed(text, parts).encode(), PUBLIC_FILE)
         return DONE
     if argv:
         print("usage: python -m tools.diagrams [--write]", file=sys.stderr)
         return USAGE
-    for name, part in PARTS.items():
-        print(f"{name}\n\n{part()}")
+    for parts in DOCUMENTS.values():
+        for name, part in parts.items():
+            print(f"{name}\n\n{part()}")
     return DONE
 
 

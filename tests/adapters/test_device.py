@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
-from plant_service import from_journal
+from plant_service import opening
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import open_plant
-from plant_service.device import DevicePeer, DevicePlant
-from plant_service.from_journal import plant_endpoint
+from plant_service.opening import open_core
 from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
@@ -98,7 +97,7 @@ class Bench:
         self.names = 0
         scenario = line(**link)
         self.news = PlantTelemetry(scenario, "realtime", seeded=True)
-        self.endpoint = plant_endpoint(
+        self.endpoint = open_core(
             scenario,
             self.journal,
             SeededSymbols(1, COIN),
@@ -106,7 +105,7 @@ class Bench:
             self.name,
             0.0,
             Pacing(1.0, scenario.link.repeats_per_period, 0.0),
-            news=self.news,
+            telemetry=self.news,
             own=device,
         )
         self.events: list[Any] = []
@@ -118,7 +117,7 @@ class Bench:
 
     @property
     def record(self) -> Any:
-        return self.endpoint.plant.receiver.record
+        return self.endpoint.record
 
     def name(self) -> str:
         self.names += 1
@@ -135,18 +134,18 @@ class Bench:
         self.answer(now, "unknown-session")
 
     def answer(self, now: float, verdict: str) -> None:
-        receiver = self.endpoint.plant.receiver
+        receiver = self.endpoint
         session = receiver.record.session
         self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
 
     def hear(self, now: float, **said: Any) -> None:
-        fingerprint = self.endpoint.plant.receiver.rules.fingerprint
+        fingerprint = self.endpoint.rules.fingerprint
         hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Actions:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
-        size = self.endpoint.plant.receiver.rules.size
+        size = self.endpoint.rules.size
         candidates = rows[:size]
         offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
         return self.endpoint.receive(Offer, offer.wire(), now)
@@ -166,7 +165,7 @@ class Bench:
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
-    assert isinstance(bench.endpoint, DevicePeer)
+    assert bench.endpoint.plant.acts
     bench.device.calls.clear()
     actions = bench.offer(0.2)
     assert isinstance(actions.write, Append)
@@ -440,7 +439,7 @@ def test_the_watchdog_bites_once_and_for_good() -> None:
         bench.endpoint.wake(2.71)
     assert bench.device.calls[-1] == "safe"
     with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
-        bench.endpoint.plant.miss()
+        bench.endpoint._miss()
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["read", "begun"])
@@ -487,7 +486,7 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
     for step_s in (None, 0.1):
         device = Device()
         with pytest.raises(UsageError, match="--pace: expected realtime, as the plant is a device"):
-            plant_endpoint(
+            open_core(
                 line(),
                 MemoryPlantJournal(),
                 SeededSymbols(1, COIN),
@@ -506,8 +505,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     service = PlantService(config, *buses, threading.Event())
-    plant = service.endpoint.plant
-    assert isinstance(plant, DevicePlant)
+    assert service.endpoint.plant.acts
     service.endpoint._moved = True
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
@@ -521,7 +519,7 @@ def device_service(
 ) -> PlantService:
     """The service of a plant that is a device in this process."""
     opened = partial(open_plant, own=device)
-    monkeypatch.setattr(from_journal, "open_plant", lambda scenario, *_: opened(scenario))
+    monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     return PlantService(config, *buses, stopping)

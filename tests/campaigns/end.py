@@ -11,7 +11,7 @@ from math import inf
 from typing import Final, Literal, NamedTuple
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
@@ -26,7 +26,7 @@ from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
-from tests.support.line_ends import LinePlant, line_controller, line_plant
+from tests.support.line_ends import LinePlant, Reports, line_controller, line_plant
 
 Side = Literal["plant", "controller"]
 
@@ -119,7 +119,7 @@ class End:
             self.journal = MemoryControllerJournal(*PAYLOADS)
         else:
             self.journal = MemoryPlantJournal()
-        self.endpoint: ControllerPeer | PlantPeer
+        self.endpoint: ControllerPeer | PlantCore
         self._line: LinePlant | ActingLine | None = None
         self.mortal()
         self._begin_event()
@@ -142,6 +142,7 @@ class End:
         self.again = self.ended = self.confirmed = self.answered = False
         self.things = 0
         self._nonces: list[str] = []
+        self._reports = Reports()
         self._heard_k = -1
 
     # --- lives ------------------------------------------------------------------------------------
@@ -174,7 +175,10 @@ class End:
 
     def new_session(self) -> str:
         """An id that no other session has."""
-        sessions = 0 if self._line is None else self._line.receiver.record.sessions
+        sessions = 0
+        if self._line is not None:
+            assert isinstance(self.endpoint, PlantCore)
+            sessions = self.endpoint.record.sessions
         return f"{self.lives:08x}{sessions:08x}"
 
     def symbol(self, transition: int, size: int) -> int:
@@ -190,8 +194,8 @@ class End:
             assert isinstance(self.endpoint, ControllerPeer)
             session, k = self.endpoint.sender.record.session, self._heard_k
         else:
-            assert self._line is not None
-            record = self._line.receiver.record
+            assert isinstance(self.endpoint, PlantCore)
+            record = self.endpoint.record
             session, k = record.session, record.k
         drawn = _nonce(f"{self.side} {self.lives} {session} {k} {len(self._nonces)}")
         self._nonces.append(drawn)
@@ -202,6 +206,7 @@ class End:
     def write(self, write: Write) -> None:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
+        self._reports.look(write)
         self.journal.write(write)
         if isinstance(write, Save) and write.received is not None:
             place = self.view.received
@@ -337,7 +342,7 @@ class End:
                 self._line.coin, self._line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
-            if doing.pace == "late" and isinstance(endpoint, PlantPeer):
+            if doing.pace == "late" and isinstance(endpoint, PlantCore):
                 endpoint._answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))

@@ -5,7 +5,7 @@ import pickle
 from functools import lru_cache
 from typing import Any, Final
 
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.session import Rules
 from protocol.messages import Message
 from protocol.secret.blocks import Schedule
@@ -27,6 +27,7 @@ PASSING: Final = frozenset(
             "answered",
             "things",
             "_nonces",
+            "_reports",
             "_heard_k",
         ),  # of one event
     )
@@ -109,7 +110,8 @@ def unpack(packed: bytes, stores: Stores) -> End:
     end.stores = stores
     end.mortal()
     end._line = None
-    if isinstance(end.endpoint, PlantPeer):
+    if isinstance(end.endpoint, PlantCore):
         assert isinstance(end.endpoint.plant, LinePlant | ActingLine)
         end._line = end.endpoint.plant
+        end.endpoint._coin = end._line  # one thing, written twice
     return end

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.agreement import predict
 from protocol.link.events import Applied, Event, Interrupted, Missed
 from protocol.messages import ControllerHello, Measurement, Message, Offer
@@ -158,7 +158,7 @@ class Watched(Simulation):
         """Steps that a session's end cut short."""
         super().__init__(*args, **kwargs)
 
-    def _new_plant(self, lives: int) -> PlantPeer:
+    def _new_plant(self, lives: int) -> PlantCore:
         if self._device is not None:
             self._device.passes = self._ends["plant"].ports.passes
         return super()._new_plant(lives)
@@ -174,9 +174,9 @@ class Watched(Simulation):
     def _end_the_session(self) -> None:
         """The controller was misled, or holds other keys: it does not know the session any more."""
         end = self._ends["plant"]
-        if end.endpoint is None or self._plant.plant.receiver.controller is None:
+        if end.endpoint is None or self._plant.controller is None:
             return
-        receiver = self._plant.plant.receiver
+        receiver = self._plant
         word = ControllerHello(
             instance=receiver.controller or "",
             incarnation=receiver.record.incarnation,
@@ -195,7 +195,7 @@ class Watched(Simulation):
         if device is None or not isinstance(event, Applied | Missed | Interrupted):
             return
         t = event.transition if isinstance(event, Applied) else event
-        assert t.session == self._plant.plant.receiver.record.session, "counted in another session"
+        assert t.session == self._plant.record.session, "counted in another session"
         if device.u is None:  # of a life before, or before an input was known
             return
         assert t.x_next == device.x, "a step led elsewhere than its trace says"

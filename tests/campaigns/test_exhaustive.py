@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from plant_service.core import PlantCore
 from protocol.link import keying, sender_session
 from protocol.link.ciphering import Ciphering
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
-from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import Contribution, contribution_of
@@ -75,12 +75,12 @@ def redecide(patch: Patch) -> None:
 
 def apply_stale(patch: Patch) -> None:
     """Rule 5: an offer for a step gone by is applied."""
-    check = Receiver.check
+    check = PlantCore._check
 
-    def anything(self: Receiver, offer: Any) -> Any:
+    def anything(self: PlantCore, offer: Any) -> Any:
         return "current" if check(self, offer) != "foreign" else "foreign"
 
-    patch.setattr(Receiver, "check", anything)
+    patch.setattr(PlantCore, "_check", anything)
 
 
 def publish_first(patch: Patch) -> None:
@@ -149,13 +149,13 @@ def same_nonce_in_repeats(patch: Patch) -> None:
 
 def copy_0_after_a_death(patch: Patch) -> None:
     """Rule 8: a plant that was started again takes its next copy for the first."""
-    init = Receiver.__init__
+    init = PlantCore.__init__
 
-    def wrong(self: Receiver, *args: Any, **more: Any) -> None:
+    def wrong(self: PlantCore, *args: Any, **more: Any) -> None:
         init(self, *args, **more)
         self._left = False
 
-    patch.setattr(Receiver, "__init__", wrong)
+    patch.setattr(PlantCore, "__init__", wrong)
 
 
 def count_any_copy(patch: Patch) -> None:
@@ -164,7 +164,7 @@ def count_any_copy(patch: Patch) -> None:
     def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Contribution:
         return contribution_of(applied_copy=0, measurement=measurement, **of)
 
-    patch.setattr(keying, "contribution", wrong)
+    patch.setattr(keying, "contribution_of", wrong)
 
 
 def announce_at_once(patch: Patch) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event
 from protocol.link.peer import Actions, Notice, Outgoing
 from protocol.link.session import CountedTransition
@@ -49,7 +49,7 @@ class World:
     to_controller: list[Outgoing] = field(default_factory=list)
     sent: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     got: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
-    plant: PlantPeer = field(init=False)
+    plant: PlantCore = field(init=False)
     line: LinePlant = field(init=False)
     controller: ControllerPeer = field(init=False)
 
@@ -97,8 +97,8 @@ class World:
         elif isinstance(event, CountedTransition):
             self.sent[event.session, event.j] = event
 
-    def _perform(self, endpoint: ControllerPeer | PlantPeer, actions: Actions) -> None:
-        mine = isinstance(endpoint, PlantPeer)
+    def _perform(self, endpoint: ControllerPeer | PlantCore, actions: Actions) -> None:
+        mine = isinstance(endpoint, PlantCore)
         perform(actions, endpoint, self._plant_ports if mine else self._controller_ports)
 
     def goes_on(self, events: int = 400) -> bool:

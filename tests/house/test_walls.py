@@ -221,7 +221,7 @@ SECRETS = {
     "protocol.link.records",  # keys and automata's states
     "protocol.link.session",
     "protocol.link.sender",
-    "protocol.link.receiver",
+    "plant_service.core",
     "runtime.journal",  # both, and the message
     "runtime.journal_files",
     "protocol.streams",  # the coins

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 
+from plant_service.core import PlantCore
 from protocol.link.keying import Keying
-from protocol.link.receiver import Receiver
+from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.messages import Measurement, Offer
@@ -14,7 +15,9 @@ from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, S
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
 from protocol.secret.tasks import BlockVerdict, Broken, Judged
+from runtime.journal import ReceiverStep
 from tests.support.line_plant import line_rules
+from tests.support.plant_in_hand import ScriptedLine
 
 S, OTHER = "1" * 16, "2" * 16
 SCHEDULE = Schedule(Assumption(0.1), 2, 4)
@@ -322,9 +325,24 @@ def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) 
     )
 
 
-def receiver(record: ReceiverRecord, word: Measurement | None = None) -> Receiver:
+def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCore:
     draws = iter(NONCES[2:])
-    return Receiver(RULES, OTHER, record, "", ROWS, word, lambda: next(draws))
+    step = None if word is None else ReceiverStep(offer(), word, 0)
+    line = ScriptedLine()
+    return PlantCore(
+        RULES,
+        line,
+        line,
+        line.fall_back,
+        Pacing(None, 4, 0.0),
+        lambda: OTHER,
+        0.0,
+        instance=OTHER,
+        record=record,
+        contributions=ROWS,
+        step=step,
+        nonces=lambda: next(draws),
+    )
 
 
 AS_SENDER = SenderRecord(session=S, transitions=6, block=0, tag=TAG)
@@ -342,7 +360,7 @@ AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=T
     ids=["sender", "sender with a step", "receiver", "receiver with a step"],
 )
 def test_an_end_goes_on_with_its_last_word_and_its_rows(
-    begun: Callable[[], Sender | Receiver], word: tuple[int, str]
+    begun: Callable[[], Sender | PlantCore], word: tuple[int, str]
 ) -> None:
     keying = begun().keying
     assert keying.word() == word

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from plant_service.peer import LAST_KEYS_S, PlantPeer
+from plant_service.core import LAST_KEYS_S, PlantCore
 from protocol.messages import BlockAnnouncement, Message
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -26,15 +26,15 @@ class Ending(World):
 
     deaf = False
 
-    def plant(self) -> PlantPeer:
+    def plant(self) -> PlantCore:
         endpoint = super().plant()
         endpoint._steps = STEPS
         return endpoint
 
     @property
-    def end(self) -> PlantPeer:
+    def end(self) -> PlantCore:
         endpoint = self.ends["plant"]
-        assert isinstance(endpoint, PlantPeer)
+        assert isinstance(endpoint, PlantCore)
         return endpoint
 
     def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
@@ -63,16 +63,16 @@ def ended(world: Ending) -> Ending:
     """Once all steps are made and none of its keepers has done a thing."""
     for _ in range(3000):
         world.goes_on(key_makers=False)
-        if world.end.plant.receiver.record.k == STEPS:
+        if world.end.record.k == STEPS:
             break
-    assert world.end.plant.receiver.record.k == STEPS
+    assert world.end.record.k == STEPS
     assert world.end.status is not None
     return world
 
 
 def test_blocks_that_are_whole_are_confirmed_at_both_ends_before_it_ends(world: Ending) -> None:
     ended(world)
-    whole = world.end.plant.receiver.keying.waiting
+    whole = world.end.keying.waiting
     assert whole >= 5
     begun = world.now
     while world.end.code is None:
@@ -94,5 +94,5 @@ def test_it_does_not_wait_for_ever_and_says_how_many_wait(world: Ending) -> None
     assert world.now >= begun + LAST_KEYS_S
     notices = [n.text for n in world.end.stop(world.now).notices]
     (told,) = [text for text in notices if text.startswith("key blocks that wait")]
-    assert f": {world.end.plant.receiver.keying.waiting};" in told
+    assert f": {world.end.keying.waiting};" in told
     world.close()

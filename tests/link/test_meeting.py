@@ -3,12 +3,12 @@
 import pytest
 from pydantic import ValidationError
 
-from protocol.link.receiver import Receiver
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import STALE, Sender
 from protocol.link.sender_session import SenderEffects
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.line_plant import line_rules
+from tests.support.plant_in_hand import PlantInHand
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 OTHER = "e" * 64
@@ -38,12 +38,12 @@ def controller(
     return Sender(RULES, propose, Outbox(payload), Zeros(), instance, record)
 
 
-def plant(instance: str, record: ReceiverRecord | None = None, chunks: str = "") -> Receiver:
+def plant(instance: str, record: ReceiverRecord | None = None, chunks: str = "") -> PlantInHand:
     first = ReceiverRecord(session="1" * 16, k=0, x=(0.0,), u=(0.0,))
-    return Receiver(RULES, instance, record or first, chunks)
+    return PlantInHand(RULES, instance, record or first, chunks)
 
 
-def meet(sender: Sender, receiver: Receiver) -> None:
+def meet(sender: Sender, receiver: PlantInHand) -> None:
     said: ControllerHello | None = sender.greeting()
     for _ in range(4):
         assert said is not None
@@ -61,7 +61,7 @@ def answer(sender: Sender, measurement: Measurement) -> Offer:
     return effects.offer
 
 
-def step(sender: Sender, receiver: Receiver, d: float = 0.5) -> Offer:
+def step(sender: Sender, receiver: PlantInHand, d: float = 0.5) -> Offer:
     """A step that agrees on a key where it is tested."""
     offer = answer(sender, receiver.measurement())
     assert receiver.check(offer) == "current"
@@ -70,7 +70,7 @@ def step(sender: Sender, receiver: Receiver, d: float = 0.5) -> Offer:
     return offer
 
 
-def met(steps: int = 0) -> tuple[Sender, Receiver]:
+def met(steps: int = 0) -> tuple[Sender, PlantInHand]:
     sender, receiver = controller(A), plant(P)
     meet(sender, receiver)
     for i in range(steps):
@@ -334,10 +334,11 @@ def test_a_journal_that_has_met_its_partner_is_not_refused_after_a_restart() -> 
 
 def test_with_nobody_else_there_another_model_is_the_end() -> None:
     sender, receiver = controller(A), plant(P)
+    hello = receiver.hello()
     assert receiver.heard_controller(
         sender.greeting().model_copy(update={"fingerprint": OTHER}), NEW
     ) == "refused"  # fmt: skip
-    sender.heard_plant(receiver.hello().model_copy(update={"fingerprint": OTHER}))
+    sender.heard_plant(hello.model_copy(update={"fingerprint": OTHER}))
     assert sender.refused
     assert receiver.refused
 
@@ -406,7 +407,7 @@ def test_a_measurement_too_large_to_reckon_with_is_garbage(number: float) -> Non
     sender, receiver = met()
     offer = answer(sender, receiver.measurement())
     before = sender.record
-    true = receiver.moved(offer, (0.5,))
+    true = receiver.dies_over(offer, 0, (0.5,)).measurement
     for change in ({"x": (number,)}, {"x_after": (number,)}):
         with pytest.raises(ValueError, match="beyond 1e"):
             sender.measured(true.model_copy(update=change))
@@ -430,7 +431,7 @@ def test_a_vector_of_a_wrong_length_is_named(
 # --- journals that do not fit ---------------------------------------------------------------------
 
 
-def back_in_session(sender: Sender, receiver: Receiver, sessions: int) -> None:
+def back_in_session(sender: Sender, receiver: PlantInHand, sessions: int) -> None:
     """The two find together again, in that many sessions in all, and the message arrives."""
     meet(sender, receiver)
     assert receiver.record.sessions == sessions

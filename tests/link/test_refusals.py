@@ -7,18 +7,21 @@ from typing import Any
 import pytest
 
 from protocol.agreement import INSIDE, AgreementRule, Gauge
-from protocol.link.receiver import Receiver
+from protocol.link.events import FrameRefused
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import STALE, Sender
 from protocol.link.sender_session import REMEMBERED_SESSIONS, SenderEffects
 from protocol.link.session import Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
-from protocol.schemes.framing import Frame, encode_frame
+from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
-from protocol.secret.blocks import Schedule
+from protocol.secret.blocks import Schedule, Stored
 from protocol.secret.bound import Assumption
+from protocol.secret.nonces import fresh_nonce
+from protocol.secret.tasks import BlockVerdict
 from protocol.vectors import Vector
 from tests.support.line_plant import line_rules
+from tests.support.plant_in_hand import PlantInHand
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 OTHER = "e" * 64
@@ -324,8 +327,8 @@ def test_a_nonlinear_model_brings_its_predictions() -> None:
 AT_THE_PLANT = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
 
 
-def plant(rules: Rules = RULES) -> Receiver:
-    return Receiver(rules, P, AT_THE_PLANT)
+def plant(rules: Rules = RULES) -> PlantInHand:
+    return PlantInHand(rules, P, AT_THE_PLANT)
 
 
 @pytest.mark.parametrize(
@@ -400,20 +403,28 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
 
 
 def test_a_difference_of_key_blocks_begins_a_session() -> None:
-    receiver = plant()
+    keys = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    receiver = PlantInHand(keys, P, AT_THE_PLANT._replace(transitions=0))
     receiver.look_around()
     receiver.heard_controller(reply("greeting"), NEW)
     assert receiver.heard_controller(reply("accepted"), NEW) == "accepted"
-    receiver.end_session(NEW)
+    for k in (3, 4, 5):
+        receiver.applied(OFFER.model_copy(update={"k": k, "nonce": fresh_nonce()}), 0, (1.5,))
+    receiver.carry_out(receiver.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    differs = {"k": 6, "nonce": fresh_nonce(), "block": 0, "tag": "c" * 32}
+    receiver.applied(OFFER.model_copy(update=differs), 0, (1.5,))
     assert not receiver.accepted
     assert (receiver.record.session, receiver.record.sessions) == (NEW, 2)
+    assert [task.judgement.what for task in receiver.tasks if isinstance(task, BlockVerdict)] == [
+        "unequal"
+    ]
 
 
 @pytest.mark.parametrize("record", [AT_THE_PLANT, AT_THE_PLANT._replace(transitions=0, sessions=2)])
 def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
     record: ReceiverRecord,
 ) -> None:
-    receiver = Receiver(RULES, P, record)
+    receiver = PlantInHand(RULES, P, record)
     assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "incompatible"
     assert not receiver.refused
 
@@ -424,22 +435,26 @@ def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int)
     record = AT_THE_PLANT._replace(
         state=(2, 0), partial="".join(map(str, symbols)), messages=3, frames_refused=5
     )
-    receiver = Receiver(RULES, P, record)
-    effects = receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
-    assert effects.frame == Frame(b"a", not refused)
+    receiver = PlantInHand(RULES, P, record)
+    receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
+    (saved,) = receiver.saved
+    assert (saved.received, saved.drop_chunks) == (None if refused else b"a", True)
+    assert any(isinstance(event, FrameRefused) for event in receiver.events) == refused
     after = receiver.record
     assert (after.messages, after.frames_refused) == (4 - refused, 5 + refused)
-    assert (after.partial, effects.chunk) == ("", "")
+    assert (after.partial, saved.chunk) == ("", "")
     assert not receiver.deframer.symbols
 
 
 def test_in_a_new_session_no_copy_of_the_step_under_way_is_the_first() -> None:
     """That of the session before may have left with the nonce of this step."""
     keys = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
-    receiver = Receiver(keys, P, AT_THE_PLANT)
+    receiver = PlantInHand(keys, P, AT_THE_PLANT)
+    assert receiver.heard_controller(reply("greeting"), NEW) == "greet"
     receiver.missed((0.0,), (0.0,))
     nonce = receiver.record.nonce
-    receiver.end_session(NEW)
+    assert receiver.heard_controller(reply("unknown-session"), NEW) == "ended"
+    assert receiver.heard_controller(reply("accepted", session=NEW), NEW) == "accepted"
     for _ in range(2):
         said = receiver.measurement()
         assert said.copy_number == 1

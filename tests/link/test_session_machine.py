@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Outgoing, Save, Write
 from protocol.link.session import CountedTransition
@@ -93,7 +93,7 @@ class Link(RuleBasedStateMachine):
     controller_journal = MemoryControllerJournal
     plants_journal = MemoryPlantJournal
     acts = False
-    plant: PlantPeer
+    plant: PlantCore
     line: LinePlant | ActingLine
 
     def __init__(self) -> None:
@@ -129,7 +129,7 @@ class Link(RuleBasedStateMachine):
         if self.acts:
             self.device.look(event, alive=not self.started)
         if isinstance(event, Applied):
-            session = self.plant.plant.receiver.record.session
+            session = self.plant.record.session
             assert event.transition.session == session, "a step counts in another session"
         self.counted(event)
 
@@ -223,7 +223,7 @@ class Link(RuleBasedStateMachine):
     ) -> None:
         if message.kind is PlantHello:
             hello = PlantHello.model_validate_json(message.payload)
-            self.late_hello |= hello.instance != self.plant.plant.receiver.instance
+            self.late_hello |= hello.instance != self.plant.instance
         self.controller_does(one, one.endpoint.receive(*message, self.now), dies)
 
     @precondition(lambda self: self.to_plant)
@@ -245,7 +245,7 @@ class Link(RuleBasedStateMachine):
     ) -> None:
         self.line.coin, self.line.d = coin, d
         self.plant_does(partial(self.plant.receive, *message), dies)
-        assert not self.plant.plant.receiver.refused
+        assert not self.plant.refused
 
     @rule(first=st.integers(0, 1))
     def all_is_well_for_a_while(self, first: int) -> None:
@@ -253,12 +253,12 @@ class Link(RuleBasedStateMachine):
         before = self.to_controller[:], self.to_plant[:]
         self.to_controller.clear()
         self.to_plant.clear()
-        if not self.plant.plant.receiver.accepted:
+        if not self.plant.accepted:
             self.now += 2.5
         for _ in range(30):
             if self.to_plant:
                 before[1].append(self.to_plant.pop(0))
-                k = self.plant.plant.receiver.record.k
+                k = self.plant.record.k
                 self.tell_plant(before[1][-1], k % self.shared.size, 0.3)
             elif self.to_controller:
                 before[0].append(self.to_controller.pop(0))
@@ -292,12 +292,12 @@ class Link(RuleBasedStateMachine):
             self.device.u = None  # what it was told is known to nobody any more
             self.start_plant()
 
-    @precondition(lambda self: self.plant.plant.receiver.controller is not None)
+    @precondition(lambda self: self.plant.controller is not None)
     @rule(dies=st.sampled_from(DEATHS))
     def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
         """As one does that was misled: whatever the plant is doing, its session is over."""
         self.forgot = True
-        receiver = self.plant.plant.receiver
+        receiver = self.plant
         word = ControllerHello(
             instance=receiver.controller or "",
             incarnation=receiver.record.incarnation,

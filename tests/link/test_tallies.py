@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
+from plant_service.core import CHUNK_SYMBOLS
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.receiver import CHUNK_SYMBOLS, Receiver, ReceiverEffects
+from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
@@ -28,6 +29,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes
 from protocol.vectors import Vector
 from tests.support.line_plant import line_rules
+from tests.support.plant_in_hand import PlantInHand
 
 SESSION, PLANT, CONTROLLER = "1" * 16, "a" * 16, "c" * 16
 PAYLOADS = (b"one", b"", b"three, which takes two chunks")
@@ -65,7 +67,7 @@ class Ends:
         self.chunks = ""
         first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
         self.sender = self.controller(None)
-        self.receiver = Receiver(self.rules, PLANT, first)
+        self.receiver = PlantInHand(self.rules, PLANT, first)
         frames = [encode_frame(payload, self.size) for payload in PAYLOADS]
         self.ends = list(accumulate(map(len, frames)))
         self.stream = b"".join(frames)
@@ -74,7 +76,6 @@ class Ends:
         self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
         self.uncounted: CountedTransition | None = None
         self.contribution: Contribution | None = None
-        self.early: Measurement | None = None
         self.woke = keys
         """Whether the plant's process woke up in this step: then it does not know what has left."""
         self.delivered: list[int] = []
@@ -120,8 +121,8 @@ class Ends:
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         else:
             record = self.receiver.record
-            self.receiver = Receiver(self.rules, PLANT, record, self.chunks, self.rows)
-            self.early, self.woke = None, self.keys
+            self.receiver = PlantInHand(self.rules, PLANT, record, self.chunks, self.rows)
+            self.woke = self.keys
         self.meet()
         self.compare()
 
@@ -130,12 +131,12 @@ class Ends:
         self.receiver.missed(u, x_next)
         k, missed = self.kept.k + 1, self.kept.missed + 1
         self.kept = self.kept._replace(k=k, x=x_next, u=u, missed=missed)
-        self.early, self.woke = None, False
+        self.woke = False
         self.compare()
 
     def measure(self) -> Measurement:
         """A copy of this step's measurement: the first, or one of those after it."""
-        measurement, self.early = self.early or self.receiver.measurement(), None
+        measurement = self.receiver.measurement()
         assert measurement == Measurement(
             session=SESSION,
             k=self.kept.k,
@@ -295,25 +296,23 @@ class Ends:
             applied_copy=offer.copy_number,
         )
         assert self.receiver.check(offer) == "current"
-        before_it = self.receiver.record
         rows = list(self.rows)
         self.rows += [] if self.contribution is None else [self.contribution]
         self.woke = False
-        what = self.random.random()
-        if what < 0.6:
-            self.early = self.receiver.moved(offer, x_next)
-            assert self.receiver.moved(offer, x_next) is self.early
-        if what < 0.4:
-            self.receiver.reported()
-        elif what < 0.6:  # it dies before it has counted
-            self.receiver = Receiver(self.rules, PLANT, before_it, self.chunks, rows, self.early)
+        if self.random.random() < 0.2:  # it dies before it has counted
+            record, step = self.receiver.record, self.receiver.dies_over(offer, coin, x_next)
+            self.receiver = PlantInHand(self.rules, PLANT, record, self.chunks, rows, step)
             self.woke = self.keys
-        effects = self.receiver.applied(offer, coin, x_next)
-        assert effects == ReceiverEffects(self.uncounted, chunk, frame, self.contribution)
+            counted = [e.transition for e in self.receiver.events if isinstance(e, Applied)]
+        else:
+            counted = [self.receiver.applied(offer, coin, x_next)]
+        assert counted == [self.uncounted]
+        (saved,) = self.receiver.saved
+        assert (saved.chunk, saved.received) == (chunk, frame and frame.payload)
+        assert saved.drop_chunks == (frame is not None)
+        assert saved.contribution == self.contribution
+        assert self.receiver.appended is None or self.receiver.appended.coin == coin
         self.chunks = "" if frame else self.chunks + chunk
-        assert self.early is None or self.early.nonce == self.receiver.record.nonce
-        if what >= 0.4:
-            self.early = None
         if not self.receiver.accepted:
             self.meet()
         self.compare()

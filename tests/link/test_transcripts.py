@@ -13,21 +13,21 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.receiver import Receiver
+from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.sender_session import SenderEffects
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
+from runtime.journal import ReceiverStep
 from tests.support.line_plant import line_rules
+from tests.support.plant_in_hand import PlantInHand
 
 FOLDER = Path(__file__).parent / "transcripts"
 SCRIPTS = sorted(FOLDER.glob("*.txt"))
 
 RULES = line_rules(alpha=3.0, largest_input=3.0, fingerprint="1" * 64)
 CANDIDATES = ((0.0,), (3.0,))
-
-Move = tuple[Offer, int, tuple[float, ...]]
 
 
 def propose(_x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
@@ -66,7 +66,7 @@ class Link:
         self.saved_sender = (None, None)
         self.sender = self.new_sender(None)
         first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, Move | None] = (first, None)
+        self.saved_receiver: tuple[ReceiverRecord, ReceiverStep | None] = (first, None)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -87,8 +87,8 @@ class Link:
     ) -> Sender:
         return Sender(RULES, propose, self.queue, self.draws, self.instance(), record, step)
 
-    def new_receiver(self, record: ReceiverRecord) -> Receiver:
-        return Receiver(RULES, self.instance(), record)
+    def new_receiver(self, record: ReceiverRecord, step: ReceiverStep | None = None) -> PlantInHand:
+        return PlantInHand(RULES, self.instance(), record, step=step)
 
     # --- commands ---------------------------------------------------------------------------------
 
@@ -192,17 +192,17 @@ class Link:
         if how == "and dies before saving":
             self.say("plant", f"applies candidate {coin}, and dies before it has saved")
             return
-        self.saved_receiver = (self.receiver.record, (self.offer, coin, x_next))
         if how == "and dies before counting":
+            record = self.receiver.record
+            self.saved_receiver = (record, self.receiver.dies_over(self.offer, coin, x_next))
             self.say(
                 "plant", f"applies candidate {coin}, has saved, and dies before it has counted"
             )
             return
-        self.count(self.offer, coin, x_next)
-
-    def count(self, offer: Offer, coin: int, x_next: tuple[float, ...]) -> None:
-        effects = self.receiver.applied(offer, coin, x_next)
-        self.tell("plant", effects.transition, f"b_r={coin}, ")
+        before = self.receiver.record
+        transition = self.receiver.applied(self.offer, coin, x_next)
+        self.saved_receiver = (before, self.receiver.step)
+        self.tell("plant", transition, f"b_r={coin}, ")
 
     def miss(self, d: float) -> None:
         record = self.receiver.record
@@ -255,10 +255,10 @@ class Link:
                 self.saved_sender = (None, None)
                 self.sender = self.new_sender(None)
             case ["plant", "restarts"]:
-                record, move = self.saved_receiver
-                self.receiver = self.new_receiver(record)
-                if move is not None:
-                    self.count(*move)
+                self.receiver = self.new_receiver(*self.saved_receiver)
+                for event in self.receiver.events:
+                    if isinstance(event, Applied):
+                        self.tell("plant", event.transition, f"b_r={event.coin}, ")
             case ["plant", "forgets"]:
                 self.sessions += 1
                 first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from plant_service.core import PlantCore
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Append, Peer
-from protocol.link.receiver import Receiver
 from protocol.link.sender import Sender
 from protocol.messages import Measurement
 from protocol.secret.blocks import Schedule
@@ -136,13 +136,13 @@ def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
 
 
 def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
-    init = Receiver.__init__
+    init = PlantCore.__init__
 
-    def wrong(self: Receiver, *args: object, **more: object) -> None:
+    def wrong(self: PlantCore, *args: object, **more: object) -> None:
         init(self, *args, **more)  # type: ignore[arg-type]
         self._left = False
 
-    patch.setattr(Receiver, "__init__", wrong)
+    patch.setattr(PlantCore, "__init__", wrong)
 
 
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:

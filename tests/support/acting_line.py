@@ -3,19 +3,15 @@
 from collections.abc import Callable
 
 from plant_service.adapters.operated import Operated
-from plant_service.device import DevicePeer, DevicePlant
-from plant_service.plant import Move
-from protocol.agreement import Gauge
+from plant_service.core import PlantCore
+from plant_service.plant import Coin, OperatedPlant
 from protocol.link.events import Applied, Event, Interrupted, Missed
-from protocol.link.fallback import Fallback
-from protocol.link.pacing import Pacing
-from protocol.link.receiver import Receiver
-from protocol.link.records import ReceiverRecord
 from protocol.link.session import Rules
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.vectors import Vector
 from runtime.memory_journal import MemoryPlantJournal
 from runtime.perform import CrashPoint
+from tests.support.line_ends import line_core
 
 
 class LineDevice(Operated):
@@ -75,31 +71,29 @@ class LineDevice(Operated):
             assert event.u == (self.over,), "a step had another input than its trace says"
 
 
-class ActingLine(DevicePlant):
+class ActingLine(OperatedPlant, Coin):
     """The real order of a step, on the line; ``coin`` and ``d`` are the next step's."""
 
-    def __init__(self, receiver: Receiver, device: LineDevice) -> None:
-        self.receiver = receiver
+    def __init__(self, device: LineDevice) -> None:
         self.operated = device
+        self.acts = self.device = True
         self.coin = 0
-        self._size = receiver.rules.size
-        self._fallback = Fallback("hold", Gauge(half_widths=(1e9,)))
         self._enters = "none"
 
     @property
-    def _device(self) -> LineDevice:
-        assert isinstance(self.operated, LineDevice)
-        return self.operated
-
-    @property
     def d(self) -> float:
-        return self._device.d
+        assert isinstance(self.operated, LineDevice)
+        return self.operated.d
 
     @d.setter
     def d(self, d: float) -> None:
-        self._device.d = d
+        assert isinstance(self.operated, LineDevice)
+        self.operated.d = d
 
-    def toss(self) -> int:
+    def prepare(self, k: int) -> None:
+        pass
+
+    def toss(self, j: int) -> int:
         return self.coin
 
 
@@ -113,23 +107,9 @@ def acting_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-) -> tuple[DevicePeer, ActingLine]:
+) -> tuple[PlantCore, ActingLine]:
     """A plant's endpoint as its journal has it, and what it acts on."""
-    record, step = journal.load(), journal.step()
     x = device.start()
-    first = record or ReceiverRecord(session=new_id(), k=0, x=x, u=(0.0,))
-    said = None if step is None else step.measurement
-    contributions = journal.contributions(first.session)
-    receiver = Receiver(rules, instance, first, journal.chunks(), contributions, said, nonces)
-    plant = ActingLine(receiver, device)
-    endpoint = DevicePeer(
-        plant,
-        Pacing(step_s, repeats, now),
-        new_id,
-        now,
-        pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),
-        begun=journal.begun(),
-        back=None if record is None else x,
-        fresh=record is None,
-    )
-    return endpoint, plant
+    plant = ActingLine(device)
+    core = line_core(rules, plant, journal, new_id, instance, now, step_s, nonces, repeats, x)
+    return core, plant

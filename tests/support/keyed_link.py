@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Peer, Write
@@ -23,7 +23,7 @@ from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
 from runtime.perform import Ports as AnyPorts
 from tests.support.copies import Copies
 from tests.support.giving import deliver, deliver_named
-from tests.support.line_ends import line_controller, line_plant
+from tests.support.line_ends import Reports, line_controller, line_plant
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 Side = Literal["controller", "plant"]
@@ -43,8 +43,10 @@ class Zeros:
 class Ports:
     def __init__(self, world: "World", side: Side) -> None:
         self.world, self.side = world, side
+        self.reports = Reports()
 
     def write(self, write: Write) -> None:
+        self.reports.look(write)
         self.world.journals[self.side].write(write)
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
@@ -133,7 +135,7 @@ class World:
             self.rules, lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)), journal, Zeros(), self.name()
         )
 
-    def plant(self) -> PlantPeer:
+    def plant(self) -> PlantCore:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
         endpoint, _ = line_plant(

@@ -3,16 +3,15 @@
 from collections.abc import Callable
 
 from controller_service.peer import ControllerPeer
-from plant_service.peer import PlantPeer
-from plant_service.plant import Move, PlantStep
+from plant_service.core import PlantCore
+from plant_service.plant import Coin, Plant
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Notice, Outgoing, Write
-from protocol.link.receiver import Receiver
+from protocol.link.peer import Append, Notice, Outgoing, Write
 from protocol.link.records import ReceiverRecord
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
-from protocol.messages import Message, Offer, Status
+from protocol.messages import Measurement, Message, Status
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
@@ -22,37 +21,63 @@ from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 PERIOD_S = 1.0
 
 
-class LinePlant:
+class LinePlant(Coin):
     """x+ = x + u + d; on a missed step u is held. ``coin`` and ``d`` are the next step's."""
 
-    def __init__(self, receiver: Receiver) -> None:
-        self.receiver = receiver
+    acts = device = False
+
+    def __init__(self) -> None:
         self.coin = 0
         self.d = 0.0
+        self._x = self._u = 0.0
 
-    def move(self, offer: Offer) -> Move:
-        x, u = self.receiver.record.x[0], offer.candidates[self.coin][0]
-        return Move(offer, self.coin, (x + u + self.d,))
+    def prepare(self, j: int) -> None:
+        pass
 
-    def count(self, move: Move) -> PlantStep:
-        record, reported = self.receiver.record, self.receiver.moved(move.offer, move.x_next)
-        effects = self.receiver.applied(move.offer, move.coin, move.x_next)
-        assert self.receiver.record.nonce == reported.nonce
-        assert self.receiver.keying.on or self.receiver.measurement() == reported
-        u = move.offer.candidates[move.coin]
-        return PlantStep(record.k, record.x, u, move.x_next, move.coin, effects)
+    def toss(self, j: int) -> int:
+        return self.coin
 
-    def miss(self) -> PlantStep:
-        record = self.receiver.record
-        x_next = (record.x[0] + record.u[0] + self.d,)
-        self.receiver.missed(record.u, x_next)
-        return PlantStep(record.k, record.x, record.u, x_next, None, None)
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        self._x, self._u = x[0], u[0]
+
+    def end(self, k: int) -> Vector:
+        return (self._x + self._u + self.d,)
 
     def safe(self, why: str) -> None:
         pass
 
     def close(self) -> str:
         return ""
+
+
+def hold(x: Vector, in_force: Vector) -> Vector:
+    """The fallback of the plant on a line."""
+    return in_force
+
+
+class Reports:
+    """What a plant saved that it would say, beside the record that comes of it."""
+
+    def __init__(self) -> None:
+        self._said: Measurement | None = None
+
+    def look(self, write: Write) -> None:
+        """A step's record says what its report said, before the report may be said again."""
+        if isinstance(write, Append):
+            said = write.response if b'"x_after"' in write.response else b""
+            self._said = Measurement.model_validate_json(said) if said else None
+            return
+        report, record, self._said = self._said, write.record, None
+        if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
+            return
+        if record.session == report.session:
+            assert (record.x, record.x_after, record.applied_k) == (
+                report.x,
+                report.x_after,
+                report.applied_k,
+            )
+            assert (record.nonce, record.applied_copy) == (report.nonce, report.applied_copy)
+            assert (record.block, record.tag) == (report.block, report.tag)
 
 
 class ToldPorts:
@@ -66,11 +91,13 @@ class ToldPorts:
         log_notice: Callable[[Notice], None] = lambda _: None,
     ) -> None:
         self.journal = journal
+        self._reports = Reports()
         self._publish = publish
         self._trace = trace
         self._tell = log_notice
 
     def write(self, write: Write) -> None:
+        self._reports.look(write)
         self.journal.write(write)
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
@@ -114,20 +141,44 @@ def line_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-) -> tuple[PlantPeer, LinePlant]:
+) -> tuple[PlantCore, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
-    record, step = journal.load(), journal.step()
-    first = record or ReceiverRecord(session=new_id(), k=0, x=(0.0,), u=(0.0,))
-    said = None if step is None else step.measurement
-    contributions = journal.contributions(first.session)
-    receiver = Receiver(rules, instance, first, journal.chunks(), contributions, said, nonces)
-    plant = LinePlant(receiver)
-    endpoint = PlantPeer(
+    plant = LinePlant()
+    core = line_core(rules, plant, journal, new_id, instance, now, step_s, nonces, repeats)
+    return core, plant
+
+
+def line_core(
+    rules: Rules,
+    plant: Plant,
+    journal: MemoryPlantJournal,
+    new_id: Callable[[], str],
+    instance: str,
+    now: float,
+    step_s: float | None,
+    nonces: NonceSource,
+    repeats: int,
+    x: Vector | None = None,
+) -> PlantCore:
+    """The core of what tosses its own coin; ``x`` is what it reads first, if it acts."""
+    assert isinstance(plant, Coin)
+    record = journal.load()
+    first = record or ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
+    return PlantCore(
+        rules,
         plant,
+        plant,
+        hold,
         Pacing(step_s, repeats, now),
         new_id,
         now,
-        pending=None if step is None else Move(step.offer, step.coin, step.measurement.x),
+        instance=instance,
+        record=first,
+        chunks=journal.chunks(),
+        contributions=journal.contributions(first.session),
+        step=journal.step(),
+        begun=journal.begun() if plant.acts else None,
+        back=None if record is None else x,
         fresh=record is None,
+        nonces=nonces,
     )
-    return endpoint, plant

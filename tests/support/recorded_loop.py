@@ -238,7 +238,7 @@ class RecordedLoop:
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""
-        return self._ends["plant"].endpoint.plant.receiver.record.transitions  # type: ignore[attr-defined,no-any-return]
+        return self._ends["plant"].endpoint.record.transitions  # type: ignore[attr-defined,no-any-return]
 
     @property
     def received(self) -> list[bytes]:

@@ -13,17 +13,21 @@ from typing import Any, Final, Literal
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.plant import Move, Plant, first_record
-from protocol.link.receiver import Receiver
+from plant_service.opening import first_record
+from plant_service.plant import Coin, Disturbances, LinearModel
+from protocol.link.events import Applied, Recovered, SessionBegan
+from protocol.link.fallback import Fallback
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from runtime.journal import ReceiverStep
 from runtime.parts import Bounds
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from runtime.trace import TraceWriter
+from tests.support.plant_in_hand import PlantInHand
 
 SCENARIOS: Final = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
@@ -97,12 +101,8 @@ class SmallRun:
         self.sender = self._new_sender(None)
         record = first_record(self.scenario, "0" * 15 + "1")
         self._chunks = ""
-        self.plant = self._new_plant(record, "new journal")
+        self.receiver = self._new_plant(record, "new journal")
         self._meet()
-
-    @property
-    def receiver(self) -> Receiver:
-        return self.plant.receiver
 
     def steps(self, count: int, faults: dict[int, Fault] | None = None) -> None:
         """Make steps, with what goes wrong in some of them (by number within this call)."""
@@ -142,11 +142,12 @@ class SmallRun:
         if fault == "plant forgets":
             session = f"{int(self.receiver.record.session, 16) + 1:016x}"
             self._chunks = ""
-            self.plant = self._new_plant(first_record(self.scenario, session), "new journal")
+            self.receiver = self._new_plant(first_record(self.scenario, session), "new journal")
         if fault == "journal put back":  # the plant's, as it was copied; it holds a step
             record, self._chunks, offer = self._copied
-            self.plant = self._new_plant(record, "resumed from the journal")
-            self._count(self.plant.move(offer), saved=True)
+            self.receiver = self._new_plant(record, "resumed from the journal")
+            self.receiver.takes(offer)
+            self._counted(saved=True)
         if fault in ("plant forgets", "journal put back", "controller forgets", "controller dies"):
             self._meet()
         offer = self._measure()
@@ -158,14 +159,17 @@ class SmallRun:
             self._miss()
             return
         if fault == "plant dies":
-            record, move = self.receiver.record, self.plant.move(offer)
-            self._count(move)
-            self.plant = self._new_plant(record, "resumed from the journal")
-            self._count(move, saved=True)
+            record = self.receiver.record
+            self.receiver.takes(offer)
+            self._counted()
+            step = self.receiver.step
+            self.receiver = self._new_plant(record, "resumed from the journal", step)
+            self._counted(saved=True)
             self._meet()
             return
         assert self.receiver.check(offer) == "current"
-        self._count(self.plant.move(offer), saved=True)
+        self.receiver.takes(offer)
+        self._counted(saved=True)
 
     def _measure(self) -> Offer:
         measurement = self.receiver.measurement()
@@ -181,25 +185,21 @@ class SmallRun:
         self._see(effects.offer)
         return effects.offer
 
-    def _count(self, move: Move, *, saved: bool = False) -> None:
-        step = self.plant.count(move)
-        assert step.effects is not None
-        event = {**step.effects.transition.as_event(), "coin": step.coin, "u": step.u}
-        self._plant_trace.write(event)
-        frame = step.effects.frame
-        if saved:
-            self._chunks = "" if frame is not None else self._chunks + step.effects.chunk
-        if saved and frame is not None:
-            assert frame.intact
-            self.received.append(frame.payload)
-            payload = base64.b64encode(frame.payload).decode()
-            self._plant_trace.write({"event": "recovered", "payload": payload})
+    def _counted(self, *, saved: bool = False) -> None:
+        """Trace what the plant counted; ``saved``: what came of it was saved, too."""
+        for event in self.receiver.events:
+            if isinstance(event, Applied):
+                self._plant_trace.write(event.as_event())
+            elif saved:
+                assert isinstance(event, Recovered | SessionBegan), event
+                if isinstance(event, Recovered):
+                    self.received.append(event.payload)
+                    self._plant_trace.write(event.as_event())
+        for save in self.receiver.saved if saved else ():
+            self._chunks = save.chunk if save.drop_chunks else self._chunks + save.chunk
 
     def _miss(self) -> None:
-        session = self.receiver.record.session
-        step = self.plant.miss()
-        told = {"session": session, "k": step.k, "x": step.x, "u": step.u, "x_next": step.x_next}
-        self._plant_trace.write({"event": "missed", **told})
+        self._plant_trace.write(self.receiver.miss().as_event())
 
     def _meet(self) -> None:
         """Hellos until the session is taken up, ending it where the journals do not fit."""
@@ -232,19 +232,25 @@ class SmallRun:
             record,
         )
 
-    def _new_plant(self, record: ReceiverRecord, reason: str) -> Plant:
+    def _new_plant(
+        self, record: ReceiverRecord, reason: str, step: ReceiverStep | None = None
+    ) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)
             self._plant_trace = self._writer("plant")
         self._lives += 1
         self._plant_trace.write({"event": "session", "session": record.session, "reason": reason})
-        return Plant(
-            self.scenario,
+        noise = Stream(self._seed, DISTURBANCE, width=self.scenario.n, run=self._lives)
+        coins = SeededSymbols(self._seed, COIN, run=self._lives)
+        return PlantInHand(
+            rules_of(self.scenario),
             f"{self._lives:016x}",
-            SeededSymbols(self._seed, COIN, run=self._lives),
-            Stream(self._seed, DISTURBANCE, width=self.scenario.n, run=self._lives),
             record,
             self._chunks,
+            step=step,
+            plant=LinearModel(self.scenario, Disturbances(self.scenario, noise)),
+            coin=Coin(coins, self.scenario.secrecy.candidates),
+            fallback=Fallback.of(self.scenario).input,
         )
 
     def _writer(self, side: str) -> TraceWriter:

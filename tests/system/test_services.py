@@ -17,11 +17,13 @@ import pytest
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
-from plant_service.plant import Plant, PlantStep, first_record
+from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
+from protocol.link.events import Applied
 from protocol.link.peer import Save
+from protocol.link.session import rules_of
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -35,7 +37,6 @@ from protocol.messages import (
     SendReply,
 )
 from protocol.scenario import Scenario
-from protocol.streams import COIN, noise, symbols
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE, Failure, UsageError
 from runtime.journal import ControllerJournal, PlantJournal
@@ -52,6 +53,7 @@ from runtime.run_folder import (
 )
 from runtime.shipped import SCENARIOS
 from runtime.trace import read_trace
+from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
 from wyner.cli.main import main
 
@@ -134,7 +136,7 @@ class System:
     @property
     def k(self) -> int:
         assert self.plant_service is not None
-        return self.plant_service.endpoint.plant.receiver.record.k
+        return self.plant_service.endpoint.record.k
 
     def wait(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
         until = time.monotonic() + seconds
@@ -392,15 +394,14 @@ def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: fl
 def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> None:
     news = PlantTelemetry(sustained, "fast", seeded=False)
     record = first_record(sustained, "2" * 16)
-    plant = Plant(sustained, "1" * 16, symbols(1, COIN), noise(1, sustained.n), record, "")
-    receiver = plant.receiver
-    offer = Offer(session="2" * 16, k=0, candidates=((1.7e308,), (0.0,)), cipher=0)
-    x = receiver.record.x
-    effects = receiver.applied(offer, 1, (0.0, 0.0))
+    plant = PlantInHand(rules_of(sustained), "1" * 16, record)
+    offer = Offer(session="2" * 16, k=0, candidates=((0.5,), (0.0,)), cipher=0)
+    plant.applied(offer, 1, (0.0, 0.0))
+    (applied,) = [event for event in plant.events if isinstance(event, Applied)]
     gauges = (float("inf"), 1.0)
-    transition = effects.transition._replace(verdict=AgreementResult(gauges, -1))
-    news.counted(PlantStep(0, x, (0.0,), (0.0, 0.0), 1, effects._replace(transition=transition)))
-    status = news.status(receiver, 0, 1.0)
+    transition = applied.transition._replace(verdict=AgreementResult(gauges, -1))
+    news.counted(applied._replace(transition=transition))
+    status = news.status(plant.record, plant.deframer, plant.keying, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
 
@@ -409,7 +410,7 @@ def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System
     put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
     with system.plant("x20") as plant, system.controller(b"one") as controller:
         system.wait(lambda: system.k > 10)
-        true = plant.endpoint.plant.receiver.measurement()
+        true = plant.endpoint._measurement()
         system.wait(lambda: controller.sender.record.k > true.k)
         put(far_ahead(controller, plant).wire())
         system.wait(lambda: controller.sender.record.k == 10**18)
@@ -424,9 +425,9 @@ def far_ahead(controller: ControllerService, plant: PlantService) -> Measurement
     return Measurement(
         session=record.session,
         k=10**18,
-        x=plant.endpoint.plant.receiver.record.x,
+        x=plant.endpoint.record.x,
         applied_k=record.applied_k,
-        x_after=plant.endpoint.plant.receiver.record.x,
+        x_after=plant.endpoint.record.x,
     )
 
 
@@ -472,13 +473,13 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.sender.instance: b"one", second.sender.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.plant.receiver.controller
+        mine = plant.endpoint.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.sender.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.plant.receiver.controller == mine
+        assert plant.endpoint.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
@@ -505,16 +506,16 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
     system: System,
 ) -> None:
     with system.plant("x20") as plant, system.controller(name="second"):
-        system.wait(lambda: plant.endpoint.plant.receiver.accepted)
+        system.wait(lambda: plant.endpoint.accepted)
     with system.plant("x20") as plant:
         with system.controller(name="second") as second:
             system.wait(lambda: system.k > 10)
             with system.controller() as first:
                 system.wait(lambda: first.endpoint.status().detail != "")
         with system.controller(name="second") as again:
-            system.wait(lambda: plant.endpoint.plant.receiver.controller == again.sender.instance)
+            system.wait(lambda: plant.endpoint.controller == again.sender.instance)
             k = system.k
-            system.wait(lambda: plant.endpoint.plant.receiver.record.applied_k > k)
+            system.wait(lambda: plant.endpoint.record.applied_k > k)
     assert second.sender.record.session == again.sender.record.session
     assert first.sender.record.session is None
 
@@ -528,11 +529,11 @@ def test_a_second_plant_does_not_disturb_the_first(
         with system.plant("x20", name="second") as second:
             k = system.k
             system.wait(lambda: system.k > k + 60)
-            assert not second.endpoint.plant.receiver.accepted
+            assert not second.endpoint.accepted
         system.wait(lambda: system.recovered() == [b"one"])
-        assert first.endpoint.plant.receiver.record.sessions == 1
+        assert first.endpoint.record.sessions == 1
     told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
-    both = (first.endpoint.plant.receiver.instance, second.endpoint.plant.receiver.instance)
+    both = (first.endpoint.instance, second.endpoint.instance)
     assert told
     assert all(name in told[0] for name in both)
 
@@ -685,12 +686,12 @@ def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System)
     with system.controller(long[0]):
         put(SendCommand(id="second", payload=long[1]).wire())
         with system.plant() as plant:
-            receiver = plant.endpoint.plant.receiver
+            receiver = plant.endpoint
             system.wait(
                 lambda: receiver.record.messages == 1 and len(receiver.deframer.symbols) > 80
             )
         with system.plant() as plant:
-            receiver = plant.endpoint.plant.receiver
+            receiver = plant.endpoint
             system.wait(lambda: receiver.record.messages + receiver.record.frames_refused == 2)
     assert system.recovered() == list(long)
 
@@ -700,7 +701,7 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
     """What was received of the frame in the session before must be gone from the journal."""
     message = b"A" * 30
     with system.plant() as plant:
-        receiver = plant.endpoint.plant.receiver
+        receiver = plant.endpoint
         with system.controller(message):
             system.wait(lambda: len(receiver.deframer.symbols) > 100)
         lose(system.run_dir / CONTROLLER_JOURNAL)
@@ -711,7 +712,7 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
             system.stop("plant")
             system.wait(lambda: "plant" in system.codes)
             with system.plant() as again:
-                now = again.endpoint.plant.receiver
+                now = again.endpoint
                 system.wait(lambda: now.record.messages + now.record.frames_refused > 0)
     assert system.recovered() == [message]
 
@@ -731,5 +732,5 @@ def test_a_journal_put_back_from_an_old_copy_ends_the_session(system: System, si
         path.write_bytes(content)
     with system.controller(message), system.plant() as plant:
         system.wait(lambda: system.recovered() == [message])
-    assert plant.endpoint.plant.receiver.record.frames_refused == 0
+    assert plant.endpoint.record.frames_refused == 0
     assert len({e["session"] for e in read_trace(system.run_dir / PLANT_TRACE).of("session")}) == 2

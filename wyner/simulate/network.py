@@ -16,8 +16,8 @@ from typing import Final, Literal, Protocol
 
 from controller_service.peer import ControllerPeer
 from plant_service.adapters.base import PlantAdapter, Stepped
-from plant_service.from_journal import plant_endpoint
-from plant_service.peer import PlantPeer
+from plant_service.core import PlantCore
+from plant_service.opening import open_core
 from protocol.link.events import Applied, Event, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
@@ -173,7 +173,7 @@ class Simulation:
         self._queue = MemoryControllerJournal(*payloads)
         self._plant_journal = plant_journal or MemoryPlantJournal()
         self._sender: Sender
-        self._plant: PlantPeer
+        self._plant: PlantCore
         self._offered: list[Offer] = []
         self._delivered = 0
         self.stores: dict[Side, KeyStore] = {}
@@ -207,13 +207,13 @@ class Simulation:
             if until is not None and until():
                 break
         self.history.seconds = self.now_s
-        self.history.record = self._plant.plant.receiver.record
+        self.history.record = self._plant.record
         return self.history
 
     @property
     def k(self) -> int:
         """The plant's step."""
-        return self._plant.plant.receiver.record.k
+        return self._plant.record.k
 
     @property
     def _sick(self) -> bool:
@@ -318,10 +318,10 @@ class Simulation:
         )
         return ControllerPeer(self._sender, self._queue, self._scenario.plant.period_s)
 
-    def _new_plant(self, lives: int) -> PlantPeer:
+    def _new_plant(self, lives: int) -> PlantCore:
         # A plant that died before it saved a step tosses its coin for that step again.
         draws = self._run if lives == 1 else self._run + 1000 * lives
-        self._plant = plant_endpoint(
+        self._plant = open_core(
             self._scenario,
             self._plant_journal,
             SeededSymbols(self._seed, COIN, run=draws),

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from plant_service.core import PlantCore
+from plant_service.plant import Coin
 from protocol.link.events import Applied
-from protocol.link.receiver import Receiver
+from protocol.link.pacing import Pacing
 from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.streams import SystemSymbols
+from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JournalError
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
@@ -96,16 +99,26 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             record, step = journal.load(), journal.step()
             if record is None:
                 return None
-            said = None if step is None else step.measurement
-            contributions = journal.contributions(record.session)
-            receiver = Receiver(rules, INSTANCE, record, journal.chunks(), contributions, said)
+            core = PlantCore(
+                rules,
+                _Unmoved(),
+                Coin(SystemSymbols(), rules.size),
+                _fall_back_on_nothing,
+                Pacing(None, 1, 0.0),
+                lambda: INSTANCE,
+                0.0,
+                instance=INSTANCE,
+                record=record,
+                chunks=journal.chunks(),
+                contributions=journal.contributions(record.session),
+                step=step,
+            )
             messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
-        if step is not None:
-            offer, measurement, coin = step.offer, step.measurement, step.coin
-            effects = receiver.applied(offer, coin, measurement.x)
-            pending = Applied(effects.transition, coin, offer.candidates[coin]).as_event()
-        record = receiver.record
+        if core.start(0.0).finish_step:
+            events = core.finish_step().events
+            (pending,) = [event.as_event() for event in events if isinstance(event, Applied)]
+        record = core.record
         return Kept(
             session=record.session,
             transitions=record.transitions,
@@ -117,6 +130,34 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
         )
 
     return _from_copy(run_dir / PLANT_JOURNAL, read)
+
+
+class _Unmoved:
+    """The plant of a journal that is read: nothing moves it."""
+
+    acts = device = False
+
+    def prepare(self, k: int) -> None:
+        """No step comes."""
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
+        """Nobody asks for a step."""
+        raise AssertionError("a journal that is read makes no step")
+
+    def end(self, k: int) -> Vector:  # noqa: ARG002
+        """Nobody asks for a step."""
+        raise AssertionError("a journal that is read makes no step")
+
+    def safe(self, why: str) -> None:
+        """Nothing moves."""
+
+    def close(self) -> str:
+        """Nothing is open."""
+        return ""
+
+
+def _fall_back_on_nothing(_x: Vector, in_force: Vector) -> Vector:
+    return in_force
 
 
 def _propose_nothing(_x: Sequence[float]) -> tuple[tuple[float, ...], ...]:

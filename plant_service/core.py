@@ -1,0 +1,946 @@
+"""The plant's end of the link, sans I/O: one room for its steps, its session, its timers.
+
+A step goes as in Fig. 5 of the paper, and in one order for every plant: an offer comes, it is
+checked, the coin is tossed, the input is applied (:meth:`PlantCore._begin`), the plant is read,
+what it was and what is said are saved, the state is reported (:meth:`PlantCore._end`), and while
+the controller works on it the step is counted (:meth:`PlantCore._count`): both ends judge it,
+advance the automaton, decrypt and take the symbol for a frame. Where a step acts on something that
+cannot be put back, the coin is saved before the input is applied.
+
+The rules are those of :mod:`protocol.link.session`. Which controller the session is with stands in
+:mod:`protocol.link.plant_session`.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from math import inf
+from typing import Final, Literal
+
+from pydantic import ValidationError
+
+from plant_service.adapters.base import PlantError
+from plant_service.plant import Coin, Plant
+from plant_service.status import PlantTelemetry
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import (
+    NEW_JOURNAL,
+    Applied,
+    FrameRefused,
+    Interrupted,
+    Missed,
+    Recovered,
+    SessionBegan,
+)
+from protocol.link.key_events import appeared, key_actions, waiting_notice
+from protocol.link.keying import Keying
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
+from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
+from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
+from protocol.link.records import BegunStep, ReceiverRecord
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.messages import (
+    BlockAnnouncement,
+    ControllerHello,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    PlantModel,
+    PlantStatus,
+    Status,
+)
+from protocol.schemes.base import decrypt
+from protocol.schemes.framing import Deframer, Frame
+from protocol.secret.blocks import BlockResult
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.tasks import Done
+from protocol.vectors import Vector
+from runtime.errors import DONE, USAGE
+from runtime.ids import proquint
+from runtime.journal import ReceiverStep
+
+HELLO_S: Final = 0.1
+"""Seconds between hellos until the controller answers."""
+
+MEETING_S: Final = 10.0
+"""Seconds at least that a plant which has never moved has for meeting its controller, before its
+watchdog bites: a controller starts in some of them."""
+
+LAST_WORD_S: Final = 1.0
+"""Seconds to wait at the end for the controller to count the last transition."""
+
+LAST_KEYS_S: Final = 20.0
+"""Seconds to wait at the end for key blocks that are whole to be confirmed at both ends."""
+
+LAST_KEYS_REPEAT_S: Final = 0.05
+
+CHUNK_SYMBOLS: Final = 64
+"""Symbols of the frame under way that the record holds before they go to the journal's own table.
+Within a chunk a save is one statement in every state of the scheme, so that none takes longer."""
+
+
+def hex_digits(size: int) -> int:
+    """Hexadecimal digits of a symbol kept: one up to M = 16, else two."""
+    return 1 if size <= 16 else 2
+
+
+@dataclass(slots=True)
+class _Step:
+    """The step under way, of which ``offer`` was taken and ``coin`` chose the input.
+
+    ``report`` is there from its end on, until it is counted.
+    """
+
+    payload: bytes
+    offer: Offer
+    coin: int
+    report: Measurement | None = None
+
+    @property
+    def u(self) -> Vector:
+        """The input chosen."""
+        return self.offer.candidates[self.coin]
+
+
+class PlantCore:
+    """The plant's end of one loop.
+
+    Parameters
+    ----------
+    rules : Rules
+    plant : Plant
+        What is stepped.
+    coin : Coin
+    fallback : callable
+        (x, u in force) to the input of a step without an offer.
+    pacing : Pacing
+    new_id : callable
+        A random id for each session to begin.
+    now : float
+        The time.
+    instance : str
+        Random id of this process.
+    record : ReceiverRecord
+        As read back from the journal, or a new session's.
+    chunks : str
+        Symbols of the frame under way that have left the record, as read back.
+    contributions : iterable of Contribution
+        Rows of key blocks that may still be needed, as read back.
+    step : ReceiverStep, optional
+        A step of the journal's that was read and not counted.
+    begun : BegunStep, optional
+        A step of the journal's that was begun and not read.
+    back : tuple of float, optional
+        What a plant that acts has read first, where it is back with a journal; else None.
+    fresh : bool
+        The record is a new one, and in no journal yet.
+    steps : int, optional
+        The last step: when k has come there the plant reports it, and is over.
+    telemetry : PlantTelemetry, optional
+        What is told beside the record; without it no status is published.
+    watchdog_s : float, optional
+        Seconds without an applied offer after which the plant goes to its safe state: counted from
+        :meth:`start` on, so that a plant that was started again is watched while its controller is
+        away. One that has never moved has :data:`MEETING_S` at least to meet it.
+    nonces : NonceSource
+    """
+
+    hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockAnnouncement)
+    says: tuple[type[Message], ...] = (
+        Measurement,
+        PlantHello,
+        PlantModel,
+        PlantStatus,
+        BlockAnnouncement,
+    )
+
+    def __init__(
+        self,
+        rules: Rules,
+        plant: Plant,
+        coin: Coin,
+        fallback: Callable[[Vector, Vector], Vector],
+        pacing: Pacing,
+        new_id: Callable[[], str],
+        now: float,
+        *,
+        instance: str,
+        record: ReceiverRecord,
+        chunks: str = "",
+        contributions: Iterable[Contribution] = (),
+        step: ReceiverStep | None = None,
+        begun: BegunStep | None = None,
+        back: Vector | None = None,
+        fresh: bool = False,
+        steps: int | None = None,
+        telemetry: PlantTelemetry | None = None,
+        watchdog_s: float | None = None,
+        nonces: NonceSource = fresh_nonce,
+    ) -> None:
+        self.rules = rules
+        self.plant = plant
+        self.instance = instance
+        self.code: int | None = None
+        self.malformed = 0
+        self._pacing = pacing
+        self._new_id = new_id
+        self._now = now
+        self._fresh = fresh
+        # the step
+        self._coin = coin
+        self._fallback = fallback
+        self._steps = steps
+        self._step: _Step | None = None
+        if step is not None:
+            self._step = _Step(b"", step.offer, step.coin, step.measurement)
+        self._begun, self._back = begun, back
+        self._moved = record.k > 0 or step is not None or begun is not None
+        self._left = True  # copy 0 of the newest measurement may have left
+        self._latest_late_k = self._measured_k = -1
+        self._measured_at = now
+        # the frame under way
+        self.deframer = Deframer(rules.size)
+        self._covers = Deframer(rules.size)
+        self._digits = hex_digits(rules.size)
+        kept = chunks + record.partial
+        for i in range(0, len(kept), self._digits):
+            self.deframer.push(int(kept[i : i + self._digits], 16))
+        # keys
+        self.keying = Keying(rules.schedule, nonces)
+        said = record if step is None else step.measurement
+        self.keying.begin(record.session, said.block, said.tag, contributions)
+        # the session
+        self.record = record._replace(
+            state=rules.scheme.restore(record.state),
+            tag=record.tag or self.keying.no_tag,
+            begun=None,
+        )
+        self.controller: str | None = None
+        """The controller process that was asked last in this process's life, if any."""
+        self._state: State = first_state(record)
+        self._met = record.transitions > 0 or record.sessions > 1
+        self._taken_up = ("", "")
+        self._hello_at = -inf
+        self._answered_at = now
+        # timers of its own
+        self._watchdog_s = inf if watchdog_s is None else watchdog_s
+        self._watchdog_at = inf
+        self._telemetry = telemetry
+        self._status_at = inf if telemetry is None else now
+        # the end
+        self._last_at = -inf
+        self._gives_up_at: float | None = None
+        self._counted = False  # the last step, by the controller
+        self._keys_until: float | None = None
+        self._waiting_there = 1  # until it says how many
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the controller asked has accepted this session in this process's life."""
+        return self._state in WORKING
+
+    @property
+    def refused(self) -> bool:
+        """Whether the only controller shares another model: there is nothing to go on with."""
+        return self._state == "refused"
+
+    @property
+    def _running(self) -> bool:
+        """Whether ticks count: not before the plant has moved or is sure of a controller."""
+        return self._moved or self.accepted
+
+    @property
+    def _finished(self) -> bool:
+        return self._steps is not None and self.record.k >= self._steps
+
+    # --- what the shell calls ---------------------------------------------------------------------
+
+    def start(self, now: float) -> Actions:
+        """Say which session this is; a step that the journal holds is counted now.
+
+        The step that was under way when a plant's process died is missed.
+        """
+        self._now = now
+        self._watchdog_at = now + self._patience_s
+        record = self.record
+        reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
+        actions = Actions(
+            events=(SessionBegan(record.session, reason),),
+            write=Save(record) if self._fresh else None,
+            keys=self.keying.tasks(),
+            finish_step=self._step is not None,
+        )
+        return actions if actions.finish_step else self._came_back(actions)
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """An offer, or a word of the controller's."""
+        self._now = now
+        if not self._running:
+            self._pacing.tick(now, running=False)
+        try:
+            if kind is Offer:
+                return self._offered(Offer.model_validate_json(payload), payload)
+            if kind is BlockAnnouncement:
+                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
+            return self._heard_hello(ControllerHello.model_validate_json(payload))
+        except ValidationError as error:
+            what = {Offer: "offer", BlockAnnouncement: "word"}.get(kind, "hello")
+            return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
+
+    def wake_at(self) -> float:
+        """The earliest of tick, repeat, hello, silence, status and watchdog."""
+        if self.refused:
+            return -inf
+        if self._finished:
+            return self._last_at
+        accepted, pacing = self.accepted, self._pacing
+        due = min(
+            self._status_at,
+            self._watchdog_at,
+            pacing.due_at(running=self._moved or accepted, measuring=accepted),
+        )
+        if not accepted:
+            return min(due, self._hello_at)
+        if pacing.waiting:
+            return due
+        return min(due, max(self._hello_at, self._answered_at + SILENCE_S))
+
+    def wake(self, now: float) -> Actions:
+        """A tick, a repeated measurement, a hello, a status: whatever is due."""
+        self._now = now
+        pacing = self._pacing
+        if self.refused:
+            self.code = USAGE
+            return NOTHING_TO_DO
+        if self._finished:
+            return self._last_word()
+        if now >= self._watchdog_at:
+            why = f"the watchdog: no offer was applied for {self._patience_s:g} s"
+            self.plant.safe(why)
+            raise PlantError(why)
+        if pacing.waiting:
+            self._answered_at = now
+        publish: list[Outgoing] = []
+        silent = now >= self._answered_at + SILENCE_S  # as in wake_at, to the last bit
+        if silent:
+            self._state = TABLE[self._state, "silence"].next
+        if (silent or not self.accepted) and now >= self._hello_at:
+            self._hello_at = now + HELLO_S
+            publish.append(self._hello())
+        actions = NOTHING_TO_DO
+        over = pacing.tick(now, running=self._running)
+        if over != "nothing" and self._telemetry is not None:
+            self._telemetry.punctuality.ticked(pacing.late_s, pacing.overruns)
+        if over == "missed":
+            actions = self._miss()
+        elif over == "ended" and self._step is not None:
+            actions = self._end()
+        health: Status | None = None
+        if self._telemetry is not None and now >= self._status_at:
+            self._status_at = next_turn(now, self._telemetry.status_s, phase_of(self.instance))
+            status, health = self._status()
+            publish += status
+        if self.accepted and not actions.finish_step and pacing.measurement_due(now):
+            if self.record.k != self._measured_k:
+                self._measured_k, self._measured_at = self.record.k, now
+            publish.append(Outgoing(Measurement, self._measurement().wire()))
+        return actions._replace(publish=(*actions.publish, *publish), health=health)
+
+    def finish_step(self) -> Actions:
+        """Go on with the step that was saved: begin it where it acts, or else count it."""
+        step = self._step
+        assert step is not None
+        if step.report is not None:
+            actions = self._count(step, step.report)
+            return actions if self._back is None else self._came_back(actions)
+        self._apply(step)
+        return NOTHING_TO_DO if self._pacing.waiting else self._end()
+
+    def key_task_done(self, done: Done, now: float) -> Actions:
+        """The keeper of keys has done a task; rows that nobody needs any more go at once."""
+        self._now = now
+        return key_actions(self.keying, done)._replace(write=self._erase_rows())
+
+    def appear(self, count: int) -> Actions:
+        """From now on a message leaves ``count`` times."""
+        return appeared(self.keying, self.record.session, self.record.k, count)
+
+    def stop(self, now: float) -> Actions:
+        """The last status; the plant is safe, and let go of."""
+        self._now = now
+        self._tell_stopped()
+        self.plant.safe("the process ended")
+        failed = self.plant.close()
+        publish, health = self._status(force=True)
+        timing = None
+        if self._telemetry is not None:
+            timing = self._telemetry.punctuality.as_event(self.record.k)
+        notices = waiting_notice(self.keying)
+        if failed:
+            notices = (*notices, Notice(failed, "error"))
+        return Actions(
+            events=() if timing is None else (timing,),
+            write=self._erase_rows(),
+            publish=publish,
+            notices=notices,
+            health=health,
+        )
+
+    # --- a step: offer, check, coin, begin --------------------------------------------------------
+
+    def _offered(self, offer: Offer, payload: bytes) -> Actions:
+        """If the offer is for this step: toss the coin, and begin."""
+        record, now = self.record, self._now
+        if self._finished:  # all that matters now is that the last step was counted
+            if offer.k == record.k and not self._counted:
+                self._counted, self._last_at = True, now
+                return self._last_keys()
+            return NOTHING_TO_DO
+        try:
+            what = self._check(offer)
+        except ValueError as error:
+            return self._malformed(f"{error}; ignored")
+        if what != "foreign":
+            self._answered_at = now
+        if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
+            # Its step was missed. (An answer to a repeated measurement, whose step was made, is
+            # not late; nor is it late twice.)
+            self._latest_late_k = offer.k
+            self._pacing.answered_late()
+            if self._telemetry is not None:
+                self._telemetry.late += 1
+        if what != "current" or self._pacing.waiting:
+            return NOTHING_TO_DO
+        if self._measured_k == record.k and self._telemetry is not None:
+            self._telemetry.answered(now - self._measured_at)
+        return self._begin(_Step(payload, offer, self._coin.toss(record.transitions)))
+
+    def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
+        """Whether an offer is for this session and this step (rule 5).
+
+        Raises
+        ------
+        ValueError
+            When its shape is not the plant's, or a candidate is not admissible: malformed.
+        """
+        rules = self.rules
+        if len(offer.candidates) != rules.size:
+            raise ValueError(
+                f"offer.candidates: got {len(offer.candidates)}, expected {rules.size}"
+            )
+        if any(len(u) != rules.inputs for u in offer.candidates):
+            raise ValueError(f"offer.candidates: expected {rules.inputs} inputs in each")
+        if not all(map(rules.admissible, offer.candidates)):
+            raise ValueError("offer.candidates: expected inputs in U")
+        if wrong := rules.malformed_predictions(offer.predictions):
+            raise ValueError(wrong)
+        if offer.cipher >= rules.size:
+            raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
+        if offer.session != self.record.session:
+            return "foreign"
+        return "current" if offer.k == self.record.k else "stale"
+
+    def _begin(self, step: _Step) -> Actions:
+        """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
+        self._step = step
+        self._moved = True
+        if self.plant.acts:
+            return Actions(write=Append(step.payload, b"", step.coin), finish_step=True)
+        self._apply(step)
+        return self._end()
+
+    def _apply(self, step: _Step) -> None:
+        self.plant.begin(self.record.k, self.record.x, step.u)
+        if self._telemetry is not None and self._pacing.timed:
+            self._telemetry.punctuality.acted(self._pacing.since_tick_s(self._now))
+        self._pacing.applied()
+        self._watchdog_at = self._now + self._watchdog_s
+
+    # --- end: read, save, report ------------------------------------------------------------------
+
+    def _end(self) -> Actions:
+        """The step is over: read the plant, save what is said of it, and report.
+
+        A step whose session has ended while the plant acted counts in neither, and is missed.
+        """
+        step, record = self._step, self.record
+        assert step is not None
+        x_next = self.plant.end(record.k)
+        if step.offer.session != record.session:
+            self._step = None
+            interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
+            return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        step.report = self._report(step.offer, x_next)
+        wire = step.report.wire()
+        due = self.accepted and self._pacing.measurement_due(self._now)
+        if due:
+            self._left = True
+            self._measured_k, self._measured_at = record.k + 1, self._now
+        return Actions(
+            write=Append(step.payload, wire, step.coin),
+            publish=(Outgoing(Measurement, wire),) if due else (),
+            finish_step=True,
+        )
+
+    def _report(self, offer: Offer, x_next: Vector) -> Measurement:
+        """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""
+        record = self.record
+        block, tag = self.keying.word()
+        self._left = False
+        return Measurement(
+            session=record.session,
+            k=record.k + 1,
+            x=x_next,
+            applied_k=record.k,
+            x_after=x_next,
+            copy_number=self.keying.copy(),
+            nonce=self.keying.nonce(),
+            applied_copy=offer.copy_number,
+            block=block,
+            tag=tag,
+        )
+
+    def _measurement(self) -> Measurement:
+        """Measurement(k): the state, the last applied offer and what came right after it.
+
+        The first one of a step is its copy 0 and must leave; each one after it is another copy.
+        """
+        record = self.record
+        again = (self._left or bool(self.keying.crowded)) and self.keying.on
+        self._left = True
+        return Measurement(
+            session=record.session,
+            k=record.k,
+            x=record.x,
+            applied_k=record.applied_k,
+            x_after=record.x_after,
+            copy_number=1 if again else 0,
+            nonce=self.keying.nonce() if again else record.nonce,
+            applied_copy=record.applied_copy,
+            block=record.block,
+            tag=record.tag,
+        )
+
+    # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
+
+    def _count(self, step: _Step, report: Measurement) -> Actions:
+        """Count the transition that the step made.
+
+        The key is what the test returns, as for the controller; the coin is only compared with it.
+        A cover symbol is worked on as a message symbol is, and thrown away: what comes after a step
+        delays the next one, and would show.
+        """
+        offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
+        scheme = self.rules.scheme
+        verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next)
+        after, carry = scheme.follow(record.state, verdict.symbol)
+        agreed, pad = carry
+        symbol = decrypt(offer.cipher, pad, scheme.alphabet)
+        carried = pad != NO_SYMBOL
+        deframer = self.deframer if carried else self._covers
+        frame = deframer.push(symbol)
+        partial, chunk = f"{record.partial}{symbol:0{self._digits}x}", ""
+        if not deframer.symbols:
+            partial = ""
+        if len(partial) >= CHUNK_SYMBOLS * self._digits:
+            partial, chunk = "", partial
+        if not carried:
+            symbol, frame, partial, chunk = NO_SYMBOL, None, record.partial, ""
+        contribution = self.keying.count(
+            record.transitions,
+            record.k - record.applied_k,
+            offer,
+            offer.copy_number,
+            record.nonce,
+        )
+        transition = CountedTransition.of(
+            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution
+        )
+        self.record = record._replace(
+            k=record.k + 1,
+            x=x_next,
+            u=u,
+            applied_k=record.k,
+            x_after=x_next,
+            partial=partial,
+            state=after,
+            transitions=record.transitions + 1,
+            p=transition.p,
+            agreements=record.agreements + (agreed != NO_SYMBOL),
+            symbol_errors=record.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            messages=record.messages + (frame is not None and frame.intact),
+            frames_refused=record.frames_refused + (frame is not None and not frame.intact),
+            nonce=report.nonce,
+            applied_copy=report.applied_copy,
+            block=report.block,
+            tag=report.tag,
+            blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
+        )
+        self._step = None
+        self._state = TABLE[self._state, "offer applied"].next
+        judged = self.keying.heard(offer)
+        self._coin.prepare(self.record.transitions)
+        self.plant.prepare(self.record.k)
+        return self._counted_actions(
+            Applied(transition, coin, u), chunk, frame, contribution, judged
+        )
+
+    def _counted_actions(
+        self,
+        applied: Applied,
+        chunk: str,
+        frame: Frame | None,
+        contribution: Contribution | None,
+        judged: tuple[BlockResult, ...],
+    ) -> Actions:
+        """What is traced and saved of a transition, and what it means for keys."""
+        contradicted = None if self._telemetry is None else self._telemetry.counted(applied)
+        if frame is None:
+            write = Save(self.record, later=not chunk, chunk=chunk)
+            actions = Actions((applied,), write)
+        else:
+            actions = self._frame_ended(applied, chunk, frame)
+        if contradicted is not None:
+            notice = Notice(contradicted, "warning")
+            actions = actions._replace(notices=(*actions.notices, notice))
+        if not self.keying.on:
+            return actions
+        tasks = self.keying.tasks(judged)
+        if any(result.what == "unequal" for result in judged):
+            self._state = TABLE[self._state, "blocks differ"].next
+            self._begin_session()
+            text = "a key block differs from the controller's"
+            notice = Notice(f"{text}; new session {self.record.session}", "error")
+            return self._anew(text, notice, actions)._replace(keys=tasks)
+        assert isinstance(actions.write, Save)
+        obsolete_rows = self._obsolete_rows()
+        # Rows that go cost a rare write: now, and not when a step hangs on it.
+        later = actions.write.later and not obsolete_rows
+        write = actions.write._replace(
+            contribution=contribution, obsolete_rows=obsolete_rows, later=later
+        )
+        return actions._replace(write=write, keys=tasks)
+
+    def _frame_ended(self, applied: Applied, chunk: str, frame: Frame) -> Actions:
+        """A frame is whole: a message, or one that failed its check."""
+        record, k = self.record, applied.transition.k
+        write = Save(
+            record,
+            chunk=chunk,
+            drop_chunks=True,
+            received=frame.payload if frame.intact else None,
+        )
+        if not frame.intact:
+            refused = FrameRefused(record.session, record.p)
+            notice = Notice("a frame failed its check and was refused", "error")
+            return Actions((applied, refused), write, notices=(notice,))
+        if self._telemetry is not None:
+            self._telemetry.recovered(frame.payload, k)
+        if self._finished:
+            self._tell_stopped()
+        publish, health = self._status(force=True)
+        text = f"message recovered at step {k}: {len(frame.payload)} bytes"
+        events = (applied, Recovered(frame.payload))
+        return Actions(events, write, publish, (Notice(text),), health)
+
+    # --- steps without an offer -------------------------------------------------------------------
+
+    def _miss(self) -> Actions:
+        """No offer came in time (rule 4).
+
+        A model makes the step under the fallback. A device has already made it, under the input in
+        force; the fallback is applied for the step to come.
+        """
+        record = self.record
+        u = record.u
+        if not self.plant.device:
+            u = self._fallback(record.x, record.u)
+            self.plant.begin(record.k, record.x, u)
+        x_next = self.plant.end(record.k)
+        self._missed(u, x_next)
+        self._fall_back(sure=True)
+        if not self._moved:  # from its first step on the watchdog has its own time
+            self._moved = True
+            self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
+        missed = Missed(record.session, record.k, record.x, u, x_next)
+        return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+
+    def _missed(self, u: Vector, x_next: Vector) -> None:
+        """Count a step without a transition, with ``u`` in force."""
+        record = self.record
+        block, tag = self.keying.word()
+        self.record = record._replace(
+            k=record.k + 1,
+            x=x_next,
+            u=u,
+            missed=record.missed + 1,
+            nonce=self.keying.nonce(),
+            block=block,
+            tag=tag,
+        )
+        self._left = False
+
+    def _fall_back(self, *, sure: bool) -> None:
+        """Apply a device's fallback for the step to come, where it may not be in force already."""
+        record = self.record
+        if not self.plant.device:
+            return
+        following = self._fallback(record.x, record.u)
+        if not sure or following != record.u:
+            self.plant.begin(record.k, record.x, following)
+            self.record = record._replace(u=following)
+
+    def _interrupted(
+        self, begun: BegunStep | None, x_next: Vector, *, sure: bool = False
+    ) -> Interrupted:
+        """Count a step that ends at ``x_next`` as a missed one.
+
+        Parameters
+        ----------
+        begun : BegunStep, optional
+            What it had begun; None where nothing is known of it.
+        x_next : tuple of float, shape (n,)
+        sure : bool
+            Whether the input chosen was applied; nobody knows after a death.
+        """
+        record = self.record
+        candidates: tuple[Vector, ...] = ()
+        u, coin = record.u, NO_SYMBOL
+        if begun is not None:
+            candidates, coin = begun.offer.candidates, begun.coin
+            u = candidates[coin]
+        self._missed(u, x_next)
+        self._fall_back(sure=sure or begun is None)
+        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
+
+    def _came_back(self, actions: Actions) -> Actions:
+        """After ``actions``: the step in which the process of a plant that acts died is missed."""
+        if self._back is None:
+            return actions
+        event = self._interrupted(self._begun, self._back)
+        self._begun = self._back = None
+        write = Save(self.record)
+        if isinstance(actions.write, Save):
+            write = actions.write._replace(record=self.record, later=False)
+        return actions._replace(events=(*actions.events, event), write=write)
+
+    # --- sessions ---------------------------------------------------------------------------------
+
+    def _heard_hello(self, hello: ControllerHello) -> Actions:
+        """The controller spoke on ops: do as the table says."""
+        if self._finished:
+            return NOTHING_TO_DO
+        what = heard(
+            hello,
+            self.record,
+            instance=self.instance,
+            fingerprint=self.rules.fingerprint,
+            asked=self.controller,
+            met=self._met,
+        )
+        answer, self._state = TABLE[self._state, what]
+        if answer in ("ask", "begin and ask"):
+            self.controller = hello.instance
+            self.record = self.record._replace(
+                controller=hello.instance, incarnation=hello.incarnation
+            )
+        if hello.instance == self.controller:
+            self._answered_at = self._now
+        if answer == "ask":
+            return Actions(write=Save(self._to_save()), publish=(self._hello(),))
+        if answer in ("begin anew", "begin and ask"):
+            self._begin_session()
+            notice = Notice(f"session ended; new session {self.record.session}", "warning")
+            return self._anew("the controller does not know the session before", notice)
+        if answer == "work":
+            return self._accepted_by(hello)
+        if answer in ("say whose", "say model"):
+            return self._speaks_up(hello, what)
+        if answer == "give up":
+            detail = (
+                f"the controller's model is {proquint(hello.fingerprint)}, "
+                f"this plant's is {proquint(self.rules.fingerprint)}"
+            )
+            self._tell_phase("refused", detail)
+            return _logged(f"{detail}: the two ends must share one scenario", "error")
+        return NOTHING_TO_DO
+
+    def _accepted_by(self, hello: ControllerHello) -> Actions:
+        self._met = True
+        self._tell_phase("running")
+        taken_up = (hello.instance, self.record.session)
+        if taken_up == self._taken_up:
+            return NOTHING_TO_DO
+        self._taken_up = taken_up
+        return _logged(f"controller {hello.instance} took up session {self.record.session}")
+
+    def _speaks_up(self, hello: ControllerHello, what: Heard) -> Actions:
+        """A controller that this session is not with."""
+        text = f"speaks up while controller {self.controller} has the session: "
+        text += "two controllers on one loop?"
+        publish: tuple[Outgoing, ...] = (self._hello(),)
+        if what in ("another model", "another model, never met"):
+            text = f"has another model, {proquint(hello.fingerprint)}; ignored"
+            if hello.verdict != "greeting":
+                publish = ()
+        notice = Notice(f"controller {hello.instance} {text}", "warning", "incompatible")
+        return Actions(publish=publish, notices=(notice,))
+
+    def _hello(self) -> Outgoing:
+        """Ask the controller to take up this session, or look for one."""
+        record = self.record
+        hello = PlantHello(
+            instance=self.instance,
+            session=record.session,
+            controller=None if self._state in TO_ANYONE else self.controller,
+            incarnation=record.incarnation,
+            fingerprint=self.rules.fingerprint,
+            transitions=record.transitions,
+            applied_k=record.applied_k,
+        )
+        return Outgoing(PlantHello, hello.wire())
+
+    def _begin_session(self) -> None:
+        """A new session: all that was agreed or half received in the one before is dropped."""
+        session = self._new_id()
+        self.deframer.reset()
+        self.record = self.record._replace(
+            session=session,
+            applied_k=-1,
+            x_after=(),
+            partial="",
+            state=self.rules.scheme.initial,
+            transitions=0,
+            p=0,
+            sessions=self.record.sessions + 1,
+            nonce="",  # that of this step may have left
+            applied_copy=0,
+            block=-1,
+            tag=self.keying.no_tag,
+        )
+        self._left = True
+        self.keying.begin(session)
+
+    def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
+        """A new session has begun, beside what is to be done ``before``."""
+        self._tell_phase("greeting")
+        record = self._to_save()
+        write = before.write if isinstance(before.write, Save) else Save(record)
+        return before._replace(
+            events=(*before.events, SessionBegan(record.session, why)),
+            write=write._replace(record=record, later=False, chunk="", drop_chunks=True),
+            publish=(*before.publish, self._hello()),
+            notices=(*before.notices, notice),
+        )
+
+    def _to_save(self) -> ReceiverRecord:
+        """The record, with the step under way of a plant that acts."""
+        step = self._step
+        if step is None:
+            return self.record
+        return self.record._replace(begun=BegunStep(step.offer, step.coin))
+
+    def _malformed(self, text: str) -> Actions:
+        self.malformed += 1
+        return Actions(notices=(Notice(text, "warning", "malformed"),))
+
+    # --- keys -------------------------------------------------------------------------------------
+
+    def _obsolete_rows(self) -> tuple[range, ...]:
+        return self.keying.obsolete_rows()
+
+    def _erase_rows(self) -> Save | None:
+        """What has the journal erase the rows of blocks that are confirmed, if there are any.
+
+        Between steps only, when the record is all that the journal must hold.
+        """
+        obsolete_rows = self._obsolete_rows() if self._step is None else ()
+        return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
+
+    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
+        """The controller's word on blocks, after the last step."""
+        keying = self.keying
+        if word.side != "controller" or word.session != self.record.session or not keying.on:
+            return NOTHING_TO_DO
+        self._waiting_there = word.waiting
+        judged = keying.heard(word)
+        if any(result.what == "unequal" for result in judged):
+            self._waiting_there = 0  # nothing of this session comes any more
+        return Actions(keys=keying.tasks(judged))
+
+    # --- the end ----------------------------------------------------------------------------------
+
+    def _last_word(self) -> Actions:
+        """Report the last transition until the controller has answered, or a second has passed."""
+        now = self._now
+        if self._gives_up_at is None:
+            self._gives_up_at = now + LAST_WORD_S
+        elif now >= self._gives_up_at and not self._counted:
+            self.code = DONE
+            return NOTHING_TO_DO
+        if self._counted:
+            return self._last_keys()
+        self._last_at = now + LOCKSTEP_REPEAT_S
+        return Actions(publish=(Outgoing(Measurement, self._measurement().wire()),))
+
+    def _last_keys(self) -> Actions:
+        """Wait for blocks that are whole, at both ends, and no longer than :data:`LAST_KEYS_S`."""
+        now, keying = self._now, self.keying
+        waits = max(keying.waiting, self._waiting_there)
+        notices: tuple[Notice, ...] = ()
+        if self._keys_until is None:
+            self._keys_until = now + LAST_KEYS_S
+            if keying.waiting:
+                text = f"waiting for key blocks that are whole: {keying.waiting}, "
+                text += f"{LAST_KEYS_S:g} s at most"
+                notices = (Notice(text),)
+        if not keying.on or not waits or now >= self._keys_until:
+            self.code = DONE
+            return Actions(notices=notices)
+        self._last_at = now + LAST_KEYS_REPEAT_S
+        word = keying.block_announcement("plant", self.record.session)
+        return Actions(publish=(Outgoing(BlockAnnouncement, word.wire()),), notices=notices)
+
+    # --- the watchdog and the status --------------------------------------------------------------
+
+    @property
+    def _patience_s(self) -> float:
+        """Seconds without an applied offer that the watchdog allows."""
+        return self._watchdog_s if self._moved else max(self._watchdog_s, MEETING_S)
+
+    def status(self, now: float, *, whole: bool = True) -> PlantStatus:
+        """What the dashboard is told; a plant without telemetry has none."""
+        assert self._telemetry is not None
+        return self._telemetry.status(
+            self.record, self.deframer, self.keying, self.malformed, now, whole=whole
+        )
+
+    def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
+        """A status to publish, and the one to keep; one that is ``force``\\ d is kept anyway."""
+        telemetry = self._telemetry
+        if telemetry is None:
+            return (), None
+        whole = telemetry.model_is_due()
+        status = self.status(self._now, whole=whole)
+        publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
+        if whole:  # who hears this one lacks nothing
+            publish = (Outgoing(PlantModel, telemetry.model), *publish)
+        kept = telemetry.health_is_due(self._now, force=force)
+        return publish, status if kept else None
+
+    def _tell_phase(
+        self, phase: Literal["greeting", "running", "refused"], detail: str = ""
+    ) -> None:
+        """How it stands with the link."""
+        if self._telemetry is not None:
+            self._telemetry.phase = phase
+            self._telemetry.detail = detail or self._telemetry.detail
+
+    def _tell_stopped(self) -> None:
+        """It is over, if it was not refused."""
+        if self._telemetry is not None and self._telemetry.phase != "refused":
+            self._telemetry.phase = "stopped"
+
+
+def _logged(text: str, level: Literal["info", "error"] = "info") -> Actions:
+    return Actions(notices=(Notice(text, level),))

@@ -1,0 +1,111 @@
+"""The plant's core as its journal has it: a new one, or one that goes on."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from plant_service.adapters.base import PlantAdapter, Stepped
+from plant_service.adapters.registry import is_model, open_plant
+from plant_service.core import PlantCore
+from plant_service.plant import Coin, Disturbances, LinearModel, OperatedPlant, Plant
+from plant_service.status import PlantTelemetry
+from protocol.link.fallback import Fallback
+from protocol.link.pacing import Pacing
+from protocol.link.records import ReceiverRecord
+from protocol.link.session import rules_of
+from protocol.scenario import Scenario
+from protocol.streams import Stream, SymbolSource
+from protocol.vectors import Vector
+from runtime.errors import UsageError
+from runtime.journal import ReceiverJournal
+
+
+def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
+    """The record of a plant that has not moved yet; ``x`` is its first reading, if it has one."""
+    start = scenario.initial_state if x is None else x
+    return ReceiverRecord(session=session, k=0, x=start, u=(0.0,) * scenario.m)
+
+
+def open_core(
+    scenario: Scenario,
+    journal: ReceiverJournal,
+    coin: SymbolSource,
+    noise: Stream,
+    new_id: Callable[[], str],
+    now: float,
+    pacing: Pacing,
+    *,
+    steps: int | None = None,
+    telemetry: PlantTelemetry | None = None,
+    folder: Path = Path(),
+    seed: int | None = None,
+    own: Stepped | PlantAdapter | None = None,
+) -> PlantCore:
+    """The core of a scenario's plant, as its journal has it; its plant is started.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    journal : ReceiverJournal
+    coin : SymbolSource
+        b_r; draw j belongs to transition j.
+    new_id, now, pacing, steps, telemetry
+        As of :class:`plant_service.core.PlantCore`.
+    noise : Stream
+        Uniform numbers for the simulated disturbance; draw k belongs to step k.
+    folder : Path
+        Where the files that the scenario's plant names are looked for.
+    seed : int, optional
+        For a plant with chance of its own.
+    own : Stepped or PlantAdapter, optional
+        In place of the scenario's plant.
+
+    Raises
+    ------
+    PlantError
+        When the plant cannot be opened or started; one line.
+    UsageError
+        When a device is to run at another pace than its own.
+    """
+    record, step = journal.load(), journal.step()
+    disturbances = Disturbances(scenario, noise)
+    plant: Plant
+    x: Vector | None = None
+    if own is None and is_model(scenario):
+        plant = LinearModel(scenario, disturbances)
+    else:
+        operated = open_plant(scenario, folder, own)
+        try:
+            if operated.device and pacing.step_s != scenario.plant.period_s:
+                raise UsageError("--pace: expected realtime, as the plant is a device")
+            x = operated.start(seed)
+        except BaseException:
+            operated.close()
+            raise
+        enters = scenario.plant.disturbance.enters or "state"
+        plant = OperatedPlant(operated, disturbances, enters)
+    try:
+        first = record or first_record(scenario, new_id(), x)
+        return PlantCore(
+            rules_of(scenario),
+            plant,
+            Coin(coin, scenario.secrecy.candidates),
+            Fallback.of(scenario).input,
+            pacing,
+            new_id,
+            now,
+            instance=new_id(),
+            record=first,
+            chunks=journal.chunks(),
+            contributions=journal.contributions(first.session),
+            step=step,
+            begun=journal.begun() if plant.acts else None,
+            back=x if plant.acts and record is not None else None,
+            fresh=record is None,
+            steps=steps,
+            telemetry=telemetry,
+            watchdog_s=scenario.link.watchdog_s,
+        )
+    except BaseException:  # it was started: whoever cannot go on leaves it safe
+        plant.safe("its service could not start")
+        plant.close()
+        raise

@@ -1,0 +1,117 @@
+"""The plant's table of a session is whole, and what a hello is called follows from the record."""
+
+from itertools import product
+from typing import get_args
+
+import pytest
+
+from protocol.link.plant_session import (
+    ANSWERS,
+    HEARD,
+    STATES,
+    TABLE,
+    TO_ANYONE,
+    WORKING,
+    Answer,
+    Heard,
+    State,
+    first_state,
+    heard,
+)
+from protocol.link.records import ReceiverRecord
+from protocol.messages import ControllerHello
+
+S, T = "1" * 16, "2" * 16
+A, B, P, Q = (letter * 16 for letter in "abcd")
+OURS, OTHER = "e" * 64, "f" * 64
+RECORD = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), controller=A, incarnation=2)
+
+
+def test_every_state_and_everything_heard_has_one_row() -> None:
+    assert set(TABLE) == set(product(get_args(State), get_args(Heard)))
+
+
+def test_every_name_is_explained_and_used() -> None:
+    assert tuple(STATES) == get_args(State)
+    assert tuple(HEARD) == get_args(Heard)
+    assert tuple(ANSWERS) == get_args(Answer)
+    assert {row.answer for row in TABLE.values()} == set(ANSWERS)
+    assert {row.next for row in TABLE.values()} == set(STATES)
+
+
+def test_every_state_is_reached_from_the_first() -> None:
+    reached: set[State] = {"looking"}
+    for _ in STATES:
+        reached |= {TABLE[state, name].next for state, name in TABLE if state in reached}
+    assert reached == set(STATES)
+
+
+def test_only_who_was_asked_and_accepts_is_worked_with() -> None:
+    for (state, name), row in TABLE.items():
+        if row.next in WORKING and state not in WORKING:
+            assert (name, row.answer) == ("accepted", "work")
+            assert state in ("asked", "unanswered")
+
+
+def test_a_session_begins_only_where_nobody_works_in_it_or_its_controller_says_so() -> None:
+    for (state, name), row in TABLE.items():
+        if row.answer == "begin anew":
+            assert name in ("unknown session", "blocks differ")
+        if row.answer == "begin and ask":
+            assert state in TO_ANYONE
+
+
+def test_a_plant_begins_where_its_record_stands() -> None:
+    assert first_state(RECORD) == "looking"
+    assert first_state(RECORD._replace(transitions=1)) == "returned"
+
+
+@pytest.mark.parametrize("transitions", [0, 5])
+@pytest.mark.parametrize(
+    ("fields", "name"),
+    [
+        ({"instance": A}, "greeting of the one asked"),
+        ({"instance": A, "session": T}, "greeting of the one asked"),
+        ({"instance": A, "incarnation": 1}, "greeting of a former life"),
+        ({"instance": B, "incarnation": 1}, "greeting of a former life"),
+        ({"instance": B, "incarnation": 2}, "greeting in the session"),
+        ({"instance": B, "incarnation": 3}, "greeting in the session"),
+        ({"instance": B, "incarnation": 1, "session": T}, "greeting in another"),
+        ({"instance": B, "session": None}, "greeting in another"),
+        ({"verdict": "accepted", "answers": P}, "accepted"),
+        ({"verdict": "unknown-session", "answers": P}, "unknown session"),
+        ({"verdict": "accepted", "answers": P, "instance": B}, "answer of another"),
+        ({"verdict": "accepted", "answers": Q}, "answer to another"),
+        ({"verdict": "unknown-session", "answers": P, "session": T}, "answer to another"),
+        ({"fingerprint": OTHER}, "another model"),
+        ({"fingerprint": OTHER, "verdict": "other-model"}, "another model"),
+    ],
+)
+def test_a_hello_has_one_name(fields: dict[str, object], name: str, transitions: int) -> None:
+    hello = ControllerHello(
+        instance=A, incarnation=2, fingerprint=OURS, verdict="greeting", session=S
+    ).model_copy(update=fields)
+    record = RECORD._replace(transitions=transitions)
+    if name == "greeting in another" and not transitions:
+        name = "greeting, session unused"
+    told = heard(hello, record, instance=P, fingerprint=OURS, asked=A, met=True)
+    assert told == name
+
+
+def test_whose_session_it_is_decides_whether_another_begins_anew() -> None:
+    hello = ControllerHello(instance=B, incarnation=1, fingerprint=OURS, verdict="greeting")
+    for promised, name in (
+        ("", "greeting in another"),
+        (B, "greeting in another"),
+        (A, "greeting, session unused"),
+    ):
+        record = RECORD._replace(controller=promised)
+        told = heard(hello, record, instance=P, fingerprint=OURS, asked=None, met=False)
+        assert told == name
+
+
+def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
+    hello = ControllerHello(instance=B, incarnation=1, fingerprint=OTHER, verdict="greeting")
+    told = heard(hello, RECORD, instance=P, fingerprint=OURS, asked=None, met=False)
+    assert told == "another model, never met"
+    assert TABLE["looking", told] == ("give up", "refused")

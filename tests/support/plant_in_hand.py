@@ -1,0 +1,331 @@
+"""A plant's core that a test drives by what its shell calls, and by nothing else.
+
+Time stands still but where it is asked for: a step ends when an offer was applied, or when it is
+missed. What the core traced, saved and published is kept to be looked at.
+"""
+
+from collections.abc import Callable, Iterable
+from copy import copy, deepcopy
+from typing import Any
+
+from plant_service.core import HELLO_S, PlantCore
+from plant_service.plant import Coin, Plant
+from protocol.link.events import Applied, Event, Missed, SessionBegan
+from protocol.link.keying import Keying
+from protocol.link.pacing import Pacing
+from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
+from protocol.link.records import ReceiverRecord
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
+from protocol.schemes.framing import Deframer
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.tasks import Task
+from protocol.vectors import Vector
+from runtime.journal import ReceiverStep
+
+STEP_S = 1e5
+"""A step is so long that nothing in it takes any of its time."""
+
+REPEATS = 10**8
+
+
+class ScriptedLine(Coin):
+    """A plant that goes where it is told, by a coin that falls as it is told."""
+
+    acts = device = False
+
+    def __init__(self) -> None:
+        self.coin = 0
+        self.x_next: Vector = ()
+        self.fallback: Vector = ()
+
+    def prepare(self, j: int) -> None:
+        pass
+
+    def toss(self, j: int) -> int:
+        return self.coin
+
+    def fall_back(self, x: Vector, in_force: Vector) -> Vector:
+        return self.fallback
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        pass
+
+    def end(self, k: int) -> Vector:
+        return self.x_next
+
+    def safe(self, why: str) -> None:
+        pass
+
+    def close(self) -> str:
+        return ""
+
+
+class PlantInHand:
+    """A plant process that has read ``record``, and what followed it.
+
+    Parameters
+    ----------
+    rules, instance, record, chunks, contributions, step
+        As of :class:`plant_service.core.PlantCore`.
+    fresh : NonceSource
+    plant, coin, fallback : optional
+        In place of those that do as they are told.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        instance: str,
+        record: ReceiverRecord,
+        chunks: str = "",
+        contributions: Iterable[Contribution] = (),
+        step: ReceiverStep | None = None,
+        fresh: NonceSource = fresh_nonce,
+        *,
+        plant: Plant | None = None,
+        coin: Coin | None = None,
+        fallback: Callable[[Vector, Vector], Vector] | None = None,
+    ) -> None:
+        self.line = ScriptedLine()
+        self.events: list[Event] = []
+        self.notices: list[Notice] = []
+        self.saved: list[Save] = []
+        self.tasks: list[Task] = []
+        self.appended: Append | None = None
+        self.published: list[Outgoing] = []
+        self._new = ""
+        self._now = 0.0
+        self._first: Measurement | None = None
+        self.core = PlantCore(
+            rules,
+            plant or self.line,
+            coin or self.line,
+            fallback or self.line.fall_back,
+            Pacing(STEP_S, REPEATS, 0.0),
+            lambda: self._new,
+            0.0,
+            instance=instance,
+            record=record,
+            chunks=chunks,
+            contributions=contributions,
+            step=step,
+            nonces=fresh,
+        )
+        self.carry_out(self.core.start(0.0))
+
+    @property
+    def record(self) -> ReceiverRecord:
+        return self.core.record
+
+    @property
+    def accepted(self) -> bool:
+        return self.core.accepted
+
+    @property
+    def refused(self) -> bool:
+        return self.core.refused
+
+    @property
+    def controller(self) -> str | None:
+        return self.core.controller
+
+    @property
+    def keying(self) -> Keying:
+        return self.core.keying
+
+    @property
+    def deframer(self) -> Deframer:
+        return self.core.deframer
+
+    def carry_out(self, actions: Actions) -> None:
+        """What `perform` does."""
+        while True:
+            self.events += actions.events
+            self.notices += actions.notices
+            self.published += actions.publish
+            self.tasks += actions.keys
+            if isinstance(actions.write, Append):
+                self.appended = actions.write
+            elif actions.write is not None:
+                self.saved.append(actions.write)
+            if not actions.finish_step:
+                return
+            actions = self.core.finish_step()
+
+    def _forget(self) -> None:
+        self.events.clear()
+        self.notices.clear()
+        self.published.clear()
+        self.saved.clear()
+        self.appended = None
+
+    def said(self, kind: type[Message]) -> Any:
+        """The last message of a kind that it published, or None."""
+        for found, payload in reversed(self.published):
+            if found is kind:
+                return kind.model_validate_json(payload)
+        return None
+
+    # --- sessions ---------------------------------------------------------------------------------
+
+    def hear(self, kind: type[Message], payload: bytes) -> None:
+        self._forget()
+        self.carry_out(self.core.receive(kind, payload, self._now))
+
+    def heard_controller(self, hello: ControllerHello, new_session: str) -> str:
+        """What becomes of a controller's hello, by what it does."""
+        self._new = new_session
+        self.hear(ControllerHello, hello.wire())
+        texts = " ".join(notice.text for notice in self.notices)
+        if self.core.refused and "must share one scenario" in texts:
+            return "refused"
+        if "two controllers on one loop?" in texts:
+            assert self.said(PlantHello) is not None
+            return "competing"
+        if "has another model" in texts:
+            assert (self.said(PlantHello) is not None) == (hello.verdict == "greeting")
+            return "incompatible"
+        if any(isinstance(event, SessionBegan) for event in self.events):
+            assert self.said(PlantHello).session == new_session
+            assert self.saved[-1].record == self.record
+            return "ended"
+        if self.said(PlantHello) is not None:
+            assert self.saved[-1].record == self.record
+            return "greet"
+        assert not self.saved
+        mine = (hello.answers, hello.session) == (self.core.instance, self.record.session)
+        accepts = mine and hello.verdict == "accepted" and hello.instance == self.controller
+        assert not accepts or self.accepted
+        return "accepted" if accepts else "nothing"
+
+    def look_around(self) -> None:
+        """The controller is silent for long."""
+        self.core._answered_at = self._now - SILENCE_S - 1
+        self._wake()
+
+    def hello(self) -> PlantHello:
+        """Its hello: at its time while it looks for somebody, or told to who is not asked."""
+        if self.accepted and self.core._state != "silent":
+            stranger = ControllerHello(
+                instance="0123456789abcdef",
+                incarnation=0,
+                fingerprint="0" * 64,
+                verdict="greeting",
+            )
+            core = copy(self.core)  # a stranger's greeting leaves nothing behind
+            said = list(core.receive(ControllerHello, stranger.wire(), self._now).publish)
+        else:
+            silent = self.core._state in ("silent", "unanswered")
+            self.core._answered_at = self._now - SILENCE_S - 1 if silent else self._now
+            self._now += HELLO_S
+            self._forget()
+            self.carry_out(self.core.wake(self._now))
+            said = self.published
+        (payload,) = [payload for kind, payload in said if kind is PlantHello]
+        return PlantHello.model_validate_json(payload)
+
+    # --- steps ------------------------------------------------------------------------------------
+
+    def _wake(self) -> None:
+        self._forget()
+        self.carry_out(self.core.wake(self._now))
+        measured = self.said(Measurement)
+        if measured is not None:
+            self._first = measured
+
+    def _tick(self) -> None:
+        """The step is over."""
+        self._now = max(self._now, self.core._pacing._deadline)
+        self.core._answered_at = self._now
+        self._wake()
+
+    def measurement(self) -> Measurement:
+        """The next copy of this step's measurement that leaves."""
+        record = self.record
+        if not self.accepted:  # it publishes none: what it would have to say
+            return Measurement(
+                session=record.session,
+                k=record.k,
+                x=record.x,
+                applied_k=record.applied_k,
+                x_after=record.x_after,
+            )
+        first = self._first
+        if first is None or (first.session, first.k) != (record.session, record.k):
+            self._now += 2 * STEP_S / REPEATS
+            self.core._answered_at = self._now
+            self._wake()
+        assert self._first is not None
+        assert self._first.k == self.record.k
+        made, self._first = self._first, None
+        return made
+
+    def check(self, offer: Offer) -> str:
+        """What an offer is to it; it stays as it is.
+
+        Raises
+        ------
+        ValueError
+            When it says that the offer is malformed.
+        """
+        core = copy(self.core)
+        core._pacing, core.keying = copy(core._pacing), deepcopy(core.keying)
+        core._answered_at = -1.0
+        actions = core.receive(Offer, offer.wire(), self._now)
+        for notice in actions.notices:
+            if notice.subject == "malformed":
+                raise ValueError(notice.text.removesuffix("; ignored"))
+        if isinstance(actions.write, Append):
+            return "current"
+        return "foreign" if core._answered_at == -1.0 else "stale"
+
+    def applied(self, offer: Offer, coin: int, x_next: Vector) -> CountedTransition:
+        """The offer is applied, and its step is over."""
+        self.line.coin, self.line.x_next = coin, x_next
+        applied = self.takes(offer)
+        assert (applied.coin, applied.u) == (coin, offer.candidates[coin])
+        return applied.transition
+
+    def takes(self, offer: Offer) -> Applied:
+        """The offer is applied, and its step is over."""
+        self._first = None
+        self.hear(Offer, offer.wire())
+        (applied,) = [event for event in self.events if isinstance(event, Applied)]
+        kept = self.events[:], self.notices[:], self.saved[:], self.appended
+        self._tick()
+        self.events, self.notices, self.saved, self.appended = kept
+        return applied
+
+    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> ReceiverStep:
+        """The offer is applied and saved, and the process is dead: what its journal has."""
+        self.line.coin, self.line.x_next = coin, x_next
+        self._forget()
+        actions = self.core.receive(Offer, offer.wire(), self._now)
+        assert isinstance(actions.write, Append)
+        self.appended = actions.write
+        assert self.step is not None
+        return self.step
+
+    @property
+    def step(self) -> ReceiverStep | None:
+        """The step that was saved last, as its journal has it."""
+        if self.appended is None:
+            return None
+        request, response, coin = self.appended
+        return ReceiverStep(
+            Offer.model_validate_json(request), Measurement.model_validate_json(response), coin
+        )
+
+    def missed(self, u: Vector, x_next: Vector) -> None:
+        """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""
+        self.line.fallback, self.line.x_next = u, x_next
+        self.miss()
+
+    def miss(self) -> Missed:
+        """No offer comes in time."""
+        self.core._moved = True  # a plant that was never accepted misses no step
+        self._first = None
+        self._tick()
+        (missed,) = [event for event in self.events if isinstance(event, Missed)]
+        return missed
