@@ -1,12 +1,14 @@
 """How likely each next byte of a message is to one who expects English, or expects nothing.
 
 An n-gram model with words: what follows is counted after the last one to five characters, after the
-beginning of the word, and after the beginning of the word and the word before it. A level that has
-seen little leaves the rest to the one below it (Witten and Bell 1991). The counts are made from
-``english.txt.xz`` when they are first needed; docs/eavesdroppers.md says where that text is from.
+beginning of the word in a list of words by their frequency, then in a text, and after the beginning
+of the word and the word before it. A level that has seen little leaves the rest to the one below it
+(Witten and Bell 1991). The counts are made from ``english.txt.xz`` and ``words.txt.xz`` when they
+are first needed; docs/eavesdroppers.md says where these are from.
 """
 
 import lzma
+import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -42,16 +44,25 @@ ANY_BYTE: Final = 0.002
 STRENGTH: Final = 4.0
 """Of the level below, over Witten and Bell's own."""
 
+WORD_STRENGTH: Final = 12.0
+"""The same for the beginning of a word, of which the list below knows more than the text."""
+
 SPACE: Final = 0
 
-BEGUN: Final = 2
-"""Letters of a word from which the list of words is asked how it goes on."""
+LISTED: Final = 0.9
+"""Share of the list's answer within a word over that of the last characters."""
 
-LISTED: Final = 0.8
-"""Share of the list's answer over that of the last four characters."""
+ENDINGS: Final = ((" ", 0.82), (",", 0.09), (".", 0.09))
+"""What comes after a word of the list, and how often."""
 
-LONGER: Final = 5
-"""Characters after which what was counted in the text comes before the list."""
+CLOSED: Final = 0.4
+"""Probability that a message closes with a mark of its own."""
+
+MARKS: Final = ((".", 0.8), ("?", 0.1), ("!", 0.1))
+"""These, and how often each."""
+
+CLASS: Final = 5.0
+"""Frequency classes of the list in a decade."""
 
 
 class Level:
@@ -61,17 +72,30 @@ class Level:
     ----------
     contexts, following : integer arrays, shape (N,)
         The context of each character of the text, as a number, and the character's class.
+    weights : array, shape (N,), optional
+        How often each; once where not given.
+    strength : float
+        Of the level below.
     share : float, optional
         Of what was counted, over the level below; by how much was counted where not given.
     """
 
-    def __init__(self, contexts: Codes, following: Codes, share: float | None = None) -> None:
+    def __init__(
+        self,
+        contexts: Codes,
+        following: Codes,
+        weights: Array | None = None,
+        *,
+        strength: float = STRENGTH,
+        share: float | None = None,
+    ) -> None:
         order = np.lexsort((following, contexts))
         c, f = contexts[order], following[order]
         first = np.ones(len(c), dtype=bool)
         first[1:] = (c[1:] != c[:-1]) | (f[1:] != f[:-1])
         at = np.flatnonzero(first)
-        counts = np.diff(np.append(at, len(c))).astype(np.float64)
+        each = np.ones(len(c)) if weights is None else weights[order]
+        counts = np.add.reduceat(each, at)
         self._following = f[at]
         pair_contexts = c[at]
         begin = np.ones(len(at), dtype=bool)
@@ -80,7 +104,7 @@ class Level:
         self._contexts = pair_contexts[self._begin]
         self._size = np.diff(np.append(self._begin, len(at)))
         total = np.add.reduceat(counts, self._begin)
-        weight = total / (total + STRENGTH * self._size)
+        weight = total / (total + strength * self._size)
         if share is not None:
             weight = np.full(len(total), share)
         self._weight = weight
@@ -151,7 +175,8 @@ class English:
     text : bytes
         What it is counted from.
     listed : bytes
-        Words, one a line.
+        Words by frequency: a class a line, its number and its words in order. Before each a capital
+        letter says how many letters it has in common with the one before: A none, B one, ...
     """
 
     def __init__(self, text: bytes, listed: bytes) -> None:
@@ -164,17 +189,9 @@ class English:
         p[OTHER] = 0.0
         self._single = p / p.sum()
         self._levels = [Level(last % _BASE**n, codes) for n in ORDERS]
-        spelt = class_of(np.frombuffer(listed, dtype=np.uint8)).astype(np.int64)
-        spelt = np.where(spelt == OTHER, SPACE, spelt)
-        begun, _ = _words(spelt)
-        inside = _letters()[spelt] >= 0
-        long = np.ones(len(spelt), dtype=bool)
-        for back in range(1, BEGUN + 1):
-            long[back:] &= inside[:-back]
-            long[:back] = False
-        self._listed = Level(begun[long], spelt[long], LISTED)
+        self._listed = Level(*_spelt(listed), share=LISTED)
         word = _placed(word, last)
-        self._word = Level(word, codes)
+        self._word = Level(word, codes, strength=WORD_STRENGTH)
         self._pair = Level((before * _PRIME + word) & _MASK, codes)
 
     def next(self, at: Contexts) -> tuple[Array, NDArray[np.intp]]:
@@ -184,9 +201,8 @@ class English:
         last, word, before = distinct
         p = np.tile(self._single, (len(last), 1))
         for n, level in zip(ORDERS, self._levels, strict=True):
-            if n == LONGER:
-                self._listed.mix(p, word)
             level.mix(p, last % _BASE**n)
+        self._listed.mix(p, np.where(word == 0, -1, word))  # it knows nothing of what words follow
         word = _placed(word, last)
         self._word.mix(p, word)
         self._pair.mix(p, (before * _PRIME + word) & _MASK)
@@ -195,9 +211,20 @@ class English:
         out[:, _FIRST : _LAST + 1] += p[:, :OTHER]
         return out, back.reshape(-1)
 
+    def last(self, p: Array) -> Array:
+        """The same for a message's last byte, given :meth:`next` of it."""
+        out: Array = (1 - CLOSED) * p
+        for mark, share in MARKS:
+            out[:, ord(mark)] += CLOSED * share
+        return out
+
 
 class AnyBytes:
     """The model of one who expects nothing: every byte is as likely."""
+
+    def last(self, p: Array) -> Array:
+        """Probability of a message's last byte, see :meth:`English.last`."""
+        return p
 
     def next(self, at: Contexts) -> tuple[Array, NDArray[np.intp]]:
         """Probability of each next byte, see :meth:`English.next`."""
@@ -207,6 +234,28 @@ class AnyBytes:
 def _placed(word: Codes, last: Codes) -> Codes:
     """The word so far, and between words what stands there."""
     return np.where(word == 0, -2 - last % _BASE, word)
+
+
+def _spelt(listed: bytes) -> tuple[Codes, Codes, Array]:
+    """How the words of a list go on: the word so far, the next character, how often."""
+    share: dict[tuple[int, int], float] = {}
+    endings = [(ord(c) - _FIRST, p) for c, p in ENDINGS]
+    for line in listed.decode("ascii").splitlines():
+        number, words = line.split()
+        often = 10.0 ** (-int(number) / CLASS)
+        spelt = ""
+        for shared, rest in re.findall(r"([A-Z])([a-z']*)", words):
+            spelt = spelt[: ord(shared) - ord("A")] + rest
+            word = 0
+            for place, letter in enumerate(map(ord, spelt)):
+                if place:
+                    key = (word, letter - _FIRST)
+                    share[key] = share.get(key, 0.0) + often
+                word = (word * _PRIME + letter + 1) & _MASK
+            for c, p in endings:
+                share[word, c] = share.get((word, c), 0.0) + often * p
+    pairs = np.array(list(share), dtype=np.int64)
+    return pairs[:, 0], pairs[:, 1], np.array(list(share.values()))
 
 
 def _words(codes: Codes) -> tuple[Codes, Codes]:
@@ -259,10 +308,12 @@ def english() -> English:
 
 
 def log2_probability(model: English | AnyBytes, text: bytes) -> float:
-    """Of a whole text, its end not counted."""
+    """Of a whole text, its length given."""
     total, at = 0.0, Contexts.start(1)
-    for byte in text:
-        total += float(np.log2(model.next(at)[0][0, byte]))
+    for place, byte in enumerate(text, 1):
+        p = model.next(at)[0]
+        p = model.last(p) if place == len(text) else p
+        total += float(np.log2(p[0, byte]))
         at = at.after(np.array([byte]))
     return total
 

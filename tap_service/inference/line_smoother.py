@@ -31,7 +31,7 @@ SAMPLES: Final = 160
 FIRST: Final = 24_000
 """Draws of a state of which nothing is known."""
 
-ANYWHERE: Final = 5.0
+ANYWHERE: Final = 12.0
 """Where such a state is looked for, in half-widths of D_e."""
 
 EXACT: Final = 1e-5
@@ -299,6 +299,8 @@ class LineSmoother:
         self._doubt: set[int] = set()
         for i, (before, t) in enumerate(pairwise(transitions)):
             cloud, gain = self._onward(cloud, before, t)
+            if gain <= LOST and t.candidates is not None:  # begin anew where its offer places it
+                cloud = self._begin(t)
             clouds.append(cloud)
             evidence += gain
             if gain <= LOST:

@@ -106,11 +106,12 @@ class Growth:
             used, back = np.unique(beam.next[others], return_inverse=True)
             beam.next[others] = 256 + back.reshape(-1)
             parts.append(self._next[used])
-        text = rows[tail < 0]
-        if len(text):
+        for text, last in ((rows[tail < -1], False), (rows[tail == -1], True)):
+            if not len(text):
+                continue
             p, back = self._language.next(beam.at.take(text))
             beam.next[text] = sum(map(len, parts)) + back
-            parts.append(_cumulated(p))
+            parts.append(_cumulated(self._language.last(p) if last else p))
         self._next = np.concatenate(parts)
         for row in rows[tail == 0].tolist():
             payload = beam.text[row, : self._lengths[beam.length[row]]].tobytes()

@@ -3,7 +3,8 @@
 Two beginnings of a message whose last characters and words are the same go on alike. So at the end
 of each byte they become one, of their weights together, and a graph of bytes remembers where each
 came from. A few thousand of these stand for more beginnings than could be followed one by one.
-Afterwards messages are drawn from the graph by their weights, and each is judged by its own check.
+Afterwards messages are drawn from the graph by their weights, their halves are put together anew
+wherever the check allows it, and what fits best is judged by its own check.
 """
 
 import zlib
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from protocol.arrays import Array, Indices
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES
 from tap_service.inference.lattice import Lattice
-from tap_service.inference.message_beam import Beam
+from tap_service.inference.message_beam import NEGLIGIBLE, Beam
+from tap_service.inference.message_halves import Halves
 
-DRAWN: Final = 40_000
+DRAWN: Final = 120_000
 """Messages drawn from a graph."""
 
-ROOM: Final = 1_000_000
-"""Messages times nodes of the lattice at most."""
+HEATS: Final = (1.0, 0.6, 0.35)
+"""Powers of their weights by which they are drawn, a part by each: the unlikely ones too."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +38,15 @@ class Layer:
     byte : integer array
     gain : array
         Log weight of the arc over that node's.
-    cumulated : array
-        Share of the arcs into the node, cumulated, plus the node's number.
+    cumulated : tuple of array
+        Share of the arcs into the node to the power of each of :data:`HEATS`, cumulated, plus the
+        node's number.
     """
 
     before: Indices
     byte: NDArray[np.uint8]
     gain: Array
-    cumulated: Array
+    cumulated: tuple[Array, ...]
 
 
 class Graph:
@@ -70,9 +73,15 @@ class Graph:
         share = np.exp(beam.score - top[node])
         total = np.add.reduceat(share[order], at)
         share /= total[node]
-        cumulated = np.cumsum(share[order])
-        cumulated -= (cumulated - share[order])[at][node[order]]
-        cumulated[np.append(at[1:], len(order)) - 1] = 1.0
+        ends = np.append(at[1:], len(order)) - 1
+        drawn: list[Array] = []
+        for heat in HEATS:
+            flat = share[order] ** heat
+            flat = flat / np.add.reduceat(flat, at)[node[order]]
+            cumulated = np.cumsum(flat)
+            cumulated -= (cumulated - flat)[at][node[order]]
+            cumulated[ends] = 1.0
+            drawn.append(np.minimum(cumulated, 1.0) + node[order])
         rows = np.arange(len(node))
         byte = beam.text[rows, np.maximum(beam.count - 1, 0)]
         gain = beam.score - self._scores[beam.node]
@@ -81,7 +90,7 @@ class Graph:
                 beam.node[order],
                 byte[order],
                 gain[order],
-                np.minimum(cumulated, 1.0) + node[order],
+                tuple(drawn),
             )
         )
         # the best one stands for all; levels and nodes of the lattice add up
@@ -97,26 +106,96 @@ class Graph:
         beam.node = np.arange(len(first))
         self._scores = beam.score.copy()
 
-    def draw(
-        self, nodes: Indices, weights: Array, rng: np.random.Generator, count: int
-    ) -> tuple[NDArray[np.uint8], Array, Indices]:
-        """Distinct messages drawn from ``nodes`` of log ``weights``: they, log weights, nodes."""
-        share = np.exp(weights - weights.max()).cumsum()
-        at = (np.arange(count) + rng.random(count)) * (share[-1] / count)
-        node = nodes[np.minimum(np.searchsorted(share, at), len(nodes) - 1)]
-        last = node.copy()
-        text = np.zeros((count, len(self._layers)), dtype=np.uint8)
-        score = np.zeros(count)
-        for place in range(len(self._layers) - 1, -1, -1):
+    def draw(self, nodes: Indices, weights: Array, rng: np.random.Generator, count: int) -> "Drawn":
+        """Messages drawn from ``nodes`` of log ``weights``."""
+        part = count // len(HEATS)
+        count = part * len(HEATS)
+        node = np.empty(count, dtype=np.intp)
+        parts = [slice(i * part, (i + 1) * part) for i in range(len(HEATS))]
+        for heat, rows in zip(HEATS, parts, strict=True):
+            share = np.exp(heat * (weights - weights.max())).cumsum()
+            at = (np.arange(part) + rng.random(part)) * (share[-1] / part)
+            node[rows] = nodes[np.minimum(np.searchsorted(share, at), len(nodes) - 1)]
+        places = len(self._layers)
+        text = np.zeros((count, places), dtype=np.uint8)
+        passed = np.zeros((count, places + 1), dtype=np.intp)
+        score = np.zeros((count, places + 1))
+        passed[:, places] = node
+        for place in range(places - 1, -1, -1):
             layer = self._layers[place]
-            arc = np.searchsorted(layer.cumulated, node + rng.random(count))
+            wanted = node + rng.random(count)
+            arc = np.concatenate(
+                [np.searchsorted(c, wanted[r]) for c, r in zip(layer.cumulated, parts, strict=True)]
+            )
             arc = np.minimum(arc, len(layer.before) - 1)
             text[:, place] = layer.byte[arc]
-            score += layer.gain[arc]
+            score[:, place + 1] = layer.gain[arc]
             node = layer.before[arc]
-        score += self._first[node]
-        _, first = np.unique(text, axis=0, return_index=True)
-        return text[first], score[first], last[first]
+            passed[:, place] = node
+        score[:, 0] = self._first[node]
+        return Drawn(text, score.cumsum(axis=1), passed)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Messages that were drawn.
+
+    Parameters
+    ----------
+    texts : array, shape (N, bytes)
+    scores : array, shape (N, bytes + 1)
+        Log weight up to each place.
+    nodes : integer array, shape (N, bytes + 1)
+        The graph's nodes that each passes.
+    """
+
+    texts: NDArray[np.uint8]
+    scores: Array
+    nodes: Indices
+
+    def middle(self) -> int:
+        """The place about the middle at which most messages meet."""
+        places = self.texts.shape[1]
+        near = range(int(0.4 * places), max(int(0.6 * places), int(0.4 * places)) + 1)
+        met = [float((np.bincount(self.nodes[:, p]).astype(float) ** 2).sum()) for p in near]
+        return near[int(np.argmax(met))]
+
+    def halves(self, place: int) -> tuple[Halves, Halves, Indices]:
+        """The distinct halves before and after a place, and the nodes where the latter end."""
+        at, whole = self.nodes[:, place], self.scores
+        first, _ = Halves(self.texts[:, :place], whole[:, place], at).distinct()
+        rest = Halves(self.texts[:, place:], whole[:, -1] - whole[:, place], at)
+        second, rows = rest.distinct()
+        return first, second, self.nodes[rows, -1]
+
+
+def check_symbols(
+    lattice: Lattice, alpha: Array, low: int, ahead: Array, count: int
+) -> Array | None:
+    """Probability of each symbol of a check of ``count``, whatever the check, shape (count, M).
+
+    Parameters
+    ----------
+    alpha : array, shape (nodes,)
+        Of the window from step ``low`` on.
+    ahead : array, shape (symbols + 1, K + 1, E)
+        Log weight ahead of the nodes, by symbols that are missing.
+    """
+    out = np.empty((count, lattice.size))
+    E = lattice.states
+    for j in range(count):
+        matrices = lattice.window(low, len(alpha) // E)
+        low += 1
+        moved = np.stack([alpha @ matrix for matrix in matrices])
+        level = _ahead_of(moved, ahead[count - 1 - j], low, E)
+        if not np.isfinite(level).any():
+            return None
+        out[j] = np.exp(level - level.max())
+        alpha = moved.mean(axis=0)
+        alpha /= alpha.max()
+        used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
+        alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
 def judge(

@@ -33,8 +33,8 @@ SURE: Final = 0.9
 MISSED: Final = 0.05
 """Probability that the search let the message go, from which it is searched more widely."""
 
-WIDER: Final = (4, 16)
-"""Times as many hypotheses are then followed, and then."""
+WIDER: Final = (4,)
+"""Times as many hypotheses are then followed."""
 
 LIKE_ALONE: Final = 3.0
 """Trajectories that are added, where a step is looked at after another, as it is alone."""
@@ -316,6 +316,7 @@ class MessageReader:
             left += float(p_any * any_left + (p_lost + p_open) * more)
             for p_part in (p_lost, p_any, p_open):
                 left -= float(p_part * np.log2(max(p_part, 1e-300)))
+        left = min(left, found.longest) if np.isfinite(left) else found.longest
         is_whole = bool(len(p)) and float(p.sum() + p_lost) >= p_open
         nodes = np.flatnonzero(np.isfinite(found.ends).any(axis=1))
         k = first + (int(found.ends.max(axis=1).argmax()) - 1 if len(nodes) else lattice.steps - 1)

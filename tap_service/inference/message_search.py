@@ -25,7 +25,14 @@ from protocol.schemes.framing import (
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_beam import FAR, NEGLIGIBLE, Beam, Growth, Plan, finite
-from tap_service.inference.message_graph import DRAWN, ROOM, Graph, judge
+from tap_service.inference.message_graph import (
+    DRAWN,
+    Drawn,
+    Graph,
+    check_symbols,
+    judge,
+)
+from tap_service.inference.message_halves import join
 
 BEAM: Final = 3000
 """Hypotheses kept from symbol to symbol."""
@@ -72,6 +79,8 @@ class Found:
         Log weight of all such beginnings.
     missing : int
         Steps in which the likeliest of them should be over; -1 where there is none.
+    longest : float
+        Bits that a message of the likeliest length holds, and those that its length does.
     """
 
     payloads: tuple[bytes, ...]
@@ -84,6 +93,7 @@ class Found:
     under_way: bytes
     open: float
     missing: int
+    longest: float
 
 
 class Opened:
@@ -265,7 +275,12 @@ class MessageSearch:
                 break
             if over.any():
                 hypotheses.take(np.flatnonzero(~over))
-        return self._found(ended, kept, opened, float(np.logaddexp.reduce(likely)))
+        found = max(ended.list, key=lambda e: e[0], default=None)
+        size = int(lengths[likely.argmax()]) if found is None else len(found[2])
+        any_length = float(np.log2(len(lengths)))
+        return self._found(
+            ended, kept, opened, float(np.logaddexp.reduce(likely)), 8 * size + any_length
+        )
 
     def _over(
         self, ended: "Ended", beam: Beam, sizes: Indices, totals: Indices, j: int, low: int
@@ -287,15 +302,38 @@ class MessageSearch:
         rows = np.flatnonzero(over)
         ended.total = float(np.logaddexp.reduce([ended.total, *beam.score[rows]]))
         share = np.exp(np.logaddexp.reduce(beam.score[rows]) - np.logaddexp.reduce(beam.score))
-        count = max(int(share * min(DRAWN, ROOM // beam.alpha.shape[1])), FEWEST)
-        rng = np.random.default_rng(0)
-        texts, plain, nodes = graph.draw(rows, beam.score[rows], rng, count)
+        count = max(int(share * DRAWN), FEWEST)
+        drawn = graph.draw(rows, beam.score[rows], np.random.default_rng(0), count)
+        texts, plain, nodes, mass = self._joined(drawn, beam, rows, low)
+        ended.listed = float(np.logaddexp(ended.listed, mass))
+        if not len(texts):
+            return
         gain, alpha, low = judge(
             self._lattice, texts, beam.alpha[nodes], low, self._ahead, self._digits
         )
         for i in np.argsort(-(plain + gain))[:KEPT].tolist():
             ended.add(texts[i].tobytes(), float(plain[i] + gain[i]), float(plain[i]), alpha[i], low)
-        ended.listed = float(np.logaddexp.reduce([ended.listed, *plain]))
+
+    def _joined(
+        self, drawn: Drawn, beam: Beam, rows: Indices, low: int
+    ) -> tuple[NDArray[np.uint8], Array, Indices, float]:
+        """Messages that may have their check: they, log weights, nodes; and that of all looked at.
+
+        What was drawn, put together anew by halves, where symbols are bits.
+        """
+        symbols = None
+        if self._size & (self._size - 1) == 0 and drawn.texts.shape[1] > 1:
+            mean = np.exp(beam.score[rows] - beam.score[rows].max()) @ beam.alpha[rows]
+            total = self._digits * CHECK_BYTES
+            symbols = check_symbols(self._lattice, mean, low, self._ahead, total)
+        if symbols is None:
+            _, once = np.unique(drawn.texts, axis=0, return_index=True)
+            plain = drawn.scores[once, -1]
+            return drawn.texts[once], plain, drawn.nodes[once, -1], np.logaddexp.reduce(plain)
+        first, second, ends = drawn.halves(drawn.middle())
+        a, b, mass = join(first, second, symbols)
+        texts = np.hstack([first.texts[a], second.texts[b]])
+        return texts, first.scores[a] + second.scores[b], ends[b], mass
 
     def _open(self, opened: "Opened", beam: Beam, missing: Indices, low: int) -> None:
         """Count the hypotheses of which the transcript holds no further symbol."""
@@ -314,7 +352,9 @@ class MessageSearch:
             opened.missing = int(missing[row] / self._lattice.rate)
         opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
 
-    def _found(self, ended: "Ended", kept: float, opened: "Opened", likely: float) -> Found:
+    def _found(
+        self, ended: "Ended", kept: float, opened: "Opened", likely: float, longest: float
+    ) -> Found:
         """What a search gives back, with ``kept`` the log of what was not dropped."""
         ends = np.full((self._lattice.steps + 1, self._lattice.states), -np.inf)
         found = sorted(ended.list, key=lambda e: -e[0])[:KEPT]
@@ -341,6 +381,7 @@ class MessageSearch:
             opened.text,
             opened.total,
             opened.missing,
+            longest,
         )
 
     def drawn(self, begin: Array, rng: np.random.Generator, count: int = 24) -> float:

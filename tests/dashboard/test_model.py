@@ -312,6 +312,8 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     assert secrecy(replace(board, taps={})).why == "nobody listens"
     own = told(bits_left=2.5)
     assert (own.left_bits, own.why) == (2.5, "her own account")
+    assert board.plant is not None
+    assert told(bits_left=1651.9).left_bits == board.plant.agreements * math.log2(board.candidates)
     both = replace(
         board,
         taps={

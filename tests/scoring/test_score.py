@@ -210,6 +210,15 @@ def test_what_she_had_before_she_failed_counts() -> None:
     assert r.strongest.left == (0.0, 0.0, 0.0)
 
 
+def test_one_who_did_not_finish_is_called_so_and_another_leads() -> None:
+    stopped = replace(said(10), heard_out=False, belief=replace(said(10).belief, bits_left=44.0))
+    weak = said(5, name="weak")
+    r = report([RunScore("r", truth(), (score(truth(), stopped), score(truth(), weak)))])
+    assert r.strongest is not None
+    assert r.strongest.name == "weak"
+    assert [t.why_unscored for t in r.taps if t.name == "tap"] == ["she did not finish"]
+
+
 def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     one = said(5)
     told = score(truth(), replace(one, belief=replace(one.belief, bits_left=3.25)))
@@ -217,6 +226,11 @@ def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     assert r.strongest is not None
     assert (r.strongest.name, r.strongest.left) == ("tap", (3.25, 3.25, 3.25))
     assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance
+    more = score(truth(), replace(one, belief=replace(one.belief, bits_left=1651.9)))
+    r = report([RunScore("r", truth(), (more,))])
+    assert r.strongest is not None
+    assert r.strongest.left is not None
+    assert r.strongest.left.high == 10.0, "no more than the agreed keys are left"
 
 
 @pytest.mark.parametrize("keys", [50, 230])

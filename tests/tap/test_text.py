@@ -240,6 +240,33 @@ def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() ->
     assert [s for s in (*SENTENCES, *SHORT) if s.lower().rstrip(".") in text] == []
 
 
+# --- what she states ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_what_she_states_comes_true() -> None:
+    """200 messages, a third to a half of their symbols missed: 20 short ones by seeds 0 to 9."""
+    stated: list[tuple[float, bool]] = []
+    for seed, text in itertools.product(range(10), SHORT):
+        payload = text.encode("ascii")
+        missed = 0.35 + 0.15 * seed / 9
+        steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
+        reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+        messages = reader.read(steps, (0.0, 1.0), {})
+        first = messages[0] if messages else None
+        claim = first.probability if first is not None else 0.0
+        stated.append((claim, first is not None and first.payload == payload))
+    p, right = (np.array(column, dtype=float) for column in zip(*stated, strict=True))
+    assert len(p) == 200
+    sure = p >= 0.99
+    assert sure.sum() >= 40
+    assert (right[sure] == 0).sum() <= 2 + 3 * (1 - p[sure]).sum()
+    # over all and within the middle, as many come true as she states, but for chance
+    for rows in (p >= 0, (p >= 0.2) & (p < 0.99)):
+        spread = np.sqrt((p[rows] * (1 - p[rows])).sum())
+        assert abs(right[rows].sum() - p[rows].sum()) <= 3 * spread + 2
+
+
 # --- whole runs ---------------------------------------------------------------------------------
 
 

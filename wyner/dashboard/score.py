@@ -117,18 +117,20 @@ def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
 def left_by(board: Board, tap: TapBoard, its: Score) -> Interval | None:
     """Bits that one tap leaves of the agreed keys; None where nobody knows.
 
-    None of them where she holds a true message. By her own account where she gives one; else what
-    guessing one by one leaves.
+    None of them where she holds a true message. By her own account where she gives one, but no more
+    than was agreed; else what guessing one by one leaves.
     """
     if tap.exact:
         return Interval(0.0, 0.0, 0.0)
     if tap.status.failed:
         return None
+    keys = board.plant.agreements if board.plant is not None else 0
     if tap.status.bits_left is not None:
-        return Interval(*(tap.status.bits_left,) * 3)
+        told = tap.status.bits_left
+        told = min(told, keys * math.log2(its.size)) if board.plant is not None else told
+        return Interval(told, told, told)
     if not its.scored:
         return None
-    keys = board.plant.agreements if board.plant is not None else 0
     return bits_left(keys, its.size, its.guessed)
 
 

@@ -238,7 +238,12 @@ def _left(
     """Bits that she leaves of all runs; None where nobody knows it of one of them."""
     if any(t.why_unscored for _, t in mine):
         return None
-    told = [t.told_left for _, t in mine if not t.messages.every and t.told_left is not None]
+    # what she says of herself, but no more than was agreed
+    told = [
+        min(t.told_left, len(s.truth.keys) * math.log2(t.size))
+        for s, t in mine
+        if not t.messages.every and t.told_left is not None
+    ]
     guessed = sum(
         len(s.truth.keys) for s, t in mine if not t.messages.every and t.told_left is None
     )

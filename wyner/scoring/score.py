@@ -177,6 +177,8 @@ class EavesdropperScore:
         Steps captured that she never looked at.
     told_left : float, optional
         Bits left by her own account, where she gives one.
+    unfinished : bool
+        Whether she was stopped before she had looked at all: what she leaves nobody knows then.
     held : KeysHeld, optional
         What she holds of distilled keys, by her own count, where she goes for them.
     """
@@ -195,6 +197,7 @@ class EavesdropperScore:
     stray: int = 0
     behind: int = 0
     told_left: float | None = None
+    unfinished: bool = False
 
     @property
     def why_unscored(self) -> str:
@@ -203,6 +206,8 @@ class EavesdropperScore:
             return ""
         if self.failed:
             return f"she failed: {self.failed}"
+        if self.unfinished:
+            return "she did not finish"
         return "" if self.keys_reviewed.of or self.told_left is not None else "she guessed nothing"
 
 
@@ -269,6 +274,7 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
         stray=_stray(truth, said),
         behind=said.behind,
         told_left=None if said.failed else belief.bits_left,
+        unfinished=not (said.heard_out or said.failed),
     )
 
 

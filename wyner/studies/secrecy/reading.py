@@ -141,7 +141,9 @@ def measure(reading: Reading) -> dict[str, object]:
         "messages_exact": int(scored.messages.right),
         "probability": f"{belief.confidence:.6g}",
         "likeliest_exact": int(belief.message == payload),
-        "bits_left": "" if belief.bits_left is None else f"{belief.bits_left:.3f}",
+        "bits_left": ""
+        if belief.bits_left is None
+        else f"{min(belief.bits_left, 8 * len(payload)):.3f}",  # no message leaves more
         "message_bits": 8 * len(payload),
         "cpu_s": f"{time.process_time() - begun:.2f}",
     }
