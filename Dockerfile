@@ -9,7 +9,7 @@ RUN python3 -m venv /opt/wyner
 COPY requirements/image.txt requirements/image.txt
 RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
         --only-binary :all: --require-hashes --requirement requirements/image.txt
-COPY pyproject.toml LICENSE README.md ./
+COPY pyproject.toml LICENSE NOTICE README.md ./
 COPY protocol protocol
 COPY runtime runtime
 COPY controller_service controller_service
@@ -29,7 +29,7 @@ FROM ${BASE_IMAGE}
 ARG VERSION=0.1.0
 LABEL org.opencontainers.image.title=wyner \
       org.opencontainers.image.version=${VERSION} \
-      org.opencontainers.image.licenses=Apache-2.0
+      org.opencontainers.image.licenses="Apache-2.0 AND CC-BY-SA-4.0"
 # A fixed number, so that what a volume holds keeps its owner from one image to the next. The
 # folders are made here because a new volume takes its owner from the folder it covers.
 RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
