@@ -80,16 +80,18 @@ def run_tap(config: TapConfig, note: Note) -> int:
     KnowledgeError
         When an eavesdropper cannot be made.
     runtime.bus.TransportError
-        When a bus cannot be opened; nothing has started in either case.
+        When a bus cannot be opened; what was begun is ended.
     """
     from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
-        field_bus = stack.enter_context(open_bus(config.field))
-        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
+        # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
+        # tap goes on, and what is said then must be heard.
         service = TapService(config)
         stack.callback(service.close)
+        field_bus = stack.enter_context(open_bus(config.field))
+        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
         service.attach(field_bus, intel_bus)
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
