@@ -30,7 +30,6 @@ from protocol.messages import (
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.tasks import Done
 from runtime.errors import USAGE
-from runtime.ids import proquint
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""
@@ -292,8 +291,8 @@ class ControllerPeer:
         if sender.refused:
             self.code = USAGE
             detail = (
-                f"the plant's model is {proquint(hello.fingerprint)}, "
-                f"this controller's is {proquint(sender.rules.fingerprint)}"
+                f"the plant's model is {hello.fingerprint[:8]}, "
+                f"this controller's is {sender.rules.fingerprint[:8]}"
             )
             phase = "refused"
             notice = Notice(f"{detail}: the two ends must share one scenario", "error")

@@ -20,7 +20,7 @@ from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet import Fleet, FleetLoop
 from runtime.fleet_host import run_fleet
-from runtime.ids import new_id, proquint
+from runtime.ids import new_id
 from runtime.journal import ControllerJournal
 from runtime.journal_files import JournalError
 from runtime.key_opening import open_keeper, refusal
@@ -132,7 +132,7 @@ class ControllerService(EndService[ControllerPeer]):
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
             self.sender.record.session or "none yet",
-            proquint(config.scenario.fingerprint()),
+            config.scenario.fingerprint()[:8],
             self.endpoint.messages.queued,
             self.sender.record.message,
         )

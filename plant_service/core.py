@@ -56,7 +56,6 @@ from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.tasks import Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
-from runtime.ids import proquint
 from runtime.journal import ReceiverStep
 
 HELLO_S: Final = 0.1
@@ -758,8 +757,8 @@ class PlantCore:
             return self._speaks_up(hello, what)
         if answer == "give up":
             detail = (
-                f"the controller's model is {proquint(hello.fingerprint)}, "
-                f"this plant's is {proquint(self.rules.fingerprint)}"
+                f"the controller's model is {hello.fingerprint[:8]}, "
+                f"this plant's is {self.rules.fingerprint[:8]}"
             )
             self._tell_phase("refused", detail)
             return _logged(f"{detail}: the two ends must share one scenario", "error")
@@ -780,7 +779,7 @@ class PlantCore:
         text += "two controllers on one loop?"
         publish: tuple[Outgoing, ...] = (self._hello(),)
         if what in ("another model", "another model, never met"):
-            text = f"has another model, {proquint(hello.fingerprint)}; ignored"
+            text = f"has another model, {hello.fingerprint[:8]}; ignored"
             if hello.verdict != "greeting":
                 publish = ()
         notice = Notice(f"controller {hello.instance} {text}", "warning", "incompatible")

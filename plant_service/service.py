@@ -22,7 +22,7 @@ from runtime.files import write_atomically
 from runtime.fleet import SLOTS, Fleet, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
-from runtime.ids import new_id, proquint
+from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
 from runtime.key_opening import open_keeper, refusal
@@ -158,7 +158,7 @@ class PlantService(EndService[PlantCore]):
         log.info(
             "session %s, model %s, step %d, pace %s",
             record.session,
-            proquint(config.scenario.fingerprint()),
+            config.scenario.fingerprint()[:8],
             record.k,
             config.pace.text,
         )

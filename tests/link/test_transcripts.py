@@ -99,7 +99,7 @@ class Link:
     def meet(self) -> None:
         """The controller greets, the plant asks, until a session is accepted."""
         said: ControllerHello | None = self.sender.greeting()
-        self.say("controller", f"greets, and knows {self.proquint(self.sender.record.session)}")
+        self.say("controller", f"greets, and knows {self.by_name(self.sender.record.session)}")
         for _ in range(6):
             if said is not None and self.heard(said) == "accepted":
                 return
@@ -109,7 +109,7 @@ class Link:
                 whom = "another controller"
             self.say(
                 "plant",
-                f"hello to {whom}, {self.proquint(hello.session)}, {hello.transitions} counted",
+                f"hello to {whom}, {self.by_name(hello.session)}, {hello.transitions} counted",
             )
             effects = self.sender.heard_plant(hello)
             self.carry_out(effects)
@@ -131,7 +131,7 @@ class Link:
             self.sessions -= 1
         return outcome
 
-    def proquint(self, session: str | None) -> str:
+    def by_name(self, session: str | None) -> str:
         return "no session" if session is None else f"session {int(session, 16)}"
 
     def measure(self) -> None:

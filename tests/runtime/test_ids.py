@@ -1,28 +1,6 @@
-"""Random ids, and words for fingerprints."""
+"""Random ids."""
 
-import pytest
-
-from runtime.ids import new_id, proquint
-
-
-@pytest.mark.parametrize(
-    ("address", "words"),  # the examples of the proposal, arXiv:0901.4016
-    [
-        ("7f000001", "lusab-babad"),  # 127.0.0.1
-        ("3f54dcc1", "gutih-tugad"),  # 63.84.220.193
-        ("3f760723", "gutuk-bisog"),  # 63.118.7.35
-        ("8c62c18d", "mudof-sakat"),  # 140.98.193.141
-        ("40ff06c8", "haguz-biram"),  # 64.255.6.200
-        ("801e342d", "mabiv-gibot"),  # 128.30.52.45
-        ("93437702", "natag-lisaf"),  # 147.67.119.2
-    ],
-)
-def test_fingerprints_as_words(address: str, words: str) -> None:
-    assert proquint(address, words=2) == words
-
-
-def test_different_groups_are_different_words() -> None:
-    assert len({proquint(f"{value:04x}", words=1) for value in range(2**16)}) == 2**16
+from runtime.ids import new_id
 
 
 def test_ids_are_random_and_well_formed() -> None:
