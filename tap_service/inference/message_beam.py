@@ -164,7 +164,7 @@ class Growth:
         for m in range(M):
             mine = symbols == m
             moved[mine] = beam.alpha[mine] @ matrices[m]
-        scale = moved.max(axis=1)
+        scale = np.maximum(moved.max(axis=1), 1e-300)
         beam.alpha = moved / scale[:, None]
         beam.level = beam.level + np.log(scale)
         # nodes that hardly count are left out

@@ -100,7 +100,7 @@ class Graph:
         alpha = np.zeros((len(first), beam.alpha.shape[1]))
         np.add.at(alpha, node, weight[:, None] * beam.alpha)
         beam.take(best)
-        scale = alpha.max(axis=1)
+        scale = np.maximum(alpha.max(axis=1), 1e-300)  # one that nothing heard allows has none
         beam.alpha, beam.level = alpha / scale[:, None], level + np.log(scale)
         beam.score = top + np.log(total)
         beam.node = np.arange(len(first))
