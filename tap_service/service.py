@@ -80,7 +80,7 @@ def run_tap(config: TapConfig, note: Note) -> int:
     KnowledgeError
         When an eavesdropper cannot be made.
     runtime.bus.TransportError
-        When a bus cannot be opened; what was begun is ended.
+        When a bus cannot be opened; nothing has started in either case.
     """
     from runtime.zenoh_bus import open_bus
 
@@ -88,10 +88,11 @@ def run_tap(config: TapConfig, note: Note) -> int:
         stopping = stack.enter_context(stop_on_signals())
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
-        service = TapService(config)
-        stack.callback(service.close)
+        made = Made.of(config)
         field_bus = stack.enter_context(open_bus(config.field))
         intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
+        service = TapService(config, made)
+        stack.callback(service.close)
         service.attach(field_bus, intel_bus)
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
@@ -101,18 +102,37 @@ def run_tap(config: TapConfig, note: Note) -> int:
     return DONE
 
 
-class TapService:
-    """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
+class Made(NamedTuple):
+    """The eavesdroppers of a tap: the light ones, the others' names, and what each is told."""
 
-    def __init__(self, config: TapConfig) -> None:
-        self.log: logging.Logger = logger("tap")
-        self._config = config
+    light: list[Listener]
+    heavy: tuple[str, ...]
+    knowledge: dict[str, Knowledge]
+
+    @classmethod
+    def of(cls, config: TapConfig) -> Self:
+        """Make them.
+
+        Raises
+        ------
+        KnowledgeError
+            When one cannot be made.
+        """
         each_once(config.names)
         knowledge = {name: config.knowledge_of(name) for name in config.names}
         light = [name for name in config.names if not guarded(name).heavy]
         heavy = tuple(name for name in config.names if guarded(name).heavy)
-        listeners = listeners_of(light, knowledge, self.log)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
+        return cls(listeners_of(light, knowledge, logger("tap")), heavy, knowledge)
+
+
+class TapService:
+    """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
+
+    def __init__(self, config: TapConfig, made: Made | None = None) -> None:
+        self.log: logging.Logger = logger("tap")
+        self._config = config
+        listeners, heavy, knowledge = made or Made.of(config)
         header = config.header()
         guesses = eighth(config.limits)
         self._capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
