@@ -66,7 +66,7 @@ def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
 def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
     """Add ``--metrics``."""
     parser.add_argument(
-        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/fleet.md)"
+        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/deployment.md)"
     )
 
 

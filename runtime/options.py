@@ -40,7 +40,9 @@ def add_message_arguments(parser: argparse.ArgumentParser) -> None:
 def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--fleet`` and ``--loops``: many loops in one process."""
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--fleet", metavar="FILE", help="run all loops of this file (docs/fleet.md)")
+    group.add_argument(
+        "--fleet", metavar="FILE", help="run all loops of this file (docs/deployment.md)"
+    )
     group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
 
 

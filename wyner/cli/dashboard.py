@@ -20,7 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--run-dir", type=Path, metavar="D", help="folder for saved screens (default: this one)"
     )
     parser.add_argument(
-        "--fleet", action="store_true", help="list all loops (docs/fleet.md); --loop ID opens one"
+        "--fleet",
+        action="store_true",
+        help="list all loops (docs/deployment.md); --loop ID opens one",
     )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "dashboard")
