@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from pydantic import ValidationError
 from pydantic_core import to_json
@@ -43,7 +43,9 @@ from tap_service.status import (
 )
 
 if TYPE_CHECKING:
+    from protocol.knowledge import Knowledge
     from runtime.bus import Bus
+    from tap_service.status import Listener
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -105,9 +107,9 @@ def run_tap(config: TapConfig, note: Note) -> int:
 class Made(NamedTuple):
     """The eavesdroppers of a tap: the light ones, the others' names, and what each is told."""
 
-    light: list[Listener]
+    light: "list[Listener]"
     heavy: tuple[str, ...]
-    knowledge: dict[str, Knowledge]
+    knowledge: "dict[str, Knowledge]"
 
     @classmethod
     def of(cls, config: TapConfig) -> Self:

@@ -35,10 +35,10 @@ def _files(room: str, names: str) -> tuple[str, ...]:
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "protocol/schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "protocol/link": (
-        *_files("link", "tallies refusals keying events model fallback pacing sealing timers"),
-        *_files(
-            "link", "transcripts meeting predictions perform session_machine appearances last_keys"
-        ),
+        *_files("link", "tallies refusals keying events model fallback pacing timers"),
+        *_files("link", "transcripts meeting predictions session_machine appearances"),
+        *_files("link", "last_keys plant_session"),
+        *_files("runtime", "perform sealing"),
         "tests/secret/test_keyed_link.py",
         "tests/simulate/test_network.py",
     ),

@@ -334,6 +334,9 @@ def test_the_version_covers_what_the_numbers_come_from(
     # These say which runs there are and what they add up to; a task does not use them.
     others = others | {
         "runtime/files.py",  # where a law's tables are cached
+        # how a scenario's file is found and opened; what it says is read by protocol/scenario
+        *(f"runtime/{name}.py" for name in ("errors", "options", "pace", "run_folder")),
+        "runtime/scenario_file.py",
         "protocol/brief.py",  # how objects look in a notebook
         "runtime/shipped.py",
         "protocol/statistics.py",

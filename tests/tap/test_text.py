@@ -244,6 +244,7 @@ def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() ->
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1500)
 def test_what_she_states_comes_true() -> None:
     """200 messages, a third to a half of their symbols missed: 20 short ones by seeds 0 to 9."""
     stated: list[tuple[float, bool]] = []
