@@ -85,7 +85,7 @@ def test_copies_do_not_tell_the_automatons_state(
 ) -> None:
     """Over 30,000 steps with losses and delays: first copies, repeats, copies named, gaps.
 
-    A control beside each: one in twenty of state 2 told otherwise is seen.
+    A control beside each: one in twenty of state 2 told otherwise moves it by more than 4.
     """
     faults = Faults(loss=0.2, repeat=0.1, delay_s=0.04)
     simulation = Listening(
@@ -109,7 +109,7 @@ def test_copies_do_not_tell_the_automatons_state(
     for name, table in tables.items():
         assert abs(_z(Counter(table))) < 4, name
         told = [(r, 1 if r == "message" and i % 20 == 0 else v) for i, (r, v) in enumerate(table)]
-        assert abs(_z(Counter(told))) > 4, name
+        assert _z(Counter(table)) - _z(Counter(told)) > 4, name
 
 
 def _z(table: "Counter[tuple[str, int]]") -> float:
