@@ -61,7 +61,10 @@ class ControllerPeer:
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockAnnouncement)
     says: tuple[type[Message], ...] = (
-        *(Offer, ControllerHello, SendReply, ControllerStatus),
+        Offer,
+        ControllerHello,
+        SendReply,
+        ControllerStatus,
         BlockAnnouncement,
     )
 

@@ -94,8 +94,12 @@ def _opened(
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
     key_maker = open_keeper(
-        *(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed),
-        *(config.secret, journal.load()),
+        config.run_dir / PLANT_KEYS,
+        "plant",
+        scenario,
+        config.seed,
+        config.secret,
+        journal.load(),
     )
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""

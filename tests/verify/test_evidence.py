@@ -4,17 +4,13 @@ import json
 import os
 import shutil
 import sqlite3
-from argparse import Namespace
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-from controller_service.laws import registry
 from runtime.run_folder import MANIFEST, SUMMARY
-from wyner.cli.demo import SealedMessage
-from wyner.cli.up import conduct
+from tests.support.checked_runs import one_law, run_with_keys
 from wyner.verify import check
 from wyner.verify.covered import KINDS, OTHER, evidence_below, kind_of
 from wyner.verify.evidence import read_evidence
@@ -25,38 +21,15 @@ pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
 @pytest.fixture(scope="module", autouse=True)
 def _one_law() -> Iterator[None]:
-    """The design's law takes longer than a small run's check."""
-    patch = pytest.MonkeyPatch()
-    make, design = registry.make_law, registry.cached_design
-    designs = cache(design)
-    laws = cache(lambda scenario: make(scenario, designs(scenario)))
-    patch.setattr(registry, "cached_design", designs)
-    patch.setattr(registry, "make_law", lambda scenario, _design: laws(scenario))
-    yield
-    patch.undo()
+    with one_law():
+        yield
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of all three services with signed keys; one sealed message was delivered."""
     folder = tmp_path_factory.mktemp("runs") / "keys"
-    options = Namespace(
-        scenario="keys",
-        message="hi",
-        message_file=None,
-        pace="fast",
-        steps=100_000,
-        until_delivered=True,
-        eavesdropper="smoother,key-solver",
-        story=False,
-        headless=True,
-        json=True,
-        run_dir=str(folder),
-        secret=True,
-        seed=None,
-    )
-    outcome = conduct(options, lambda ops: SealedMessage(ops, b"At nine."), stays=False)
-    assert outcome.failure is None
+    run_with_keys(folder, b"At nine.", "smoother,key-solver")
     return folder
 
 

@@ -4,7 +4,6 @@ import base64
 import json
 import shutil
 import sqlite3
-from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,9 @@ from runtime.run_folder import (
     PLANT_KEYS,
     PLANT_TRACE,
 )
+from tests.support.checked_runs import run_with_keys
 from tests.verify.mutants import Mutant, of_kind
-from wyner.cli.demo import SealedMessage
 from wyner.cli.main import main
-from wyner.cli.up import conduct
 from wyner.scoring.keys import audit_keys
 from wyner.verify import check
 from wyner.verify.evidence import read_evidence
@@ -39,23 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     for _ in range(30):
         folder = tmp_path_factory.mktemp("runs") / "keys"
-        options = Namespace(
-            scenario="keys",
-            message="hi",
-            message_file=None,
-            pace="fast",
-            steps=100_000,
-            until_delivered=True,
-            eavesdropper="nearest-centre,key-solver",
-            story=False,
-            headless=True,
-            json=True,
-            run_dir=str(folder),
-            secret=True,
-            seed=None,
-        )
-        outcome = conduct(options, lambda ops: SealedMessage(ops, TEXT.encode()), stays=False)
-        assert outcome.failure is None
+        run_with_keys(folder, TEXT.encode(), "nearest-centre,key-solver")
         if b'"topic":"sealed"' in (folder / CAPTURE).read_bytes():
             return folder
     pytest.fail("she lost the sealed message in every run")

@@ -2,13 +2,13 @@
 
 import os
 import shutil
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from controller_service.laws import registry
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
+from tests.support.checked_runs import one_law
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
 from tests.support.small_run import read_lines, write_lines
@@ -26,16 +26,9 @@ TRACES = (PLANT_TRACE, CONTROLLER_TRACE)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _one_law() -> "object":
-    """The design's law takes longer than a small run's check."""
-    patch = pytest.MonkeyPatch()
-    make, design = registry.make_law, registry.cached_design
-    designs = cache(design)
-    laws = cache(lambda scenario: make(scenario, designs(scenario)))
-    patch.setattr(registry, "cached_design", designs)
-    patch.setattr(registry, "make_law", lambda scenario, _design: laws(scenario))
-    yield
-    patch.undo()
+def _one_law() -> Iterator[None]:
+    with one_law():
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, UsageError
+from wyner.cli.figure_file import save_table
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -85,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     result = describe(scenario, loop, noises, args, states)
     print(json.dumps(result) if args.json else render(result))
     if args.figure:
-        _draw(args.figure, result)
+        save_table(args.figure, "wyner.studies.figures.noise:draw_table", result)
     return DONE
 
 
@@ -210,18 +211,3 @@ def render(r: dict[str, Any]) -> str:
             f"{one['coins']} coins, {one['blocks']} blocks, seed {one['seed']}, 95 % intervals"
         )
     return "\n".join(lines)
-
-
-def _draw(name: str, result: dict[str, Any]) -> None:
-    try:
-        from wyner.studies.figures.noise import draw_table
-        from wyner.studies.figures.style import drawing, save
-    except ImportError:
-        raise UsageError(needs("--figure", "matplotlib")) from None
-    with drawing((7.0, 4.2)) as figure:
-        draw_table(figure, result)
-        try:
-            save(figure, Path(name))
-        except OSError as error:
-            raise Failure(f"{name}: cannot be written: {error.strerror}") from None
-    print(name)

@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, UsageError
+from wyner.cli.figure_file import save_table
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 ALPHAS: Final = (1.5, 2.0, 2.5, 3.0, 3.01, 4.0, 5.0, 5.01, 6.0, 7.0, 7.01, 8.0, 9.01, 10.0)
 
 TRUE: Final = (
-    "counted by the paper's rule; of all of it an eavesdropper who takes the nearest centre leaves "
-    "0 bits, and she knows when: always"
+    "counted by the paper's rule; of all of it an eavesdropper who takes the prediction nearest in "
+    "the shape of D_c leaves 0 bits, and she knows when: always"
 )
 
 VOID: Final = (
@@ -58,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     result = describe(scenario, table)
     print(json.dumps(result) if args.json else render(result))
     if args.figure:
-        _draw(args.figure, result)
+        save_table(args.figure, "wyner.studies.figures.signalling:draw_table", result)
     return DONE
 
 
@@ -150,18 +151,3 @@ def render(r: dict[str, Any]) -> str:
     if any(row["certain_candidates"] > row["candidates"] for row in r["alphas"]):
         lines.append("at the largest alphas U or control's ceiling, not alpha, limits M")
     return "\n".join(lines)
-
-
-def _draw(name: str, result: dict[str, Any]) -> None:
-    try:
-        from wyner.studies.figures.signalling import draw_table
-        from wyner.studies.figures.style import drawing, save
-    except ImportError:
-        raise UsageError(needs("--figure", "matplotlib")) from None
-    with drawing((7.0, 4.2)) as figure:
-        draw_table(figure, result)
-        try:
-            save(figure, Path(name))
-        except OSError as error:
-            raise Failure(f"{name}: cannot be written: {error.strerror}") from None
-    print(name)
