@@ -6,11 +6,12 @@ docs/architecture.md and docs/protocol.md; a test says when they are stale.
 
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
 from protocol.messages import FIELD, INTEL, OPS, Message
 from protocol.schemes.base import Scheme
@@ -86,28 +87,46 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
     return "\n".join([*lines, ""])
 
 
-def plant_session() -> str:
-    """How a plant stands with a controller, what it may hear, and what comes of it."""
-    columns = [state for state in plants.STATES if state != "refused"]
+def session_table(
+    states: Mapping[str, str],
+    heard: Mapping[str, str],
+    answers: Mapping[str, str],
+    table: Mapping[Any, tuple[str, str]],
+) -> str:
+    """How an end stands with its partner, what it may hear, and what comes of it."""
+    columns = [state for state in states if state != "refused"]
     lines = ["| state | |", "|---|---|"]
-    lines += [f"| *{state}* | {meaning} |" for state, meaning in plants.STATES.items()]
+    lines += [f"| *{state}* | {meaning} |" for state, meaning in states.items()]
     lines += ["", "| what is heard | |", "|---|---|"]
-    lines += [f"| {name} | {meaning} |" for name, meaning in plants.HEARD.items()]
+    lines += [f"| {name} | {meaning} |" for name, meaning in heard.items()]
     lines += ["", "| answer | |", "|---|---|"]
-    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in plants.ANSWERS.items()]
+    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in answers.items()]
     lines += ["", "| heard, in state | " + " | ".join(f"*{state}*" for state in columns) + " |"]
     lines.append("|---|" + "---|" * len(columns))
-    for name in plants.HEARD:
-        cells = [_cell(state, plants.TABLE[state, name]) for state in columns]
+    for name in heard:
+        cells = [_cell(state, table[state, name]) for state in columns]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
 
-def _cell(state: str, row: plants.Row) -> str:
+def plant_session() -> str:
+    """The plant's."""
+    return session_table(plants.STATES, plants.HEARD, plants.ANSWERS, plants.TABLE)
+
+
+def controller_session() -> str:
+    """The controller's."""
+    return session_table(
+        controllers.STATES, controllers.HEARD, controllers.ANSWERS, controllers.TABLE
+    )
+
+
+def _cell(state: str, row: tuple[str, str]) -> str:
     """A row of the table: the answer, and the next state where it is another one."""
-    answer = "" if row.answer == "nothing" else f"**{row.answer}**"
-    following = "" if row.next == state else f"*{row.next}*"
-    return ", ".join(filter(None, (answer, following))) or "–"
+    answer, following = row
+    words = ["" if answer == "nothing" else f"**{answer}**"]
+    words.append("" if following == state else f"*{following}*")
+    return ", ".join(filter(None, words)) or "–"
 
 
 PARTS: Final[dict[str, Callable[[], str]]] = {
@@ -118,7 +137,10 @@ PARTS: Final[dict[str, Callable[[], str]]] = {
 }
 """Of docs/architecture.md."""
 
-PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {"plant-session": plant_session}
+PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
+    "plant-session": plant_session,
+    "controller-session": controller_session,
+}
 """Of docs/protocol.md."""
 
 DOCUMENTS: Final = {DOCUMENT: PARTS, PROTOCOL: PROTOCOL_PARTS}
