@@ -26,8 +26,8 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import CAPTURE_VERSION, Limits, RotatingLog, mirror_line
 from tests.support.medium import Medium, NoNamespaces, Radio, Station, medium
-from wyner.scoring.keys import KeyAudit, audit_keys
-from wyner.scoring.summary import summarise
+from wyner.runs.score.keys import KeyAudit, audit_keys
+from wyner.runs.score.summary import summarise
 
 GROUP: Final = "udp/224.0.0.251:7461#iface=air"
 

@@ -21,8 +21,8 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import PLANT_KEYS, PLANT_TRACE
 from runtime.trace import TraceReader
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""

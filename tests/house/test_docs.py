@@ -12,7 +12,7 @@ from protocol.messages import FIELD, INTEL, OPS
 from protocol.schemes.registry import SCHEMES, make_scheme
 from tools.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from tools.diagrams import DOCUMENTS as GENERATED
-from wyner.verify import CLAUSES
+from wyner.runs.check import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))

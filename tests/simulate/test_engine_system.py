@@ -25,8 +25,8 @@ from protocol.schemes.switched import MESSAGE, TEST
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
 from runtime.trace import TraceReader, TraceWriter
-from wyner.scoring.replay import Replay
-from wyner.scoring.score import read_truth, score
+from wyner.runs.score.replay import Replay
+from wyner.runs.score.score import read_truth, score
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation

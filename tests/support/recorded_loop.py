@@ -30,8 +30,8 @@ from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from runtime.trace import TraceWriter, read_trace
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 Side = Literal["plant", "controller"]
 

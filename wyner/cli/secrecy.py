@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from wyner.scoring.keys import KeyAudit
-    from wyner.scoring.score import RunScore
+    from wyner.runs.score.keys import KeyAudit
+    from wyner.runs.score.score import RunScore
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +51,8 @@ def _run(args: argparse.Namespace) -> int:
     from runtime.run_folder import PLANT_TRACE, loops_below
     from runtime.trace import TraceReader
     from tap_service.command import names_of
-    from wyner.scoring import report as reporting
-    from wyner.scoring.score import ScoreError, score_run
+    from wyner.runs.score import report as reporting
+    from wyner.runs.score.score import ScoreError, score_run
 
     names = names_of(args.eavesdropper)
     if args.scenario is not None and not names:
@@ -105,7 +105,7 @@ def _audits(run_dirs: "list[Path]") -> "dict[str, KeyAudit]":
     from protocol.scenario import ScenarioError
     from runtime.run_folder import SCENARIO
     from runtime.scenario_file import load_scenario
-    from wyner.scoring.keys import audit_keys
+    from wyner.runs.score.keys import audit_keys
 
     audits = {}
     for run_dir in run_dirs:
@@ -122,7 +122,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
     """A row for each key block, and what must be told in red."""
     from os import environ
 
-    from wyner.scoring.keys import key_lines
+    from wyner.runs.score.keys import key_lines
 
     print(f"\nkey blocks of {name}")
     if audit.blocks:
@@ -142,8 +142,8 @@ def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None
     from runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError
     from tap_service.eavesdroppers import KnowledgeError
-    from wyner.scoring.replay import Replay
-    from wyner.scoring.score import RunScore, read_truth, score
+    from wyner.runs.score.replay import Replay
+    from wyner.runs.score.score import RunScore, read_truth, score
 
     truth = read_truth(run_dir)
     scenario = None if scenario_name is None else scenario_of(scenario_name)
@@ -159,7 +159,7 @@ def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.scoring.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
+    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
