@@ -6,7 +6,7 @@ docs/architecture.md and docs/protocol.md; a test says when they are stale.
 
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -88,10 +88,10 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
 
 
 def session_table(
-    states: Mapping[str, str],
-    heard: Mapping[str, str],
-    answers: Mapping[str, str],
-    table: Mapping[Any, tuple[str, str]],
+    states: dict[Any, str],
+    heard: dict[Any, str],
+    answers: dict[Any, str],
+    table: dict[Any, Any],
 ) -> str:
     """How an end stands with its partner, what it may hear, and what comes of it."""
     columns = [state for state in states if state != "refused"]
