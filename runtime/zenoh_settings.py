@@ -1,4 +1,4 @@
-"""How Zenoh is configured; ``docs/transport.md`` gives the reason for each setting."""
+"""How Zenoh is configured; the reason stands beside each setting."""
 
 from typing import Any, Final
 
@@ -44,6 +44,7 @@ def settings_of(endpoints: Addresses) -> dict[str, Any]:
         "listen/exit_on_failure": True,
         "scouting/delay": 0,
         "scouting/multicast/enabled": endpoints.scouting,
+        # Gossip goes round a router's access control.
         "scouting/gossip/enabled": False,
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
