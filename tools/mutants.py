@@ -42,7 +42,9 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
         "tests/secret/test_keyed_link.py",
         "tests/simulate/test_network.py",
     ),
-    "wyner/verify": _files("verify", "key_blocks sealed rare_runs words seal parts deaths check"),
+    "wyner/runs/check": _files(
+        "runs/check", "key_blocks sealed rare_runs words seal parts deaths check"
+    ),
 }
 """A room, and the tests that have to notice; those that notice much in little time come first."""
 

@@ -19,8 +19,8 @@ from typing import Final
 from runtime.errors import Failure, UsageError
 from tests.campaigns.resumable import Results, options, seeds
 from tests.support.recorded_loop import SIDES, RecordedLoop, Side
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 KINDS: Final = (
     *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "malformed"),

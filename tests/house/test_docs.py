@@ -16,7 +16,7 @@ from runtime.errors import UsageError
 from tools.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from tools.diagrams import DOCUMENTS as GENERATED
 from wyner.cli.main import build_parser, commands
-from wyner.verify import CLAUSES
+from wyner.runs.check import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))

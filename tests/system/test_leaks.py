@@ -24,7 +24,7 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_TRACE,
 )
-from runtime.trace import read_trace
+from tests.support.traces import read_trace
 
 SECRET = "q9"
 

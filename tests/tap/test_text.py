@@ -21,7 +21,7 @@ from tap_service.inference.english import TEXT, AnyBytes, Contexts, english, log
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_reader import MessageReader
-from wyner.scoring.score import score
+from wyner.runs.score.score import score
 from wyner.studies.secrecy.runs import SENTENCES as SHORT
 from wyner.studies.secrecy.runs import simulate
 from wyner.studies.secrecy.sentences import SENTENCES

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from protocol.scenario import ScenarioError
     from runtime.trace import TraceError
-    from wyner.run_report import StepError, write_report
+    from wyner.runs.page import StepError, write_report
 
     try:
         with reading(str(args.run_dir)):
