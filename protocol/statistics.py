@@ -104,13 +104,14 @@ def wilson(successes: float, trials: int, confidence: float = CONFIDENCE) -> Int
 
 
 def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
-    """One-sided bounds on a probability of which ``k`` of ``n`` trials came true.
+    """One-sided bounds on a probability, from ``k`` successes in ``n`` trials.
 
     Parameters
     ----------
     k, n : int
+        Successes, and independent trials, looked at once.
     alpha : float
-        Probability that one of the two bounds does not hold; 1e-6 is usual here.
+        Probability that a bound does not hold, for each of the two; 1e-6 is usual here.
 
     Returns
     -------
