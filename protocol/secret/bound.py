@@ -67,66 +67,6 @@ def _check(name: str, value: float, holds: bool, expected: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class GilbertElliott:
-    """A channel of two states, good and bad, each with its own probability of a miss.
-
-    Parameters
-    ----------
-    loss_good, loss_bad : float
-        e_G and e_B, the probabilities that a copy is missed.
-    to_bad, to_good : float
-        g and b, the probabilities of a change of state between two copies.
-    """
-
-    loss_good: float
-    loss_bad: float
-    to_bad: float
-    to_good: float
-
-    @property
-    def mean(self) -> float:
-        """The share missed in the long run."""
-        bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
-        return (1 - bad) * self.loss_good + bad * self.loss_bad
-
-    @property
-    def eps_inf(self) -> float:
-        """The least probability of a miss given any past: what assumption T asks for."""
-        g, b = self.to_bad, self.to_good
-        return min(
-            (1 - g) * self.loss_good + g * self.loss_bad,
-            b * self.loss_good + (1 - b) * self.loss_bad,
-        )
-
-    def tails(self, n: int, most: int) -> list[float]:
-        """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
-
-        Exact by transfer matrix, O(n most).
-        """
-        import numpy as np
-
-        worst = np.zeros(most + 1)
-        for start in (0, 1):
-            counts = np.zeros((2, most + 1))  # counts[state, misses so far]
-            counts[start, 0] = 1.0
-            for _ in range(n):
-                good = (1 - self.to_bad) * counts[0] + self.to_good * counts[1]
-                bad = self.to_bad * counts[0] + (1 - self.to_good) * counts[1]
-                for state, mass, loss in ((0, good, self.loss_good), (1, bad, self.loss_bad)):
-                    counts[state] = (1 - loss) * mass
-                    counts[state, 1:] += loss * mass[:-1]
-            total = counts.sum(axis=0)
-            worst = np.maximum(worst, np.concatenate(([0.0], np.cumsum(total)))[: most + 1])
-        return [float(value) for value in worst]
-
-    def quantile(self, n: int, eps: float) -> int:
-        """The largest m with P[fewer than m of n are missed] <= eps, from either state before."""
-        # it is below the mean, or the mean is below one
-        tails = self.tails(n, min(n, int(n * self.mean) + 1))
-        return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
-
-
-@dataclass(frozen=True, slots=True)
 class Assumption:
     """What the operator claims of every tap, and the chance that the claim may leave.
 
@@ -139,11 +79,6 @@ class Assumption:
         Distance from a perfect key that a block may have.
     directions : {"both", "offers", "measurements"}
         In which directions the tap misses; the other one's nonces are left out.
-    independent : bool
-        Claim besides that her misses do not depend on the link's own losses: then a copy that the
-        link lost costs nothing but itself. A jammer breaks it.
-    bursts : GilbertElliott, optional
-        All four parameters of her channel, for its exact quantile in place of eps_E's.
     unheard_bits : int
         Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
         all 256, unless she may hear a part of a message.
@@ -156,8 +91,6 @@ class Assumption:
     eps_E: float
     eps_sec: float = 1e-12
     directions: Directions = "both"
-    independent: bool = False
-    bursts: GilbertElliott | None = None
     unheard_bits: int = NONCE_BITS
     appearances: int = 1
 
@@ -184,8 +117,6 @@ class Assumption:
         """How many of ``n`` copies she misses at least, but for eps_sec."""
         if self.eps_E == 0:
             return 0
-        if self.bursts is not None:
-            return self.bursts.quantile(n, self.eps_sec)
         return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
@@ -200,11 +131,8 @@ class Assumption:
         counted : int
             C, copies counted.
         """
-        if self.independent:
-            missed = self.misses(counted)
-        else:
-            lost = self.copies * steps - counted
-            missed = max(0, self.misses(self.copies * transitions) - lost)
+        lost = self.copies * steps - counted
+        missed = max(0, self.misses(self.copies * transitions) - lost)
         return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
@@ -214,16 +142,14 @@ class Assumption:
             "offers": "offers' first copies",
             "measurements": "measurements' first copies",
         }[self.directions]
-        if not self.eps_E and self.bursts is None:
+        if not self.eps_E:
             return "nothing is claimed that a tap misses (eps_E = 0): no secret"
         share = f"{100 * self.eps_E:.4g} % of {where}"
         if self.appearances > 1:
             share = f"{100 * self.eps_E:.4g} % of the {self.appearances} appearances of {where}"
-        if self.bursts is not None:
-            share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
-        beside = ", whatever the link itself loses" if self.independent else ""
+        beside = ""
         if self.by_words:
-            beside += f", and then {self.unheard_bits} bits of the nonce at least"
+            beside = f", and then {self.unheard_bits} bits of the nonce at least"
         return f"secret only from a tap that misses {share} or more{beside}"
 
 
