@@ -446,7 +446,9 @@ class ControllerCore:
         cipher = encrypt(message_symbol, pad, size)
         carrying = Decision(cipher, message_symbol, framed, message, offset + framed)
         cover = Decision(fresh, NO_SYMBOL, False, message, offset)
-        return cover if pad == NO_SYMBOL else carrying
+        if pad == NO_SYMBOL:
+            return cover
+        return carrying
 
     def _frame_of(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""

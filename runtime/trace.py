@@ -7,7 +7,6 @@ in a torn line; the reader drops that line only, and says so. Marks
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -116,36 +115,10 @@ class TraceWriter:
         self.lines.close()
 
 
-@dataclass(frozen=True, slots=True)
-class Trace:
-    """A trace as read back.
-
-    Parameters
-    ----------
-    header : dict
-        The first line.
-    events : tuple of dict
-        All whole lines after it, in order.
-    torn : int
-        Lines that were not whole: left behind by a writer that was killed.
-    parts_missing : int
-        Parts before the first that is there.
-    """
-
-    header: dict[str, Any]
-    events: tuple[dict[str, Any], ...]
-    torn: int
-    parts_missing: int = 0
-
-    def of(self, event: str) -> Iterator[dict[str, Any]]:
-        """The events of one kind, in order."""
-        return (e for e in self.events if e["event"] == event)
-
-
 class TraceReader:
     """A trace, read line by line: iterate once over its events, then look at ``torn``.
 
-    A report that a killed writer wrote again, with its transition, is read once.
+    Torn lines are left out. What a killed writer wrote twice comes twice.
 
     Parameters
     ----------
@@ -177,17 +150,11 @@ class TraceReader:
             raise TraceError(f"{parts[0]}: line 1: {said}")
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        at = reported = None
-        for event in self._events:
-            if event["event"] in MARKS:
-                continue
-            if event["event"] == "transition":
-                at = event.get("session"), event.get("j")
-            elif event["event"] in REPORTS:
-                if at is not None and at == reported:
-                    continue
-                reported = at
-            yield event
+        return (event for event in self._events if event["event"] not in MARKS)
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """The events, and the marks between them that tell of another process; once."""
+        return self._events
 
     def _read(self, parts: Sequence[Path]) -> Iterator[dict[str, Any]]:
         for path in parts:
@@ -199,15 +166,3 @@ class TraceReader:
                         self.torn += 1
             except OSError as error:
                 raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def read_trace(path: Path) -> Trace:
-    """Read a whole trace.
-
-    Raises
-    ------
-    TraceError
-        As :class:`TraceReader` does.
-    """
-    reader = TraceReader(path)
-    return Trace(reader.header, tuple(reader), reader.torn, reader.parts_missing)

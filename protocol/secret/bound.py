@@ -1,10 +1,10 @@
-"""How many copies the tap misses at least, and how many rows of key that leaves.
+"""The least number of copies that the tap misses, and how many rows of key that leaves.
 
 For N = 256 transitions with two copies each, eps_E = 0.3 and eps_sec = 1e-12 the tap misses at
-least Q = 85 of 512, and each copy that was sent but not counted takes one row away.
+least Q = 85 of 512. Each copy that was sent but not counted takes one row away.
 
-Tails are summed from logarithms of factorials, so both ends need no library for it and come to the
-same number; a guard of 1e-9, relative, covers their rounding on the safe side.
+Tails are summed from logarithms of factorials, without a library, so both ends come to the same
+number. A relative guard of 1e-9 covers the rounding on the safe side.
 """
 
 import math
@@ -18,7 +18,7 @@ GUARD: Final = 1 + 1e-9
 """Factor on a computed tail before it is compared: rounding must never gain a row."""
 
 NONCE_BITS: Final = 8 * NONCE_BYTES
-"""Of the nonce in each copy; a row of a block is as long."""
+"""Bits of the nonce in each copy, and of a row of a block."""
 
 Directions = Literal["both", "offers", "measurements"]
 
@@ -35,11 +35,16 @@ def quantile(n: int, e: float, eps: float) -> int:
     Parameters
     ----------
     n : int
-        Copies.
+        Number of copies.
     e : float
-        Least probability that one is missed, given all before it.
+        Least probability that a copy is missed, given all before it.
     eps : float
-        Probability with which fewer may be missed.
+        Probability that the bound may fail.
+
+    Returns
+    -------
+    int
+        Copies that are missed at least, except with probability ``eps``.
 
     Raises
     ------
@@ -68,7 +73,7 @@ def _check(name: str, value: float, holds: bool, expected: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What the operator claims of every tap, and the chance that the claim may leave.
+    """What the operator claims that every tap misses, and how far a key may be from perfect.
 
     Parameters
     ----------
@@ -76,16 +81,15 @@ class Assumption:
         Least probability, given everything that happened before, that the tap misses the next
         copy 0 entirely. 0 claims nothing, and makes no key.
     eps_sec : float
-        Distance from a perfect key that a block may have.
+        Distance from a perfect key that a block may have, in total variation.
     directions : {"both", "offers", "measurements"}
-        In which directions the tap misses; the other one's nonces are left out.
+        Directions in which the tap misses copies. Nonces of the other one do not count.
     unheard_bits : int
-        Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
-        all 256, unless she may hear a part of a message.
+        Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 she may
+        hear a part of a message.
     appearances : int
-        How often a copy 0 leaves an end at most. Each time is a chance for her, so that eps_E is
-        claimed of each appearance, given all before it, and a copy is missed with eps_E to that
-        power at least.
+        How often a copy 0 leaves an end at most. ``eps_E`` is claimed of each appearance, given
+        all before it, so a copy is missed with probability eps_E^appearances at least.
     """
 
     eps_E: float
@@ -96,47 +100,47 @@ class Assumption:
 
     @property
     def eps_copy(self) -> float:
-        """Least probability that she misses a copy 0 in all of its appearances."""
+        """Least probability that she misses all appearances of a copy 0."""
         return self.eps_E**self.appearances
 
     @property
     def by_words(self) -> bool:
-        """Whether keys are made of the nonces' words, since she may hear a part of one."""
+        """Whether keys are made of words of 16 bits, since she may hear a part of a nonce."""
         return self.unheard_bits < NONCE_BITS
 
     @property
     def copies(self) -> int:
-        """Copies of a step that count: 2, or 1 where one direction is left out."""
+        """Copies 0 of a step that may count: 2, or 1 where one direction is left out."""
         return 2 if self.directions == "both" else 1
 
     def counting(self, counts: int) -> int:
-        """Of copies that were taken (1 the offer's, 2 the measurement's) those that may count."""
+        """Those of the copies taken that may count: 1 the offer's, 2 the measurement's, 3 both."""
         return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
 
     def misses(self, n: int) -> int:
-        """How many of ``n`` copies she misses at least, but for eps_sec."""
+        """Copies of ``n`` that she misses at least, except with probability eps_sec."""
         if self.eps_E == 0:
             return 0
         return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
-        """Rows R that a block may have; below 2 it makes no key.
+        """Rows R of a block. Below 2 it makes no key.
 
         Parameters
         ----------
         transitions : int
             N, transitions of the block.
         steps : int
-            K, steps from the block before to this one's last transition, missed ones included.
+            Steps from the block before to this one's last transition, missed ones included.
         counted : int
-            C, copies counted.
+            C, the copies 0 that count.
         """
         lost = self.copies * steps - counted
         missed = max(0, self.misses(self.copies * transitions) - lost)
         return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
-        """The claim in words, as it is printed with every key."""
+        """The claim as one sentence; it is printed with every key."""
         where = {
             "both": "first copies",
             "offers": "offers' first copies",
@@ -154,7 +158,10 @@ class Assumption:
 
 
 def least(holds: Callable[[int], bool], most: int) -> int | None:
-    """The least number in 1 ... ``most`` for which ``holds``, a test that stays true once true."""
+    """Least number in 1 ... ``most`` for which ``holds``; None where there is none.
+
+    ``holds`` must stay true once it is true.
+    """
     if not holds(most):
         return None
     low, high = 0, most
@@ -168,13 +175,14 @@ def least(holds: Callable[[int], bool], most: int) -> int | None:
 
 
 def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
-    """One-sided bounds on a probability of which ``k`` of ``n`` trials came true.
+    """One-sided bounds on a probability, from ``k`` successes in ``n`` trials.
 
     Parameters
     ----------
     k, n : int
+        Successes, and independent trials, looked at once.
     alpha : float
-        Probability that one of the two bounds does not hold; 1e-6 is usual here.
+        Probability that a bound does not hold, for each of the two; 1e-6 is usual here.
 
     Returns
     -------

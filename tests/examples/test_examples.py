@@ -27,6 +27,8 @@ SAYS = {
     "lossy_network": "the plant has [b'first', b'second']",
     "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",
     "own_plant": "250 of 250 tested steps agreed, 10.0 bit/s",
+    "paper_scheme": "nearest-centre names 178 of 178 key bits",
+    "whole_messages": "list-decoder reads 20 of 20 messages",
     "packed_law": "expected at most 4",
     "pendulum": "regulator  for ever",
 }

@@ -102,6 +102,13 @@ def test_the_shell_imports_the_protocol_and_itself_only() -> None:
         assert rooms_of(path) <= {"protocol", "runtime"}, name_of(path)
 
 
+def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
+    """What a clause is to find wrong in the protocol, it may not ask the protocol."""
+    path = ROOT / "wyner" / "runs" / "check" / "paper.py"
+    assert not rooms_of(path)
+    assert {name.split(".")[0] for name in imports_of(path)} == {"collections", "typing"}
+
+
 SHELL = {
     *("asyncio", "ctypes", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib"),
     *("queue", "resource", "select", "selectors", "shutil", "signal", "socket", "sqlite3"),

@@ -28,7 +28,7 @@ from runtime.options import add_fleet_arguments, add_message_arguments, message_
 from runtime.pace import Pace
 from runtime.parts import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
-from runtime.trace import read_trace
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'

@@ -25,6 +25,7 @@ from protocol.schemes.switched import MESSAGE, TEST
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
 from runtime.trace import TraceReader, TraceWriter
+from wyner.runs.run import Run
 from wyner.runs.score.replay import Replay
 from wyner.runs.score.score import read_truth, score
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
@@ -206,7 +207,7 @@ def compare_all(case: Case, folder: Path) -> None:
     replay = Replay(folder / "live", ("nearest-centre",))
     replay.run()
     (said,) = replay.said()
-    share = score(read_truth(folder / "live"), said).keys.share
+    share = score(read_truth(Run.load(folder / "live")), said).keys.share
     assert share is not None
     assert share > 0.99
 

@@ -27,9 +27,10 @@ from runtime.pace import Pace
 from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Files, LoopPorts
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
-from runtime.trace import TraceWriter, read_trace
+from runtime.trace import TraceWriter
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
+from tests.support.traces import read_trace
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 

@@ -52,9 +52,9 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
-from runtime.trace import read_trace
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 
 Service = TypeVar("Service", PlantService, ControllerService)

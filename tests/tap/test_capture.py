@@ -18,10 +18,10 @@ from protocol.messages import Measurement, Offer, Sealed
 from runtime import jsonl
 from runtime.parts import part_path, parts_of
 from runtime.run_folder import CAPTURE
-from runtime.trace import read_trace
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tests.support.lines import unmark
+from tests.support.traces import read_trace
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"

@@ -96,8 +96,8 @@ def findings_of(folder: Path) -> "list[Finding]":
 def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
     """The findings of a run, for machines."""
     from wyner.runs.check.covered import KINDS
-    from wyner.runs.check.evidence import read_manifest
     from wyner.runs.check.seal import is_sealed
+    from wyner.runs.run import Run
 
     failed = sum(f.result == "FAIL" for f in findings)
     return {
@@ -105,7 +105,7 @@ def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
         "passed": not failed,
         "failed": failed,
         "skipped": sum(f.result == "SKIP" for f in findings),
-        "sealed": is_sealed(read_manifest(folder)),
+        "sealed": is_sealed(Run.load(folder).manifest),
         "clauses": [f.as_json() for f in findings],
         "files": [kind._asdict() for kind in KINDS],
     }

@@ -87,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
+    from wyner.runs.run import Run
     from wyner.runs.score.replay import Replay
     from wyner.runs.score.score import RunScore, ScoreError, read_truth, score, summary_of
 
@@ -110,8 +111,8 @@ def run(args: argparse.Namespace) -> int:
     report = replay.report()
     if args.score is not None:
         try:
-            truth = read_truth(Path(args.score)).between(args.first, args.last)
-        except ScoreError as error:
+            truth = read_truth(Run.load(args.score)).between(args.first, args.last)
+        except (FileNotFoundError, ScoreError) as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())
         report["score"] = summary_of(RunScore(Path(args.score).name, truth, taps))

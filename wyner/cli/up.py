@@ -138,6 +138,7 @@ def conduct(
     from wyner.deployment.one_machine import lay_out
     from wyner.deployment.running import announced
     from wyner.runs.check.seal import seal
+    from wyner.runs.run import Run
     from wyner.runs.score.summary import summarise, verdict_lines
 
     at_least("--steps", args.steps, 1)
@@ -164,7 +165,7 @@ def conduct(
         if not summary:
             note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
-            summary.update(summarise(run_dir, payload))
+            summary.update(summarise(Run.load(run_dir), payload))
         return (closing or verdict_lines)(summary)
 
     watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)

@@ -1,1 +1,1 @@
-"""A finished or cut-off run: one reader of its folder, and what is made of it."""
+"""A run's folder: one reader of it, and what is made of a run."""

@@ -6,9 +6,9 @@ import pytest
 
 from protocol.link.events import Delivered, Event, Queued, Recovered
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from runtime.trace import read_trace
 from tests.support.recorded_loop import RecordedLoop, Side
 from tests.support.small_run import SmallRun, read_lines, write_lines
+from tests.support.traces import read_trace
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 

@@ -22,6 +22,7 @@ from tests.support.checked_runs import run_with_keys
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
+from wyner.runs.run import Run
 from wyner.runs.score.keys import audit_keys
 
 Line = dict[str, Any]
@@ -57,7 +58,7 @@ def failed(folder: Path) -> set[str]:
 def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     evidence = read_evidence(run)
     assert failed(run) == set()
-    audit = audit_keys(run, evidence.scenario)
+    audit = audit_keys(Run.load(run), evidence.scenario)
     assert audit is not None
     assert audit.made >= 2
     assert audit.held_bits == 0
@@ -73,7 +74,7 @@ def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
 def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    audit = audit_keys(run, read_evidence(run).scenario)
+    audit = audit_keys(Run.load(run), read_evidence(run).scenario)
     assert audit is not None
     live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
     assert main(["replay", str(run), "--score", str(run), "--json"]) == 0
@@ -217,7 +218,7 @@ def test_stores_that_differ_fail(copied: Path) -> None:
         db.execute("UPDATE key SET body = zeroblob(32) WHERE place = 5")
     db.close()
     assert "key-ids" in failed(copied)
-    audit = audit_keys(copied, read_evidence(copied).scenario)
+    audit = audit_keys(Run.load(copied), read_evidence(copied).scenario)
     assert audit is not None
     assert audit.same is False
     assert "the two stores differ" in audit.warnings
@@ -245,7 +246,7 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
                 lines.append({**example, "topic": topic, "message": message})
 
     rewrite(copied / CAPTURE, hear_all)
-    audit = audit_keys(copied, read_evidence(copied).scenario)
+    audit = audit_keys(Run.load(copied), read_evidence(copied).scenario)
     assert audit is not None
     assert audit.held_bits >= 256 * 2  # all rows of each block, the public one included
     assert {name: rate.refuted for name, rate in audit.rates.items()} == {

@@ -8,8 +8,9 @@ import pytest
 
 from runtime.parts import Bounds, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
-from runtime.trace import TraceReader, read_trace
+from runtime.trace import TraceReader
 from tests.support.small_run import SmallRun, read_lines, write_lines
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.clause import Finding

@@ -17,6 +17,7 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.trace import TraceWriter
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
+from wyner.runs.run import Run
 from wyner.runs.score.keys import Copies, Heard, KeyAudit, audit_keys
 
 S = "1" * 16
@@ -70,7 +71,7 @@ def audited(
                 if heard(topic, k):
                     capture.write(mirror_line(k, topic, message(topic, k).wire()))
         capture.close()
-    audit = audit_keys(run_dir, scenario)
+    audit = audit_keys(Run.load(run_dir), scenario)
     assert audit is not None
     return audit
 

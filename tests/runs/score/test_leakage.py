@@ -12,6 +12,7 @@ from runtime.scenario_file import scenario_of
 from tap_service.capture.channel import View
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.cli.main import main
+from wyner.runs.run import Run
 from wyner.runs.score.leakage import FEWEST, LeakedKey, leakage_line, neighbours_right
 from wyner.runs.score.replay import Replay
 from wyner.runs.score.score import read_truth, score
@@ -51,7 +52,7 @@ def test_neighbours_without_a_model_come_to_nearest_centre(
     assert said[0] == f"{len(keys)} agreed steps"
     replay = Replay(folder, ("nearest-centre",))
     replay.run()
-    (nearest,) = (score(read_truth(folder), x).keys_reviewed for x in replay.said())
+    (nearest,) = (score(read_truth(Run.load(folder)), x).keys_reviewed for x in replay.said())
     assert nearest.share == 1.0
     found = neighbours_right(keys)
     assert found is not None

@@ -13,6 +13,7 @@ from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from runtime.trace import TraceWriter
 from tap_service.eavesdroppers.base import Belief
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+from wyner.runs.run import Run
 from wyner.runs.score import report as reporting
 from wyner.runs.score.report import over_runs, percent, report
 from wyner.runs.score.score import (
@@ -281,7 +282,7 @@ def test_json_and_rows_hold_every_figure() -> None:
 
 def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, object]:
     return {
-        "event": "transition", "session": S, "k": k, "candidates": [[0.0], [1.0]],
+        "event": "transition", "session": S, "j": k, "k": k, "candidates": [[0.0], [1.0]],
         "role": role, "symbol": symbol, "message_symbol": bit,
     }  # fmt: skip
 
@@ -307,12 +308,12 @@ def write_run(run_dir: Path) -> None:
 
 def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
     write_run(tmp_path)
-    t = read_truth(tmp_path)
+    t = read_truth(Run.load(tmp_path))
     assert t.keys == {(S, 0): 0}
     assert t.symbols == {(S, 1): 1}
     assert t.whole == ((2, b"m"),)
     assert t.transitions == 3
-    summary = summary_of(score_run(tmp_path))["t"]
+    summary = summary_of(score_run(Run.load(tmp_path)))["t"]
     assert summary["symbol_accuracy"] == 1.0
     assert summary["message_bit_accuracy"] == 1.0
     assert summary["messages_exact"] == 1
@@ -324,7 +325,7 @@ def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
     beliefs = json.loads((tmp_path / BELIEFS).read_text())
     beliefs["t"]["symbols"] = None  # as they stand before the end
     (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
-    run = score_run(tmp_path)
+    run = score_run(Run.load(tmp_path))
     assert summary_of(run)["t"]["symbol_accuracy"] == 1.0
     assert summary_of(run)["t"]["message_bit_accuracy"] is None
     assert reporting.rows(report([run]))[0][2] == "-"
@@ -333,7 +334,7 @@ def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
 def test_missing_files_are_one_line(tmp_path: Path) -> None:
     for expected in ("plant/trace.jsonl: cannot be read", "beliefs.json: cannot be read"):
         with pytest.raises(ScoreError, match=expected) as error:
-            score_run(tmp_path)
+            score_run(Run.load(tmp_path))
         assert "\n" not in str(error.value)
         TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
 

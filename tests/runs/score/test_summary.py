@@ -9,7 +9,7 @@ import pytest
 from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
 from tap_service.status import absent_record
 from tests.support.small_run import SmallRun
-from wyner.runs.score.counts import StepCount
+from wyner.runs.run import Run
 from wyner.runs.score.summary import render, summarise
 
 PAYLOAD = b"two by two"
@@ -20,7 +20,7 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     run = SmallRun(tmp_path, (PAYLOAD,))
     run.until_received(1)
     run.close()
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["delivered"]
     tap = {
         "symbol_accuracy": 1.0,
@@ -67,7 +67,7 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     record = absent_record("mine") | {"failed": "step 21: ValueError: no idea", "steps": 21}
     (tmp_path / BELIEFS).parent.mkdir(exist_ok=True)
     (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["true_bits"] is None
     assert summary["failed"] == ["mine"]
     lines = render(summary).splitlines()
@@ -76,7 +76,7 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     assert lines[-1] == "FAILED     mine: step 21: ValueError: no idea"
     record |= {"failed": "", "steps": 0}
     (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["failed"] == []
     assert render(summary).splitlines()[-1].endswith("True: unknown, nobody guessed.")
 
@@ -88,7 +88,7 @@ def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
     run.close()
     (tmp_path / TAP_STATUS).parent.mkdir(exist_ok=True)
     (tmp_path / TAP_STATUS).write_text('{"unguessed":1234}')
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["unguessed"] == 1234
     summary |= {"true_bits": 9.0, "strongest": "nearest-centre"}
     lines = render(summary).splitlines()
@@ -101,7 +101,7 @@ def test_each_message_is_told_beside_itself(tmp_path: Path) -> None:
     run = SmallRun(tmp_path, (PAYLOAD, b"second", b"third"))
     run.until_received(2)
     run.close()
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert (summary["sent"], summary["recovered"]) == ("two by two", "two by two")
     assert summary["messages"] == 2
     pairs = {base64.b64decode(p["sent_base64"]): p["recovered_k"] for p in summary["exchanged"]}
@@ -120,7 +120,7 @@ def test_a_plant_that_lost_its_journal_has_made_the_steps_of_both_its_lives(tmp_
     run.step("plant forgets")
     run.steps(40)
     run.close()
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     lines = (tmp_path / "plant" / "trace.jsonl").read_text().splitlines()
     made = sum('"event":"transition"' in line or '"event":"missed"' in line for line in lines)
     assert summary["steps"] == made > 75
@@ -132,21 +132,10 @@ def test_a_plant_that_lost_its_journal_has_made_all_its_steps(tmp_path: Path) ->
     run = SmallRun(tmp_path, (PAYLOAD,))
     run.steps(200, {100: "plant forgets", 30: "plant dies", 150: "plant dies"})
     run.close()
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["steps"] == 200
     assert summary["missed"] == 200 - summary["transitions"]
     assert summary["bits_per_second"] == pytest.approx(summary["bits"] / 20.0)
-
-
-def test_a_step_that_is_traced_again_is_one(tmp_path: Path) -> None:
-    """Killed between a missed step's trace and its save, the plant traces the one before, too."""
-    made = StepCount()
-    for kind, k in (
-        *(("transition", 0), ("missed", 1), ("transition", 0), ("transition", 1)),
-        *(("interrupted", 2), ("interrupted", 2), ("missed", 3)),
-    ):
-        made.take({"event": kind, "k": k})
-    assert made.count == 4
 
 
 @pytest.mark.parametrize(("line", "steps"), [(0, 0), (3, None)])
@@ -158,7 +147,7 @@ def test_a_trace_that_is_damaged_is_told(tmp_path: Path, line: int, steps: int |
     lines = trace.read_bytes().splitlines(keepends=True)
     lines[line] = b'{"event":"transition"}\n'
     trace.write_bytes(b"".join(lines))
-    summary = summarise(tmp_path, PAYLOAD)
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert str(trace.name) in summary["trace_error"]
     assert steps is None or summary["steps"] == steps
     assert any(one.startswith("trace      damaged") for one in render(summary).splitlines())

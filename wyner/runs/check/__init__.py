@@ -1,8 +1,10 @@
 """Does a run obey the paper? A table of clauses, each a function that looks at the evidence.
 
-A clause counts what it looked at and keeps the first place where it did not hold. It replays the
-run through the same pure functions that both ends evaluate (:mod:`protocol.agreement`,
-the scheme, :mod:`protocol.schemes.framing`), from the raw numbers of the traces.
+A clause counts what it looked at and keeps the first place where it did not hold. There are three
+kinds. A replay evaluates the pure functions of both ends (:mod:`protocol.agreement`, the scheme,
+:mod:`protocol.schemes.framing`) on the raw numbers of the traces: it finds a trace that its program
+did not write. Others compare files with each other. The clause ``paper`` asks code that shares
+nothing with the ends (:mod:`wyner.runs.check.paper`): it finds a program that is wrong.
 """
 
 from collections.abc import Callable
@@ -37,6 +39,8 @@ CLAUSES: Final[tuple[Clause, ...]] = (
            "transitions", keys.sender),
     Clause("receiver", "Figs. 5, 6b", "the scheme gives what the plant recorded",
            "transitions", keys.receiver),
+    Clause("paper", "Figs. 5, 6", "the paper's test and automata, written a second time, agree",
+           "transitions", keys.paper),
     Clause("in-step", "proposition 3", "both ends agree on every transition both have counted",
            "transitions", keys.in_step),
     Clause("prefix", "proposition 3", "what was recovered is a prefix of what was sent",

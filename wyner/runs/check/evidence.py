@@ -4,7 +4,6 @@ Nothing here judges. The traces come first, both ends side by side; the capture 
 compared with the plant's steps. A run of millions of steps is never in memory as a whole.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,13 +13,13 @@ from protocol.link.session import Rules, rules_of
 from protocol.messages import Sealed
 from protocol.scenario import Scenario
 from runtime.parts import parts_of
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
-from runtime.scenario_file import load_scenario
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.check.capture import CaptureLines, Seen
 from wyner.runs.check.journals import Kept, read_controller, read_plant
 from wyner.runs.check.records import Item, MissedLine, Shape, Walked
 from wyner.runs.check.sides import SideReader
 from wyner.runs.check.steps import Steps
+from wyner.runs.run import TRACES, Run
 
 AT_ONCE: Final = 2000
 """Items that a part holds, about."""
@@ -56,11 +55,8 @@ class Evidence:
 
     Parameters
     ----------
-    run_dir : Path
-    scenario : Scenario
+    run : Run
     rules : Rules
-    manifest : dict, optional
-        None where there is none; empty where it is no JSON object.
     plant, controller : SideReader, optional
     plant_journal, controller_journal : Kept or str, optional
         A string says why a journal cannot be read.
@@ -69,10 +65,8 @@ class Evidence:
         The plant's steps, complete once the traces have been read.
     """
 
-    run_dir: Path
-    scenario: Scenario
+    run: Run
     rules: Rules
-    manifest: dict[str, Any] | None
     plant: SideReader | None
     controller: SideReader | None
     plant_journal: Kept | str | None
@@ -83,6 +77,21 @@ class Evidence:
     def __post_init__(self) -> None:
         rules = self.rules
         self.steps = Steps(Shape(rules.states, rules.inputs, rules.size))
+
+    @property
+    def run_dir(self) -> Path:
+        """The run's folder."""
+        return self.run.folder
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario that it was made under."""
+        return self.run.scenario
+
+    @property
+    def manifest(self) -> dict[str, Any] | None:
+        """None where there is none; empty where it is no JSON object."""
+        return self.run.manifest
 
     def readers(self) -> Iterator[tuple[str, SideReader]]:
         """Both ends' traces, as far as they are there."""
@@ -226,40 +235,26 @@ def read_evidence(run_dir: Path) -> Evidence:
     """
     if not (run_dir / SCENARIO).is_file():
         raise FileNotFoundError(f"{run_dir}: no run here, expected {SCENARIO}")
-    scenario = load_scenario(run_dir / SCENARIO)
-    rules = rules_of(scenario)
+    run = Run.load(run_dir)
+    rules = rules_of(run.scenario)
     journals = {"plant": read_plant(run_dir, rules), "controller": read_controller(run_dir, rules)}
     readers: dict[str, SideReader] = {}
-    for side, path in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE)):
-        if parts_of(run_dir / path):
+    for side in TRACES:
+        if parts_of(run.trace(side)):
             kept = journals[side]
             journal = kept if isinstance(kept, Kept) else None
-            readers[side] = SideReader(side, run_dir / path, rules, journal)
+            readers[side] = SideReader(side, run.trace(side), rules, journal)
     if not readers:
         raise FileNotFoundError(
             f"{run_dir}: no run here, expected {PLANT_TRACE} or {CONTROLLER_TRACE}"
         )
     wire = CaptureLines(run_dir / CAPTURE)
     return Evidence(
-        run_dir=run_dir,
-        scenario=scenario,
+        run=run,
         rules=rules,
-        manifest=read_manifest(run_dir),
         plant=readers.get("plant"),
         controller=readers.get("controller"),
         plant_journal=journals["plant"],
         controller_journal=journals["controller"],
         wire=wire if wire else None,
     )
-
-
-def read_manifest(run_dir: Path) -> dict[str, Any] | None:
-    """A run's manifest; None where there is none, empty where it is no JSON object."""
-    path = run_dir / MANIFEST
-    if not path.is_file():
-        return None
-    try:
-        value = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return {}
-    return value if isinstance(value, dict) else {}

@@ -1,5 +1,6 @@
 """The keys' clauses: the agreement test, the scheme, both ends in step."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from operator import attrgetter
 from typing import Final
@@ -8,7 +9,63 @@ from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import decrypt
 from wyner.runs.check.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.runs.check.evidence import Evidence
+from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
 from wyner.runs.check.records import TracedTransition, Walked
+
+
+class _Opinion:
+    """What the paper says of one end's trace, transition by transition."""
+
+    def __init__(self, e: Evidence, side: str) -> None:
+        self._s = e.scenario
+        self._linear = not e.rules.predicted
+        self._size = e.rules.size
+        self._D_c = tuple(zip(*e.scenario.defender.disturbance.rows(), strict=True))
+        self._D_e = tuple(zip(*e.scenario.eavesdropper_set.rows(), strict=True))
+        self._leaves = may_leave(e)
+        self._reader = e.plant if side == "plant" else e.controller
+        self._session = ""
+        self._automata = Automata(self._size)
+
+    def wrong(self, t: TracedTransition) -> str:
+        """What the paper says otherwise; empty where it says the same."""
+        if t.session != self._session:
+            cut = None if self._session or self._reader is None else self._reader.cut
+            p = cut.p if cut is not None and cut.session == t.session else 0
+            always = self._s.secrecy.scheme == "pipelined"
+            self._session = t.session
+            self._automata = Automata(self._size, tests_always=always, p=p)
+        A, B = self._s.A, self._s.B
+        centres: Sequence[Sequence[float]] = t.predictions
+        if self._linear:
+            centres = [f_c(A, B, t.x, u) for u in t.candidates]
+        keys = key_symbols(self._D_c, self._D_e, centres, t.x_next)
+        expected = self._automata.step(t.cipher, t.symbol if t.symbol in keys else min(keys))
+        found = Line(t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
+        if found != expected:
+            self._automata.s, self._automata.key, self._automata.p = t.s, t.symbol, t.p
+            return f"(role, key, m, p, s, symbol) is {tuple(found)}, Fig. 5 gives {tuple(expected)}"
+        if t.coin is None:
+            return ""
+        if t.u != t.candidates[t.coin]:
+            return f"applied {t.u}, (15) gives candidate b_r = {t.coin}"
+        inside = self._leaves or scale(self._D_c, t.x_next, centres[t.coin]) <= 1 + ROUNDING
+        return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
+
+
+def paper(e: Evidence, tally: Tally) -> Judging:
+    """Figs. 5 and 6 and their equations, by code that shares nothing with the ends."""
+    if e.scenario.secrecy.scheme not in ("switched", "pipelined"):
+        tally.skipped = f"{e.scenario.secrecy.scheme} is a scheme of its own, not the paper's"
+        return
+    opinions = {side: _Opinion(e, side) for side, _ in e.readers()}
+    while (part := (yield)) is not None:
+        for side, items in part.sides():
+            for item in items:
+                if isinstance(item, Walked):
+                    t = item.t
+                    text = opinions[side].wrong(t)
+                    tally.count(not text, t.session, t.j, t.k, f"{side}: {text}")
 
 
 def agreement(_e: Evidence, tally: Tally) -> Judging:

@@ -28,6 +28,7 @@ from wyner.runs.check.records import (
     payload_of,
     wrong,
 )
+from wyner.runs.resolve import Counts, Resolver
 
 HEADS: Final = {"format": TRACE_FORMAT, "version": TRACE_VERSION}
 
@@ -176,13 +177,11 @@ class SideReader:
         self._kept = 0  # the oldest part that was kept, as the newest header says
         self._session: str | None = None
         self._state: Any = None
-        self._broken = True
+        self._resolver = Resolver()
         self._announce = side == "plant" and not self._seeking
         self._held: MissedLine | None = None
-        self._reported: TracedTransition | None = None
         self.behind = 0
         self.last_life = 0
-        self._stale = False
 
     @property
     def marks(self) -> Segments:
@@ -210,7 +209,7 @@ class SideReader:
             self.parts[0].problem(1, text)
         pending = None if self._journal is None else self._journal.pending
         if pending is not None:
-            self._broken = True
+            self._resolver.restart()
             yield from self._transition(0, to_json(pending))
         yield from self._flush()
         yield Break(self.ended)
@@ -237,8 +236,8 @@ class SideReader:
                 self._headed(number, value)
             elif kind == CONTINUED:
                 yield Break(ended)
-                self._broken, self._announce = True, self.side == "plant"
-                self.last_life = 0
+                self._resolver.restart()
+                self._announce, self.last_life = self.side == "plant", 0
             return
         self.marks.line(number, raw)
         if kind == "transition":
@@ -256,12 +255,13 @@ class SideReader:
                 yield from self._missed(number, line)
                 return
             told = Told(line, payload_of(line))
-            if kind in REPORTS and self._stale:
-                self.behind += 1
-                return
             if kind in REPORTS:
-                again = self.last is not None and self._reported is self.last
-                told, self._reported = told._replace(again=again), self.last
+                counts = self._resolver.report()
+                if counts is Counts.BEHIND:
+                    self.behind += 1
+                    return
+                again = counts is Counts.AGAIN
+                told = told._replace(again=again)
                 self.overwritten += again
         except ValidationError as error:
             self.problem(number, f"{kind}: {wrong(error)}")
@@ -294,7 +294,7 @@ class SideReader:
             self.problem(number, "session: announced already")
         self._announce = False
         self._session = line.session
-        self._stale = self._stale and self.last is not None and line.session == self.last.session
+        self._resolver.session(line.session)
         if line.session is not None:
             self.announced.add(line.session)
 
@@ -326,20 +326,21 @@ class SideReader:
         if self._seeking:
             self._seek(t)
             return
-        last = self.last
-        if number and last is not None and self._went_back(t.session, t.j < last.j + self._stale):
+        last, restarted = self.last, self._resolver.restarted
+        counts = self._resolver.transition(t.session, t.j, t.k, saved=not number)
+        if counts is Counts.BEHIND:
+            self.behind += 1
             return
-        if last is not None and (t.session, t.j) == (last.session, last.j):
-            if not self._broken:
+        if counts is Counts.AGAIN:
+            assert last is not None
+            if not restarted:
                 self.problem(number, f"transition {t.j} was written before, without a restart")
             elif number:
                 self.overwritten += 1
                 self._held = None  # a step missed after it, and never saved: it is made again
-            self._broken = False
             yield Again(last, t, not number)
             return
-        yield from self._flush(t.session, t.k)
-        self._broken = False
+        yield from self._flush(t.session, t.k, restarted=restarted)
         self.from_journal = not number
         self.last_life += bool(number)
         self.last = t
@@ -352,40 +353,30 @@ class SideReader:
         yield Walked(t, verdict, carry, self._state[0])
 
     def _seek(self, t: TracedTransition) -> None:
-        self.last, self._broken = t, False
+        self.last = t
+        self._resolver.begin_after(t.session, t.j, t.k)
         self.transitions[t.session] = t.j + 1
         if t.s == self._rules.scheme.initial[0]:
             self.cut, self._state, self._seeking = t, self._rules.scheme.initial, False
-
-    def _went_back(self, session: str, passed: bool) -> bool:
-        """Whether a restart took this end back behind steps of the same session.
-
-        Its journal was put back from an older copy. It counts once more the step that this holds,
-        until the other end makes the session end; it cannot come beyond where it was.
-        """
-        if self.last is None or session != self.last.session or not passed:
-            return False
-        self._stale = self._stale or self._broken
-        self.behind += self._stale
-        return self._stale
 
     def _missed(self, number: int, step: MissedLine) -> Iterator[Item]:
         self._belongs(number, step.session)
         if self._seeking:
             self.last_missed = step
             return
-        if self._went_back(step.session, self.last is not None and step.k <= self.last.k):
+        restarted = self._resolver.restarted
+        if self._resolver.missed(step.session, step.k) is Counts.BEHIND:
+            self.behind += 1
             return
-        yield from self._flush(step.session, step.k)
-        self._broken = False
+        yield from self._flush(step.session, step.k, restarted=restarted)
         self._held = self.last_missed = step
 
-    def _flush(self, session: str = "", k: int = -1) -> Iterator[Item]:
+    def _flush(self, session: str = "", k: int = -1, *, restarted: bool = False) -> Iterator[Item]:
         """A missed step that waited, unless a restart made step k another one."""
         held, self._held = self._held, None
         if held is None:
             return
-        if self._broken and (held.session, held.k) == (session, k):
+        if restarted and (held.session, held.k) == (session, k):
             self.overwritten += 1
             return
         yield held

@@ -15,8 +15,7 @@ from protocol.convex import corners
 from protocol.scenario import ConvexSet, Scenario
 from protocol.text import readable
 from runtime.files import write_atomically
-from runtime.run_folder import MANIFEST, PLANT_TRACE
-from runtime.trace import TraceReader
+from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
 from wyner.runs.check.clause import Finding
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
@@ -24,9 +23,10 @@ from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
 from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
 from wyner.runs.page.windows import Windows
+from wyner.runs.run import Run
 from wyner.runs.score.report import HEADINGS, NOTE, rows
 from wyner.runs.score.report import report as report_of
-from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, score, truth_of
+from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, read_truth, score
 from wyner.runs.score.summary import in_short
 
 PAGE: Final = Path("report.html")
@@ -80,7 +80,7 @@ def write_report(run_dir: Path, output: Path | None = None, step: int | None = N
     """
     path = run_dir / PAGE if output is None else output
     evidence = read_evidence(run_dir)
-    write_atomically(path, page(evidence, _said(run_dir), step).encode())
+    write_atomically(path, page(evidence, _said(evidence.run), step).encode())
     return path
 
 
@@ -88,10 +88,10 @@ class StepError(ValueError):
     """A step that the run does not have; the message is one line."""
 
 
-def _said(run_dir: Path) -> list[Said] | str:
+def _said(run: Run) -> list[Said] | str:
     """What the eavesdroppers said, or why that is not known."""
     try:
-        return read_said(run_dir)
+        return read_said(run)
     except ScoreError as error:
         return str(error)
 
@@ -107,7 +107,7 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         why = escape(said if isinstance(said, str) else "no plant trace")
         keys = secrecy = [f"<p>Not known: {why}.</p>"]
     else:
-        truth = truth_of(TraceReader(e.run_dir / PLANT_TRACE))
+        truth = read_truth(e.run)
         keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",

@@ -1,117 +1,55 @@
-"""What a plant's trace adds up to, line by line, in a few bytes a step."""
+"""What a plant's trace adds up to, line by line."""
 
 import base64
-from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.events import NEW_JOURNAL
-
-
-class StepCount:
-    """Counts the plant's steps in its trace: each once, whichever journal it was kept in.
-
-    A process that dies may trace its last two steps once more. One that lost its journal, or got
-    an older copy of it, begins again at a number that was there before: time has gone on.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._last = -1
-
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Take the next line."""
-        if event["event"] == "session" and event["reason"] == NEW_JOURNAL:
-            self._last = -1
-        elif event["event"] in ("transition", "missed", "interrupted"):
-            k = event["k"]
-            if k > self._last or k < self._last - 1:
-                self.count += 1
-                self._last = k
 
 
 @dataclass(slots=True)
 class PlantCounts:
-    """Counts of a plant's trace; what a killed plant wrote a second time counts once.
+    """Counts of a plant's trace, of the events that count (:meth:`wyner.runs.run.Run.feed`).
 
     Parameters
     ----------
+    steps : int
+        Steps that were made, missed ones included, by every journal that the plant had.
+    transitions : int
+    agreements : int
+        Transitions that agreed a key symbol.
+    symbol_errors : int
+        Agreements on another symbol than the coin.
+    message_symbols : int
+        Transitions that carried a message symbol.
     recovered : list of (int, bytes)
         Each message that was whole, with the step at which it was.
     """
 
+    steps: int = 0
+    transitions: int = 0
+    agreements: int = 0
+    symbol_errors: int = 0
+    message_symbols: int = 0
     recovered: list[tuple[int, bytes]] = field(default_factory=list)
-    _made: StepCount = field(default_factory=StepCount)
     _last_k: int = -1
-    _rows: dict[str, "_Rows"] = field(default_factory=dict)
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """Take the next line."""
+        """Take the next event."""
         kind = event["event"]
-        self._made.take(event)
         if kind == "transition":
+            symbol, coin, carried = event["symbol"], event["coin"], event["message_symbol"]
             self._last_k = int(event["k"])
-            rows = self._rows.setdefault(str(event["session"]), _Rows())
-            wrong = event["symbol"] not in (NO_SYMBOL, event["coin"])
-            rows.put(
-                int(event["j"]),
-                1
-                | (event["symbol"] != NO_SYMBOL) << 1
-                | wrong << 2
-                | (event["message_symbol"] != NO_SYMBOL) << 3,
-            )
+            self.steps += 1
+            self.transitions += 1
+            self.agreements += symbol != NO_SYMBOL
+            self.symbol_errors += symbol not in (NO_SYMBOL, coin)
+            self.message_symbols += carried != NO_SYMBOL
+        elif kind in ("missed", "interrupted"):
+            self.steps += 1
         elif kind == "recovered":
             self.recovered.append((self._last_k, base64.b64decode(event["payload"])))
-
-    @property
-    def steps(self) -> int:
-        """Steps that were made, missed ones included, by every journal that the plant had."""
-        return self._made.count
-
-    @property
-    def missed(self) -> int:
-        """Steps without a counted offer."""
-        return self.steps - self.transitions
-
-    @property
-    def transitions(self) -> int:
-        """Transitions."""
-        return self._with(1)
-
-    @property
-    def agreements(self) -> int:
-        """Transitions that agreed a key symbol."""
-        return self._with(2)
-
-    @property
-    def symbol_errors(self) -> int:
-        """Agreements on another symbol than the coin."""
-        return self._with(4)
-
-    @property
-    def message_symbols(self) -> int:
-        """Transitions that carried a message symbol."""
-        return self._with(8)
-
-    def _with(self, bit: int) -> int:
-        return sum(rows.with_bit(bit) for rows in self._rows.values())
-
-
-class _Rows:
-    """What became of a session's transitions, by number: a byte each, in which bits are set."""
-
-    def __init__(self) -> None:
-        self._bits = array("B")
-
-    def put(self, j: int, bits: int) -> None:
-        if j >= len(self._bits):
-            self._bits.extend(bytes(j + 1 - len(self._bits)))
-        self._bits[j] = bits
-
-    def with_bit(self, bit: int) -> int:
-        return sum(self._bits.count(value) for value in range(16) if value & bit)
 
 
 def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tuple[bytes, int]]:

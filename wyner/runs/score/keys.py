@@ -6,6 +6,7 @@ her capture is all that she heard, and which copies counted stands in the plant'
 
 from array import array
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,20 +17,14 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
-from runtime.jsonl import decode
 from runtime.keys.store import KeyStore
-from runtime.parts import parts_of
-from runtime.run_folder import (
-    CAPTURE,
-    CONTROLLER_KEYS,
-    CONTROLLER_TRACE,
-    PLANT_KEYS,
-    PLANT_TRACE,
-)
-from runtime.trace import TraceError, TraceReader
-from tap_service.capture.reading import CaptureError, CaptureReader
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+from runtime.trace import TraceError
+from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import AWAY, Audit, MissRate
+from wyner.runs.resolve import Event
+from wyner.runs.run import Run
 from wyner.runs.score.by_step import BySteps
 
 KEY_BITS: Final = 8 * NONCE_BYTES
@@ -38,9 +33,6 @@ Copy = tuple[str, str, int]
 """A copy 0: which message (``offer``, ``measurement``), session and step."""
 
 _TOPICS: Final = ("measurement", "offer")
-
-_LEAVING: Final = (b'{"event":"appearances"', b'{"event":"session"')
-"""How the lines of a trace begin that tell how often messages left, and in which session."""
 
 
 class AuditedBlock(NamedTuple):
@@ -114,15 +106,17 @@ class _Block:
 
 
 class _Leaving:
-    """How often the messages of one end left, from its trace."""
+    """How often the messages of one end left, from the events of its trace."""
 
-    def __init__(self, trace: Path) -> None:
+    def __init__(self) -> None:
         self._at: dict[str | None, list[tuple[int, int]]] = {}
-        times = 1
-        for event in _leaving(trace):
-            k = event.get("k", -1)
-            times = event.get("times", times)
-            self._at.setdefault(event["session"], []).append((k, times))
+        self._times = 1
+
+    def take(self, event: Event) -> None:
+        """Take the next event."""
+        if event["event"] in ("appearances", "session"):
+            self._times = event.get("times", self._times)
+            self._at.setdefault(event["session"], []).append((event.get("k", -1), self._times))
 
     def times(self, session: str, k: int) -> int | None:
         """Of the message of step k; None where that changed just then."""
@@ -133,18 +127,6 @@ class _Leaving:
             if at <= k:
                 times = count
         return 1 if times is None else times
-
-
-def _leaving(trace: Path) -> Iterator[dict[str, Any]]:
-    """The lines of a trace that tell it; nothing else is parsed."""
-    for part in parts_of(trace):
-        try:
-            with part.open("rb") as lines:
-                for line in lines:
-                    if line.startswith(_LEAVING) and (event := decode(line)) is not None:
-                        yield event
-        except OSError:
-            continue
 
 
 @dataclass(slots=True)
@@ -158,15 +140,14 @@ class _Walk:
     confirmed: set[tuple[str, int]] = field(default_factory=set)
     steps: int = 0
     _last_k: dict[str, int] = field(default_factory=dict)
-    _last_j: dict[str, int] = field(default_factory=dict)
 
-    def event(self, event: dict[str, Any]) -> None:
-        """Take the next line of the trace."""
+    def take(self, event: Event) -> None:
+        """Take the next event of the trace."""
         kind = event["event"]
         if kind == "missed":
             self.steps += 1
             self.sent.add(("measurement", event["session"], event["k"]))
-        elif kind == "transition" and event["j"] > self._last_j.get(event["session"], -1):
+        elif kind == "transition":
             self._transition(event)
         elif kind == "block":
             self.keys[event["session"], event["number"]] = event["keys"]
@@ -176,7 +157,7 @@ class _Walk:
     def _transition(self, event: dict[str, Any]) -> None:
         session, j, k = event["session"], event["j"], event["k"]
         before = self._last_k.get(session, k)
-        self._last_k[session], self._last_j[session] = k, j
+        self._last_k[session] = k
         self.steps += 1
         both: tuple[Copy, Copy] = (("measurement", session, k), ("offer", session, k))
         self.sent.add(*both)
@@ -316,43 +297,45 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
     return lines + [f"           WARNING: {text}" for text in keys["warnings"]]
 
 
-def audit_keys(run_dir: Path, scenario: Scenario) -> KeyAudit | None:
+def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
     """What the tap of a run holds of its keys; None where the scenario has no table ``keys``."""
     if scenario.keys is None:
         return None
     claim = scenario.keys.assumption()
     schedule = scenario.keys.schedule()
-    refused = _refused(run_dir) or scenario.keys.refusal()
+    refused = _refused(run.folder) or scenario.keys.refusal()
     if schedule is None:
         rates: dict[str, MissRate] = {}
         nothing = (claim.sentence(), refused, (), None, rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
-    walk = _Walk(schedule)
-    try:
-        for event in TraceReader(run_dir / PLANT_TRACE):
-            walk.event(event)
-    except TraceError:
-        pass
-    heard = _heard(run_dir)
+    walk, behind = _Walk(schedule), 0
+    leaving = {"measurement": _Leaving(), "offer": _Leaving()}
+    with suppress(TraceError):
+        behind = run.feed("plant", walk.take, leaving["measurement"].take)
+    with suppress(TraceError):
+        run.feed("controller", leaving["offer"].take)
+    heard = _heard(run)
     blocks = tuple(
         _audited(walk, at, block, heard)
         for at, block in walk.blocks.items()
         if block.transitions == schedule.length(at[1])
     )
-    rates = {} if heard is None else _rates(run_dir, claim, walk.sent, heard)
+    rates = {} if heard is None else _rates(run, claim, walk.sent, heard, leaving)
     return KeyAudit(
         claim.eps_E,
         claim.sentence(),
         refused,
         blocks,
-        _same(run_dir),
+        _same(run.folder),
         rates,
-        walk.steps * scenario.plant.period_s,
+        (walk.steps + behind) * scenario.plant.period_s,
         scenario.plant.period_s,
     )
 
 
-def _rates(run_dir: Path, claim: Assumption, sent: Copies, heard: Heard) -> dict[str, MissRate]:
+def _rates(
+    run: Run, claim: Assumption, sent: Copies, heard: Heard, leaving: Mapping[str, _Leaving]
+) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
     What left more often than the claim states was no copy 0, and what left just then may have been
@@ -360,11 +343,7 @@ def _rates(run_dir: Path, claim: Assumption, sent: Copies, heard: Heard) -> dict
     recordings, and after the last copy that she heard, where :data:`AWAY` or more followed. Her
     capture's header says how many of a message's appearances reach her: 1, by her own link.
     """
-    hears = CaptureReader(run_dir / CAPTURE).header.get("appearances", 1)
-    leaving = {
-        "measurement": _Leaving(run_dir / PLANT_TRACE),
-        "offer": _Leaving(run_dir / CONTROLLER_TRACE),
-    }
+    hears = run.capture().header.get("appearances", 1)
 
     def copies() -> Iterator[tuple[str, Copy]]:
         for copy in sent:
@@ -410,11 +389,11 @@ def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | Non
     )
 
 
-def _heard(run_dir: Path) -> Heard | None:
+def _heard(run: Run) -> Heard | None:
     """Every copy 0 in the capture, with the number of her recording; None where there is none."""
     heard = Heard()
     try:
-        reader = CaptureReader(run_dir / CAPTURE)
+        reader = run.capture()
         for _, message in reader.records():
             if not isinstance(message, Sealed) and not message.copy_number:
                 copy = (message.topic, message.session, message.k)

@@ -7,24 +7,18 @@ or did not guess nobody knows what she leaves. Intervals are those of :mod:`prot
 
 import base64
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from operator import index
-from pathlib import Path
 from typing import Any
-
-from pydantic_core import from_json
 
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ScenarioError
 from protocol.text import printable
-from runtime.jsonl import read_lines
-from runtime.parts import parts_of
-from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
-from runtime.scenario_file import load_scenario
-from runtime.trace import TraceError, TraceReader
+from runtime.trace import TraceError
 from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
+from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
 
 
@@ -95,32 +89,36 @@ class Truth:
         )
 
 
-def truth_of(events: Iterable[dict[str, Any]]) -> Truth:
-    """The truth from a plant's trace, event by event."""
-    keys, symbols, steps = BySteps(), BySteps(), BySteps()
-    whole: list[tuple[int, bytes]] = []
-    last: dict[str, int] = {}
-    size, last_k = 2, -1
-    for event in events:
+class TruthTaker:
+    """Gathers the truth from the events of a plant's trace that count, one by one."""
+
+    def __init__(self) -> None:
+        self._keys, self._symbols = BySteps(), BySteps()
+        self._whole: list[tuple[int, bytes]] = []
+        self._last: dict[str, int] = {}
+        self._size, self._last_k, self._transitions = 2, -1, 0
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Take the next event."""
         if event["event"] == "transition":
-            session, last_k = str(event["session"]), int(event["k"])
-            at = session, last_k
-            steps[at] = 1
-            last[session] = max(last_k, last.get(session, last_k))
-            size = len(event["candidates"])
-            # a plant that was killed may have written a transition twice: the last counts
-            for store, value in (
-                (keys, int(event["symbol"])),
-                (symbols, int(event["message_symbol"])),
-            ):
-                store.pop(at, None)
-                if value != NO_SYMBOL:
-                    store[at] = value
+            session, k = str(event["session"]), int(event["k"])
+            key, symbol = int(event["symbol"]), int(event["message_symbol"])
+            if key != NO_SYMBOL:
+                self._keys[session, k] = key
+            if symbol != NO_SYMBOL:
+                self._symbols[session, k] = symbol
+            self._last[session] = self._last_k = k
+            self._size = len(event["candidates"])
+            self._transitions += 1
         elif event["event"] == "recovered":
-            whole.append((last_k, base64.b64decode(event["payload"])))
-    for at in last.items():  # no message follows it: its result never travelled
-        keys.pop(at, None)
-    return Truth(size, keys, symbols, tuple(whole), len(steps))
+            self._whole.append((self._last_k, base64.b64decode(event["payload"])))
+
+    def truth(self, hidden_widths: int = 1) -> Truth:
+        """The truth of the events so far."""
+        for at in self._last.items():  # no message follows it: its result never travelled
+            self._keys.pop(at, None)
+        whole = tuple(self._whole)
+        return Truth(self._size, self._keys, self._symbols, whole, self._transitions, hidden_widths)
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,7 +313,7 @@ def _stray(truth: Truth, said: Said) -> int:
     return sum((said.session, k) not in truth.symbols for k, _ in said.belief.symbols)
 
 
-def read_said(run_dir: Path) -> list[Said]:
+def read_said(run: Run) -> list[Said]:
     """What each eavesdropper of a run said, from the tap's files.
 
     Raises
@@ -323,22 +321,14 @@ def read_said(run_dir: Path) -> list[Said]:
     ScoreError
         When the tap left nothing that can be read.
     """
-    beliefs = run_dir / BELIEFS
     try:
-        records: dict[str, dict[str, Any]] = from_json(beliefs.read_bytes())
-    except OSError as error:
-        raise ScoreError(f"{beliefs}: cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise ScoreError(f"{beliefs}: expected the tap's beliefs as JSON") from None
+        records = run.beliefs()
+    except RunError as error:
+        raise ScoreError(str(error)) from None
     guesses: dict[str, dict[str, BySteps]] = {}
-    for stem in (GUESSES, ANALYSIS_GUESSES):
-        for path in parts_of(run_dir / stem):
-            for line in read_lines(path):
-                event = line.value or {}
-                if event.get("event") in ("guess", "review"):
-                    none = {"guess": BySteps(), "review": BySteps()}
-                    mine = guesses.setdefault(event["name"], none)
-                    mine[event["event"]][event["session"], event["k"]] = event["symbol"]
+    for event in run.guesses():
+        mine = guesses.setdefault(event["name"], {"guess": BySteps(), "review": BySteps()})
+        mine[event["event"]][event["session"], event["k"]] = event["symbol"]
     return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
 
 
@@ -368,7 +358,7 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
     )
 
 
-def read_truth(run_dir: Path) -> Truth:
+def read_truth(run: Run) -> Truth:
     """The truth of a run.
 
     Raises
@@ -376,20 +366,23 @@ def read_truth(run_dir: Path) -> Truth:
     ScoreError
         When its plant's trace cannot be read.
     """
+    taker = TruthTaker()
     try:
-        truth = truth_of(TraceReader(run_dir / PLANT_TRACE))
+        run.feed("plant", taker.take)
     except TraceError as error:
         raise ScoreError(str(error)) from None
-    except (LookupError, TypeError, ValueError) as error:  # a line that no plant wrote
-        what = f"{type(error).__name__}: {error}"
-        raise ScoreError(f"{PLANT_TRACE}: a line is not as expected: {what}") from None
+    return taker.truth(hidden_widths(run))
+
+
+def hidden_widths(run: Run) -> int:
+    """Widths of D_c that one who knows f_c and D_e does not know."""
     try:
-        return replace(truth, hidden_widths=load_scenario(run_dir / SCENARIO).hidden_widths)
+        return run.scenario.hidden_widths
     except ScenarioError:
-        return truth  # a folder of traces alone
+        return 1  # a folder of traces alone
 
 
-def score_run(run_dir: Path) -> RunScore:
+def score_run(run: Run) -> RunScore:
     """Score every eavesdropper of a run.
 
     Raises
@@ -397,9 +390,9 @@ def score_run(run_dir: Path) -> RunScore:
     ScoreError
         When the plant's trace or the tap's files cannot be read.
     """
-    truth = read_truth(run_dir)
-    taps = tuple(score(truth, said) for said in read_said(run_dir))
-    return RunScore(run_dir.name, truth, taps)
+    truth = read_truth(run)
+    taps = tuple(score(truth, said) for said in read_said(run))
+    return RunScore(run.name, truth, taps)
 
 
 def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:

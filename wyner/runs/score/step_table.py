@@ -5,17 +5,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from runtime.run_folder import PLANT_TRACE
-from runtime.trace import TraceError, TraceReader
+from runtime.trace import TraceError
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
+from wyner.runs.run import Run
 from wyner.runs.score.by_step import Step
 from wyner.runs.score.score import ScoreError
 
 Row = dict[str, Any]
 
 
-def truth_by_step(run_dir: Path) -> dict[Step, Row]:
+def truth_by_step(run: Run) -> dict[Step, Row]:
     """What the plant knew of each step: coin, applied input, role, key, message symbol, gauges.
 
     Raises
@@ -24,17 +24,20 @@ def truth_by_step(run_dir: Path) -> dict[Step, Row]:
         When the plant's trace cannot be read.
     """
     found: dict[Step, Row] = {}
+
+    def take(event: Mapping[str, Any]) -> None:
+        if event["event"] == "transition":
+            found[str(event["session"]), int(event["k"])] = {
+                "coin": event["coin"],
+                **_numbered("u_", event["u"]),
+                "role": event["role"],
+                "key": event["symbol"],
+                "message_symbol": event["message_symbol"],
+                **_numbered("gauge_", event["gauges"], first=0),
+            }
+
     try:
-        for event in TraceReader(run_dir / PLANT_TRACE):
-            if event["event"] == "transition":
-                found[str(event["session"]), int(event["k"])] = {
-                    "coin": event["coin"],
-                    **_numbered("u_", event["u"]),
-                    "role": event["role"],
-                    "key": event["symbol"],
-                    "message_symbol": event["message_symbol"],
-                    **_numbered("gauge_", event["gauges"], first=0),
-                }
+        run.feed("plant", take)
     except TraceError as error:
         raise ScoreError(str(error)) from None
     return found

@@ -1,16 +1,12 @@
 """What a run came to, from its traces, for people and machines: the end of ``wyner up``."""
 
 import base64
-import json
 import math
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 
 from protocol.text import readable
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO, TAP_STATUS
-from runtime.scenario_file import load_scenario
-from runtime.trace import TraceError, TraceReader
+from runtime.trace import TraceError
+from wyner.runs.run import Run
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import report
@@ -28,7 +24,7 @@ SHOWN_PAIRS: Final = 5
 """The same for people, after the first."""
 
 
-def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
+def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     """What a run came to, from its traces.
 
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
@@ -44,21 +40,19 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
     where the scenario makes none.
     """
-    scenario = load_scenario(run_dir / SCENARIO)
+    scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, trace_error = PlantCounts(), ""
+    counts, trace_error, behind = PlantCounts(), "", 0
     try:
-        for event in TraceReader(run_dir / PLANT_TRACE):
-            counts.take(event)
+        behind = run.feed("plant", counts.take)
     except TraceError as error:
         trace_error = str(error)
-    except (LookupError, TypeError, ValueError) as error:  # a line that no plant wrote
-        trace_error = f"{PLANT_TRACE}: a line is not as expected: {type(error).__name__}: {error}"
-    pairs = exchanged(_sent(run_dir) or [payload], counts.recovered)
+    pairs = exchanged(run.sent() or [payload], counts.recovered)
     delivered_k = next((k for text, k in pairs if text == payload), -1)
     recovered = payload if delivered_k >= 0 else b""
     bits = counts.message_symbols * math.log2(size)
-    seconds = counts.steps * scenario.plant.period_s
+    steps = counts.steps + behind
+    seconds = steps * scenario.plant.period_s
     return {
         "delivered": delivered_k >= 0,
         "delivered_k": delivered_k,
@@ -71,37 +65,27 @@ def summarise(run_dir: Path, payload: bytes) -> dict[str, Any]:
             {"sent_base64": base64.b64encode(text).decode(), "recovered_k": k}
             for text, k in pairs[-MOST_PAIRS:]
         ],
-        "steps": counts.steps,
+        "steps": steps,
         "seconds": seconds,
         "transitions": counts.transitions,
-        "missed": counts.missed,
+        "missed": steps - counts.transitions,
         "agreements": counts.agreements,
         "symbol_errors": counts.symbol_errors,
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
-        **_secrecy(run_dir, counts.agreements * math.log2(size)),
-        "unguessed": _unguessed(run_dir),
-        "keys": None if (keys := audit_keys(run_dir, scenario)) is None else keys.as_json(),
+        **_secrecy(run, counts.agreements * math.log2(size)),
+        "unguessed": run.unguessed(),
+        "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
         "trace_error": trace_error,
-        "run_dir": str(run_dir),
+        "run_dir": str(run.folder),
     }
 
 
-def _sent(run_dir: Path) -> list[bytes]:
-    """The messages that the controller was handed, in order."""
-    sent: dict[str, bytes] = {}
-    with suppress(TraceError):
-        for event in TraceReader(run_dir / CONTROLLER_TRACE):
-            if event["event"] == "sent":
-                sent.setdefault(event["id"], base64.b64decode(event["payload"]))
-    return list(sent.values())
-
-
-def _secrecy(run_dir: Path, claimed: float) -> dict[str, Any]:
+def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     """What the paper's rule counts, what is left of it at most, and each one's score."""
     nothing: dict[str, Any] = {"true_bits": None, "true_bits_interval": None, "strongest": ""}
     try:
-        score: RunScore = score_run(run_dir)
+        score: RunScore = score_run(run)
     except ScoreError:
         return {"claimed_bits": claimed, **nothing, "unscored": {}, "failed": [], "taps": {}}
     found = report([score])
@@ -118,14 +102,6 @@ def _secrecy(run_dir: Path, claimed: float) -> dict[str, Any]:
         "failed": [tap.name for tap in score.taps if tap.failed],
         "taps": summary_of(score),
     }
-
-
-def _unguessed(run_dir: Path) -> int:
-    """Messages that the tap left out of its live guessing, since too many waited."""
-    try:
-        return int(json.loads((run_dir / TAP_STATUS).read_bytes())["unguessed"])
-    except (OSError, ValueError, LookupError, TypeError):
-        return 0
 
 
 def _text(payload: bytes) -> str:
