@@ -1,10 +1,10 @@
-"""How many copies the tap misses at least, and how many rows of key that leaves.
+"""The least number of copies that the tap misses, and how many rows of key that leaves.
 
 For N = 256 transitions with two copies each, eps_E = 0.3 and eps_sec = 1e-12 the tap misses at
-least Q = 85 of 512, and each copy that was sent but not counted takes one row away.
+least Q = 85 of 512. Each copy that was sent but not counted takes one row away.
 
-Tails are summed from logarithms of factorials, so both ends need no library for it and come to the
-same number; a guard of 1e-9, relative, covers their rounding on the safe side.
+Tails are summed from logarithms of factorials, without a library, so both ends come to the same
+number. A relative guard of 1e-9 covers the rounding on the safe side.
 """
 
 import math
@@ -18,7 +18,7 @@ GUARD: Final = 1 + 1e-9
 """Factor on a computed tail before it is compared: rounding must never gain a row."""
 
 NONCE_BITS: Final = 8 * NONCE_BYTES
-"""Of the nonce in each copy; a row of a block is as long."""
+"""Bits of the nonce in each copy, and of a row of a block."""
 
 Directions = Literal["both", "offers", "measurements"]
 
@@ -35,11 +35,16 @@ def quantile(n: int, e: float, eps: float) -> int:
     Parameters
     ----------
     n : int
-        Copies.
+        Number of copies.
     e : float
-        Least probability that one is missed, given all before it.
+        Least probability that a copy is missed, given all before it.
     eps : float
-        Probability with which fewer may be missed.
+        Probability that the bound may fail.
+
+    Returns
+    -------
+    int
+        Copies that are missed at least, except with probability ``eps``.
 
     Raises
     ------
@@ -85,13 +90,13 @@ class GilbertElliott:
 
     @property
     def mean(self) -> float:
-        """The share missed in the long run."""
+        """Share of copies that are missed in the long run."""
         bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
         return (1 - bad) * self.loss_good + bad * self.loss_bad
 
     @property
     def eps_inf(self) -> float:
-        """The least probability of a miss given any past: what assumption T asks for."""
+        """Least probability of a miss given any past, as ``Assumption.eps_E`` asks for."""
         g, b = self.to_bad, self.to_good
         return min(
             (1 - g) * self.loss_good + g * self.loss_bad,
@@ -101,7 +106,7 @@ class GilbertElliott:
     def tails(self, n: int, most: int) -> list[float]:
         """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
 
-        Exact by transfer matrix, O(n most).
+        The transfer matrix gives them exactly, in O(n most).
         """
         import numpy as np
 
@@ -120,7 +125,7 @@ class GilbertElliott:
         return [float(value) for value in worst]
 
     def quantile(self, n: int, eps: float) -> int:
-        """The largest m with P[fewer than m of n are missed] <= eps, from either state before."""
+        """Largest m with P[fewer than m of n are missed] <= eps, whichever state came before."""
         # it is below the mean, or the mean is below one
         tails = self.tails(n, min(n, int(n * self.mean) + 1))
         return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
@@ -128,7 +133,7 @@ class GilbertElliott:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What the operator claims of every tap, and the chance that the claim may leave.
+    """What the operator claims that every tap misses, and how far a key may be from perfect.
 
     Parameters
     ----------
@@ -136,21 +141,20 @@ class Assumption:
         Least probability, given everything that happened before, that the tap misses the next
         copy 0 entirely. 0 claims nothing, and makes no key.
     eps_sec : float
-        Distance from a perfect key that a block may have.
+        Distance from a perfect key that a block may have, in total variation.
     directions : {"both", "offers", "measurements"}
-        In which directions the tap misses; the other one's nonces are left out.
+        Directions in which the tap misses copies. Nonces of the other one do not count.
     independent : bool
-        Claim besides that her misses do not depend on the link's own losses: then a copy that the
-        link lost costs nothing but itself. A jammer breaks it.
+        Her misses do not depend on the link's own losses. A copy that the link lost then costs one
+        chance and no row. A jammer breaks this claim.
     bursts : GilbertElliott, optional
-        All four parameters of her channel, for its exact quantile in place of eps_E's.
+        All four parameters of her channel. Its exact quantile takes the place of eps_E's.
     unheard_bits : int
-        Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
-        all 256, unless she may hear a part of a message.
+        Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 she may
+        hear a part of a message.
     appearances : int
-        How often a copy 0 leaves an end at most. Each time is a chance for her, so that eps_E is
-        claimed of each appearance, given all before it, and a copy is missed with eps_E to that
-        power at least.
+        How often a copy 0 leaves an end at most. ``eps_E`` is claimed of each appearance, given
+        all before it, so a copy is missed with probability eps_E^appearances at least.
     """
 
     eps_E: float
@@ -163,25 +167,25 @@ class Assumption:
 
     @property
     def eps_copy(self) -> float:
-        """Least probability that she misses a copy 0 in all of its appearances."""
+        """Least probability that she misses all appearances of a copy 0."""
         return self.eps_E**self.appearances
 
     @property
     def by_words(self) -> bool:
-        """Whether keys are made of the nonces' words, since she may hear a part of one."""
+        """Whether keys are made of words of 16 bits, since she may hear a part of a nonce."""
         return self.unheard_bits < NONCE_BITS
 
     @property
     def copies(self) -> int:
-        """Copies of a step that count: 2, or 1 where one direction is left out."""
+        """Copies 0 of a step that may count: 2, or 1 where one direction is left out."""
         return 2 if self.directions == "both" else 1
 
     def counting(self, counts: int) -> int:
-        """Of copies that were taken (1 the offer's, 2 the measurement's) those that may count."""
+        """Those of the copies taken that may count: 1 the offer's, 2 the measurement's, 3 both."""
         return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
 
     def misses(self, n: int) -> int:
-        """How many of ``n`` copies she misses at least, but for eps_sec."""
+        """Copies of ``n`` that she misses at least, except with probability eps_sec."""
         if self.eps_E == 0:
             return 0
         if self.bursts is not None:
@@ -189,16 +193,16 @@ class Assumption:
         return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
-        """Rows R that a block may have; below 2 it makes no key.
+        """Rows R of a block. Below 2 it makes no key.
 
         Parameters
         ----------
         transitions : int
             N, transitions of the block.
         steps : int
-            K, steps from the block before to this one's last transition, missed ones included.
+            Steps from the block before to this one's last transition, missed ones included.
         counted : int
-            C, copies counted.
+            C, the copies 0 that count.
         """
         if self.independent:
             missed = self.misses(counted)
@@ -208,7 +212,7 @@ class Assumption:
         return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
-        """The claim in words, as it is printed with every key."""
+        """The claim as one sentence; it is printed with every key."""
         where = {
             "both": "first copies",
             "offers": "offers' first copies",
@@ -228,7 +232,10 @@ class Assumption:
 
 
 def least(holds: Callable[[int], bool], most: int) -> int | None:
-    """The least number in 1 ... ``most`` for which ``holds``, a test that stays true once true."""
+    """Least number in 1 ... ``most`` for which ``holds``; None where there is none.
+
+    ``holds`` must stay true once it is true.
+    """
     if not holds(most):
         return None
     low, high = 0, most
@@ -239,24 +246,3 @@ def least(holds: Callable[[int], bool], most: int) -> int | None:
         else:
             low = middle
     return high
-
-
-def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
-    """One-sided bounds on a probability of which ``k`` of ``n`` trials came true.
-
-    Parameters
-    ----------
-    k, n : int
-    alpha : float
-        Probability that one of the two bounds does not hold; 1e-6 is usual here.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound (Clopper and Pearson 1934).
-    """
-    from scipy.special import betaincinv
-
-    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, alpha))
-    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - alpha))
-    return lower, upper

@@ -125,7 +125,7 @@ class Spoiled:
 
     def _rewound(self) -> None:
         """The next transition's symbol is the one decided before; all later ones are new."""
-        record = self.loop.sender.record
+        record = self.loop.controller.record
         for session, j in list(self.loop.ciphers):
             if session == record.session and j > record.transitions:
                 del self.loop.ciphers[session, j]

@@ -227,7 +227,7 @@ SECRETS = {
     "protocol.scenario",  # D_c and alpha
     "protocol.link.records",  # keys and automata's states
     "protocol.link.session",
-    "protocol.link.sender",
+    "controller_service.core",
     "plant_service.core",
     "runtime.journal",  # both, and the message
     "runtime.journal_files",

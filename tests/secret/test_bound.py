@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
 from protocol.secret.blocks import schedule_of
-from protocol.secret.bound import Assumption, GilbertElliott, clopper_pearson, quantile
+from protocol.secret.bound import Assumption, GilbertElliott, quantile
+from protocol.statistics import clopper_pearson
 from tap_service.inference.key_solver import bits_held
 
 

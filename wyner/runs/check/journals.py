@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin
 from protocol.link.events import Applied
 from protocol.link.pacing import Pacing
-from protocol.link.sender import Sender
-from protocol.link.session import Rules
+from protocol.link.session import CountedTransition, Rules
 from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
@@ -68,22 +68,28 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
             )
             record, step = journal.load(), journal.step()
             contributions = journal.contributions(None if record is None else record.session)
-            sender = Sender(
+            core = ControllerCore(
                 rules,
                 _propose_nothing,
                 journal,
                 SystemSymbols(),
-                INSTANCE,
-                record,
-                step,
-                contributions,
+                instance=INSTANCE,
+                period_s=1.0,
+                record=record,
+                step=step,
+                contributions=contributions,
             )
-            pending = sender.finish_step().transition if sender.unfinished else None
-            record = sender.record
+            pending = None
+            if core.unfinished:
+                events = core.finish_step().events
+                for event in events:
+                    if isinstance(event, CountedTransition):
+                        pending = event.as_event()
+            record = core.record
         return Kept(
             session=record.session,
             transitions=record.transitions,
-            pending=None if pending is None else pending.as_event(),
+            pending=pending,
             s=record.s,
             messages=messages,
         )
