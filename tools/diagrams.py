@@ -1,4 +1,4 @@
-"""Diagrams and tables of the documents, made from the schemes and messages that the programs use.
+"""Diagrams and tables of the documents, made from what the programs use.
 
 ``python -m tools.diagrams --write`` puts them between their markers in
 docs/architecture.md and docs/protocol.md; a test says when they are stale.
@@ -19,6 +19,7 @@ from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
+from wyner.runs.check import CLAUSES
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
@@ -129,6 +130,13 @@ def _cell(state: str, row: tuple[str, str]) -> str:
     return ", ".join(filter(None, words)) or "–"
 
 
+def clause_table() -> str:
+    """What `wyner check` looks at: each clause, where it comes from, and what must hold."""
+    lines = ["| clause | source | what must hold | counts |", "|---|---|---|---|"]
+    lines += [f"| {c.name} | {c.source} | {c.says} | {c.of} |" for c in CLAUSES]
+    return "\n".join([*lines, ""])
+
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
     **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
@@ -140,6 +148,7 @@ PARTS: Final[dict[str, Callable[[], str]]] = {
 PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
     "plant-session": plant_session,
     "controller-session": controller_session,
+    "clauses": clause_table,
 }
 """Of docs/protocol.md."""
 

@@ -25,7 +25,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from protocol.secret.bound import clopper_pearson
+from protocol.statistics import clopper_pearson
 
 
 def _files(room: str, names: str) -> tuple[str, ...]:

@@ -172,25 +172,3 @@ def least(holds: Callable[[int], bool], most: int) -> int | None:
         else:
             low = middle
     return high
-
-
-def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
-    """One-sided bounds on a probability, from ``k`` successes in ``n`` trials.
-
-    Parameters
-    ----------
-    k, n : int
-        Successes, and independent trials, looked at once.
-    alpha : float
-        Probability that a bound does not hold, for each of the two; 1e-6 is usual here.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound (Clopper and Pearson 1934).
-    """
-    from scipy.special import betaincinv
-
-    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, alpha))
-    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - alpha))
-    return lower, upper

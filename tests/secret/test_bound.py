@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
 from protocol.secret.blocks import schedule_of
-from protocol.secret.bound import Assumption, clopper_pearson, quantile
+from protocol.secret.bound import Assumption, quantile
+from protocol.statistics import clopper_pearson
 from tap_service.inference.key_solver import bits_held
 from wyner.studies.keys import GilbertElliott
 

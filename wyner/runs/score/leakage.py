@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from protocol.agreement import NO_SYMBOL, predict
 from protocol.knowledge import Knowledge
-from protocol.statistics import wilson
 from protocol.vectors import Vector
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
@@ -122,8 +121,7 @@ def leakage_line(keys: Sequence[LeakedKey]) -> str:
     if found is None or found.share is None:
         few = f"fewer than {FEWEST} rows, or views all alike"
         return f"P_g by nearest neighbours: not estimated from {few}"
-    _, low, high = wilson(found.right, found.of)
     return (
-        f"P_g by nearest neighbours, no model of the secret: {found.share:.4f} "
-        f"[{low:.4f}, {high:.4f}] (95 %); it comes to P_g from below"
+        f"P_g by nearest neighbours, no model of the secret: {found.share:.4f} (no interval: one "
+        "run, whose rows are each other's neighbours); it comes to P_g from below"
     )

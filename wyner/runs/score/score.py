@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import index
-from typing import Any
+from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ScenarioError
@@ -20,6 +20,9 @@ from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
+
+ONE_RUN: Final = "shares of one run: no interval (wyner secrecy over runs has them)"
+"""Why the shares of a run have no interval."""
 
 
 class ScoreError(Exception):
@@ -398,10 +401,11 @@ def score_run(run: Run) -> RunScore:
 def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
     """Per eavesdropper, what the summary of a run says: accuracies and her guess.
 
-    Accuracies are shares of one run: they have no interval.
+    Accuracies are shares of one run, and `no_interval` says so.
     """
     return {
         tap.name: {
+            "no_interval": ONE_RUN,
             "symbol_accuracy": tap.keys_reviewed.share,
             "symbol_accuracy_live": tap.keys.share,
             "agreed_steps": tap.keys.of,

@@ -10,7 +10,7 @@ from wyner.runs.run import Run
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import report
-from wyner.runs.score.score import RunScore, ScoreError, score_run, summary_of
+from wyner.runs.score.score import ONE_RUN, RunScore, ScoreError, score_run, summary_of
 
 GUESS_LENGTH: Final = 72
 """Characters of an eavesdropper's guess that are shown to people."""
@@ -133,6 +133,8 @@ def render(summary: dict[str, Any]) -> str:
         if tap["steps_not_looked_at"]:
             late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner replay"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
+    if summary["taps"]:
+        lines.append(f"           {ONE_RUN}")
     if summary["unguessed"]:
         left = f"{summary['unguessed']} messages waited too long to be guessed at live"
         lines.append(f"Eve        {left}: wyner replay")
