@@ -1,4 +1,4 @@
-"""``[keys]``: what the operator claims that every tap misses, and so which keys are made."""
+"""``[keys]``: what the operator claims that every tap misses. It decides which keys are made."""
 
 from typing import Annotated, Final, Self
 
@@ -9,7 +9,7 @@ from protocol.secret.blocks import Schedule, schedule_of
 from protocol.secret.bound import NONCE_BITS, Assumption, Directions
 
 MOST_APPEARANCES: Final = 16
-"""Links that a claim may be made for."""
+"""Most appearances that a claim may state."""
 
 
 class Keys(ScenarioTable):
@@ -24,17 +24,17 @@ class Keys(ScenarioTable):
     """Least probability that a tap misses the next appearance of a copy, whatever happened before;
     0 makes no key."""
     eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
-    """How far a key may be from a perfect one."""
+    """Distance from a perfect key, in total variation, that one block may have."""
     directions: Directions = "both"
-    """Whose copies the claim is about."""
+    """Direction whose copies the claim is about; the other one's do not count."""
     unheard_bits: Annotated[int, Field(ge=16, le=NONCE_BITS, multiple_of=16)] = NONCE_BITS
-    """Of the nonce in a message that she misses, bits that stay unheard, in whole words of 16."""
+    """Bits of the nonce in a missed message that stay unheard, in whole words of 16."""
     appearances: Annotated[int, Field(ge=1, le=MOST_APPEARANCES)] = 1
-    """How often a first copy leaves an end at most; where it leaves more often no key is made."""
+    """How often a first copy leaves an end at most. Where it leaves more often no key is made."""
 
     @model_validator(mode="after")
     def _whole_appearances(self) -> Self:
-        """What is heard of one appearance completes what is heard of another."""
+        """Several appearances need whole messages: parts heard of each may add up to the whole."""
         if self.appearances > 1 and self.unheard_bits < NONCE_BITS:
             raise ValueError(
                 f"got appearances = {self.appearances} beside unheard_bits, expected 1: "
@@ -53,7 +53,7 @@ class Keys(ScenarioTable):
         )
 
     def schedule(self) -> Schedule | None:
-        """Where blocks begin, or None where the claim makes no key."""
+        """The lengths of blocks; None where the claim makes no key."""
         return schedule_of(self.assumption())
 
     def refusal(self) -> str | None:
