@@ -237,3 +237,11 @@ def typed(page: Path) -> list[str]:
 def test_what_a_page_tells_to_type_is_a_command(page: Path) -> None:
     for line in typed(page):
         assert is_there(line.partition(" '&'")[0].partition(" '|'")[0]), line
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: path.stem)
+def test_every_formula_can_be_drawn_without_a_script(page: Path) -> None:
+    convert = pytest.importorskip("docutils.utils.math.latex2mathml").tex2mathml
+    text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for displayed, inline in re.findall(r"\$\$(.+?)\$\$|\$([^$]+)\$", text, re.DOTALL):
+        assert "<math" in convert((displayed or inline).strip())
