@@ -1,4 +1,4 @@
-"""``wyner sweep --plot``: a figure of any sweep's rows; and how every figure of a command is saved."""
+"""``wyner sweep --plot``: a figure of any sweep's rows; and how a command saves any figure."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,8 +64,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def draw_sweep(path: Path, args: argparse.Namespace) -> int:
-    """Read the rows, choose the columns, draw."""
+def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
+    """Read the rows, choose the columns, draw; returns the figure's file."""
     rows, fields = ready(path)
     x = args.x or _longest(rows, fields)
     ys: list[str] = args.y or [RATE]
@@ -81,8 +81,7 @@ def draw_sweep(path: Path, args: argparse.Namespace) -> int:
         figure.suptitle(args.title)
         return note
 
-    print(drawn_to("--plot", output, size, draw))
-    return DONE
+    return drawn_to("--plot", output, size, draw)
 
 
 def _size(text: str) -> tuple[float, float]:

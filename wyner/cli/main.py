@@ -62,9 +62,16 @@ GONE: Final = {
 """Commands of former versions, and what does their work now."""
 
 
+def groups() -> dict[str, dict[str, str]]:
+    """Every subcommand and its line in the help, by group; a registered service's are run."""
+    ours = {name for group in COMMANDS.values() for name in group}
+    added = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command and n not in ours}
+    return {name: group | added if name == "run" else group for name, group in COMMANDS.items()}
+
+
 def commands() -> dict[str, str]:
     """Every subcommand and its line in the help."""
-    return {name: text for group in COMMANDS.values() for name, text in group.items()}
+    return {name: text for group in groups().values() for name, text in group.items()}
 
 
 def overview() -> str:
@@ -74,7 +81,7 @@ def overview() -> str:
         "Send a secret message inside a control loop; measure what an eavesdropper gets.",
         "",
     ]
-    for group, its in COMMANDS.items():
+    for group, its in groups().items():
         shared: dict[str, list[str]] = {}
         for name, text in its.items():
             shared.setdefault(text, []).append(name)

@@ -160,7 +160,8 @@ def run(args: argparse.Namespace) -> int:
     if Path(args.file).suffix == ".csv":
         if args.plot is None:
             raise UsageError(f"FILE: got rows, {args.file!r}, expected --plot with them")
-        return draw_sweep(Path(args.file), args)
+        print(draw_sweep(Path(args.file), args))
+        return DONE
     from runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
@@ -222,12 +223,13 @@ def run(args: argparse.Namespace) -> int:
         print(_render(grid, summaries, stopped=stopped))
         print(f"{len(results.rows)} rows in {output}, {new} of them new")
         print(
-            f"rates and intervals, a row a point, in {ready}; `wyner sweep {ready} --plot` draws them"
+            f"rates and intervals, a row a point, in {ready}; "
+            f"`wyner sweep {ready} --plot` draws them"
         )
     for line in failures:
         print(f"wyner: {line}", file=sys.stderr)
     if args.plot is not None and results.rows:
-        draw_sweep(output, args)
+        print(draw_sweep(output, args), file=sys.stderr if args.json else sys.stdout)
     return FAILED if failures else DONE
 
 

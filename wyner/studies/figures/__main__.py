@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from runtime.command import Parser, carry_out
@@ -64,5 +65,10 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return carry_out(lambda: build_parser().parse_args(arguments))
+
+
 if __name__ == "__main__":
-    sys.exit(carry_out(build_parser().parse_args))
+    sys.exit(main())
