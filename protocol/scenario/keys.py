@@ -1,4 +1,4 @@
-"""``[keys]``: what the operator claims that every tap misses, and so which keys are made."""
+"""``[keys]``: what the operator claims that every tap misses. It decides which keys are made."""
 
 from typing import Annotated, Final, Literal, Self
 
@@ -12,47 +12,47 @@ Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 MOST_APPEARANCES: Final = 16
-"""Links that a claim may be made for."""
+"""Most appearances that a claim may state."""
 
 
 class Bursts(ScenarioTable):
-    """All four parameters of a tap's channel of two states, good and bad."""
+    """All four parameters of a tap's channel with two states, good and bad (Gilbert-Elliott)."""
 
     loss_good: Probability
-    """Probability that she misses a copy in the good state."""
+    """Probability that the tap misses a copy in the good state."""
     loss_bad: Probability
-    """The same in the bad state."""
+    """Probability that the tap misses a copy in the bad state."""
     to_bad: Annotated[float, Field(gt=0, le=1)]
-    """Probability, a copy, to go from good to bad."""
+    """Probability of a change from good to bad between two copies."""
     to_good: Annotated[float, Field(gt=0, le=1)]
-    """Probability, a copy, to come back."""
+    """Probability of a change from bad to good between two copies."""
 
 
 class Keys(ScenarioTable):
     """The claim that keys rest on.
 
     ``eps_E`` is the least probability, given everything that happened before, that a tap misses the
-    next appearance of a copy 0 entirely; it has no default above 0, and 0 makes no key. A copy that
-    leaves ``appearances`` times is missed with that power of it. ``bursts`` takes its place
-    where all of the tap's channel is known. ``assume = "independent"`` claims besides that her
-    misses have nothing to do with the link's own losses.
+    next appearance of a copy 0 entirely. Its default is 0, which makes no key. A copy that leaves
+    ``appearances`` times is missed with probability eps_E^appearances at least. ``bursts`` takes
+    the place of ``eps_E`` where the tap's whole channel is known. ``assume = "independent"`` claims
+    that her misses do not depend on the link's own losses.
     """
 
     eps_E: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
     """Least probability that a tap misses the next appearance of a copy, whatever happened before;
     0 makes no key."""
     eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
-    """How far a key may be from a perfect one."""
+    """Distance from a perfect key, in total variation, that one block may have."""
     directions: Directions = "both"
-    """Whose copies the claim is about."""
+    """Direction whose copies the claim is about; the other one's do not count."""
     assume: Literal["nothing", "independent"] = "nothing"
-    """Whether her misses have nothing to do with the link's own."""
+    """Whether the tap's misses are independent of the link's losses. A jammer breaks this."""
     bursts: Bursts | None = None
-    """All of the tap's channel, in place of eps_E."""
+    """The tap's whole channel, in place of eps_E."""
     unheard_bits: Annotated[int, Field(ge=16, le=NONCE_BITS, multiple_of=16)] = NONCE_BITS
-    """Of the nonce in a message that she misses, bits that stay unheard, in whole words of 16."""
+    """Bits of the nonce in a missed message that stay unheard, in whole words of 16."""
     appearances: Annotated[int, Field(ge=1, le=MOST_APPEARANCES)] = 1
-    """How often a first copy leaves an end at most; where it leaves more often no key is made."""
+    """How often a first copy leaves an end at most. Where it leaves more often no key is made."""
 
     @model_validator(mode="after")
     def _one_claim(self) -> Self:
@@ -62,7 +62,7 @@ class Keys(ScenarioTable):
 
     @model_validator(mode="after")
     def _whole_appearances(self) -> Self:
-        """What is heard of one appearance completes what is heard of another."""
+        """Several appearances need whole messages: parts heard of each may add up to the whole."""
         for name, stated in (("bursts", self.bursts is not None), ("unheard_bits", self._partly)):
             if self.appearances > 1 and stated:
                 raise ValueError(
@@ -91,7 +91,7 @@ class Keys(ScenarioTable):
         )
 
     def schedule(self) -> Schedule | None:
-        """Where blocks begin, or None where the claim makes no key."""
+        """The lengths of blocks; None where the claim makes no key."""
         return schedule_of(self.assumption())
 
     def refusal(self) -> str | None:
