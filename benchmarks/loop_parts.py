@@ -139,13 +139,13 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from runtime.journal import ControllerJournal, PlantJournal
     from runtime.perform import perform
     from runtime.ports import Files
+    from runtime.recording import TraceWriter
     from runtime.run_folder import (
         CONTROLLER_JOURNAL,
         CONTROLLER_TRACE,
         PLANT_JOURNAL,
         PLANT_TRACE,
     )
-    from runtime.trace import TraceWriter
 
     watch = Stopwatch()
     law = make_law(scenario, cached_design(scenario))

@@ -27,8 +27,8 @@ from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
 from runtime.model import load_model
-from runtime.parts import Bounds
 from runtime.ports import Files
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -36,7 +36,6 @@ from runtime.run_folder import (
     CONTROLLER_TRACE,
 )
 from runtime.scenario_file import keep_scenario, scenario_of
-from runtime.trace import TraceWriter
 from runtime.user_code import UserCodeError
 
 

@@ -72,66 +72,6 @@ def _check(name: str, value: float, holds: bool, expected: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class GilbertElliott:
-    """A channel of two states, good and bad, each with its own probability of a miss.
-
-    Parameters
-    ----------
-    loss_good, loss_bad : float
-        e_G and e_B, the probabilities that a copy is missed.
-    to_bad, to_good : float
-        g and b, the probabilities of a change of state between two copies.
-    """
-
-    loss_good: float
-    loss_bad: float
-    to_bad: float
-    to_good: float
-
-    @property
-    def mean(self) -> float:
-        """Share of copies that are missed in the long run."""
-        bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
-        return (1 - bad) * self.loss_good + bad * self.loss_bad
-
-    @property
-    def eps_inf(self) -> float:
-        """Least probability of a miss given any past, as ``Assumption.eps_E`` asks for."""
-        g, b = self.to_bad, self.to_good
-        return min(
-            (1 - g) * self.loss_good + g * self.loss_bad,
-            b * self.loss_good + (1 - b) * self.loss_bad,
-        )
-
-    def tails(self, n: int, most: int) -> list[float]:
-        """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
-
-        The transfer matrix gives them exactly, in O(n most).
-        """
-        import numpy as np
-
-        worst = np.zeros(most + 1)
-        for start in (0, 1):
-            counts = np.zeros((2, most + 1))  # counts[state, misses so far]
-            counts[start, 0] = 1.0
-            for _ in range(n):
-                good = (1 - self.to_bad) * counts[0] + self.to_good * counts[1]
-                bad = self.to_bad * counts[0] + (1 - self.to_good) * counts[1]
-                for state, mass, loss in ((0, good, self.loss_good), (1, bad, self.loss_bad)):
-                    counts[state] = (1 - loss) * mass
-                    counts[state, 1:] += loss * mass[:-1]
-            total = counts.sum(axis=0)
-            worst = np.maximum(worst, np.concatenate(([0.0], np.cumsum(total)))[: most + 1])
-        return [float(value) for value in worst]
-
-    def quantile(self, n: int, eps: float) -> int:
-        """Largest m with P[fewer than m of n are missed] <= eps, whichever state came before."""
-        # it is below the mean, or the mean is below one
-        tails = self.tails(n, min(n, int(n * self.mean) + 1))
-        return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
-
-
-@dataclass(frozen=True, slots=True)
 class Assumption:
     """What the operator claims that every tap misses, and how far a key may be from perfect.
 
@@ -144,11 +84,6 @@ class Assumption:
         Distance from a perfect key that a block may have, in total variation.
     directions : {"both", "offers", "measurements"}
         Directions in which the tap misses copies. Nonces of the other one do not count.
-    independent : bool
-        Her misses do not depend on the link's own losses. A copy that the link lost then costs one
-        chance and no row. A jammer breaks this claim.
-    bursts : GilbertElliott, optional
-        All four parameters of her channel. Its exact quantile takes the place of eps_E's.
     unheard_bits : int
         Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 she may
         hear a part of a message.
@@ -160,8 +95,6 @@ class Assumption:
     eps_E: float
     eps_sec: float = 1e-12
     directions: Directions = "both"
-    independent: bool = False
-    bursts: GilbertElliott | None = None
     unheard_bits: int = NONCE_BITS
     appearances: int = 1
 
@@ -188,8 +121,6 @@ class Assumption:
         """Copies of ``n`` that she misses at least, except with probability eps_sec."""
         if self.eps_E == 0:
             return 0
-        if self.bursts is not None:
-            return self.bursts.quantile(n, self.eps_sec)
         return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
@@ -204,11 +135,8 @@ class Assumption:
         counted : int
             C, the copies 0 that count.
         """
-        if self.independent:
-            missed = self.misses(counted)
-        else:
-            lost = self.copies * steps - counted
-            missed = max(0, self.misses(self.copies * transitions) - lost)
+        lost = self.copies * steps - counted
+        missed = max(0, self.misses(self.copies * transitions) - lost)
         return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
@@ -218,16 +146,14 @@ class Assumption:
             "offers": "offers' first copies",
             "measurements": "measurements' first copies",
         }[self.directions]
-        if not self.eps_E and self.bursts is None:
+        if not self.eps_E:
             return "nothing is claimed that a tap misses (eps_E = 0): no secret"
         share = f"{100 * self.eps_E:.4g} % of {where}"
         if self.appearances > 1:
             share = f"{100 * self.eps_E:.4g} % of the {self.appearances} appearances of {where}"
-        if self.bursts is not None:
-            share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
-        beside = ", whatever the link itself loses" if self.independent else ""
+        beside = ""
         if self.by_words:
-            beside += f", and then {self.unheard_bits} bits of the nonce at least"
+            beside = f", and then {self.unheard_bits} bits of the nonce at least"
         return f"secret only from a tap that misses {share} or more{beside}"
 
 

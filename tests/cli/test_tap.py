@@ -17,8 +17,8 @@ import pytest
 
 from protocol.messages import FIELD, Sealed
 from runtime.options import alone_in
+from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
-from runtime.trace import TraceWriter
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line

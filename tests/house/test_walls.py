@@ -203,7 +203,7 @@ def test_importing_the_protocol_loads_no_transport_and_no_screen() -> None:
 
 def test_the_message_types_load_no_numbers() -> None:
     core = [f"protocol.{m}" for m in ("messages", "link.session", "streams")]
-    core += ["runtime.journal", "runtime.trace"]
+    core += ["runtime.journal", "runtime.recording"]
     assert loaded_by(*core).isdisjoint({"zenoh", "numpy", "rich"})
 
 

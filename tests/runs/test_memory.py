@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.check import make_run
-from runtime.jsonl import LineWriter, dumps
+from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
 from runtime.run_folder import BELIEFS, GUESSES
-from runtime.trace import TRACE_FORMAT, TRACE_VERSION
 from wyner.runs.run import Run
 
 pytestmark = pytest.mark.slow

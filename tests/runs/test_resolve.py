@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from protocol.link.session import rules_of
+from runtime.recording import TraceError, TraceWriter
 from runtime.run_folder import PLANT_TRACE
-from runtime.trace import TraceError, TraceWriter
 from tests.support.small_run import Fault, SmallRun
 from wyner.runs.check.records import MissedLine, Told, Walked
 from wyner.runs.check.sides import SideReader

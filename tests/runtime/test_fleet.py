@@ -26,7 +26,7 @@ from runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.options import add_fleet_arguments, add_message_arguments, message_of
 from runtime.pace import Pace
-from runtime.parts import Bounds
+from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from tests.support.traces import read_trace
 from wyner.cli.main import main

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.trace import TRACE_VERSION, TraceError, TraceWriter
+from runtime.recording import TRACE_VERSION, TraceError, TraceWriter
 from tests.support.lines import unmark
 from tests.support.traces import read_trace
 
@@ -119,7 +119,7 @@ def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
     script = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from runtime.trace import TraceWriter\n"
+        "from runtime.recording import TraceWriter\n"
         "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
         "size = Path(sys.argv[1]).stat().st_size\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"

@@ -22,9 +22,9 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE, TEST
+from runtime.recording import TraceReader, TraceWriter
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
-from runtime.trace import TraceReader, TraceWriter
 from wyner.runs.run import Run
 from wyner.runs.score.replay import Replay
 from wyner.runs.score.score import read_truth, score

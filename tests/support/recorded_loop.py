@@ -26,8 +26,8 @@ from runtime.keys.key_maker import KeyMaker, work
 from runtime.pace import Pace
 from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Files, LoopPorts
+from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
-from runtime.trace import TraceWriter
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace

@@ -23,9 +23,8 @@ from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 from runtime.journal import ReceiverStep
-from runtime.parts import Bounds
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from runtime.trace import TraceWriter
 from tests.support.controller_in_hand import ControllerInHand
 from tests.support.plant_in_hand import PlantInHand
 

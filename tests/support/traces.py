@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.trace import TraceReader
+from runtime.recording import TraceReader
 from wyner.runs.resolve import Resolved
 
 

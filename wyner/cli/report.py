@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from protocol.scenario import ScenarioError
-    from runtime.trace import TraceError
+    from runtime.recording import TraceError
     from wyner.runs.page import StepError, write_report
 
     try:

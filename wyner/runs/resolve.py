@@ -16,8 +16,7 @@ from collections.abc import Iterable, Iterator
 from enum import Enum
 from typing import Any
 
-from runtime.jsonl import CONTINUED, MARKS
-from runtime.trace import REPORTS
+from runtime.recording import CONTINUED, MARKS, REPORTS
 
 Event = dict[str, Any]
 

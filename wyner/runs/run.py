@@ -18,8 +18,7 @@ from pydantic_core import from_json
 
 from protocol.scenario import Scenario
 from protocol.secret.records import Side
-from runtime.jsonl import read_lines
-from runtime.parts import parts_of
+from runtime.recording import TraceError, TraceReader, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     BELIEFS,
@@ -32,7 +31,6 @@ from runtime.run_folder import (
     TAP_STATUS,
 )
 from runtime.scenario_file import load_scenario
-from runtime.trace import TraceError, TraceReader
 from tap_service.capture.reading import CaptureReader
 from wyner.runs.resolve import Event, Resolved
 
@@ -105,7 +103,7 @@ class Run:
 
         Raises
         ------
-        runtime.trace.TraceError
+        runtime.recording.TraceError
             When it cannot be read.
         """
         return TraceReader(self.trace(side)).parts_missing
@@ -120,7 +118,7 @@ class Run:
 
         Raises
         ------
-        runtime.trace.TraceError
+        runtime.recording.TraceError
             When the trace cannot be read, or from a line on that no such end wrote.
         """
         reader = TraceReader(self.trace(side))

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.parts import Bounds, parts_of
+from runtime.recording import Bounds, TraceReader, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
-from runtime.trace import TraceReader
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
 from wyner.cli.main import main

@@ -14,8 +14,8 @@ import pytest
 from benchmarks.check import make_run
 from protocol.secret.records import BlockRow
 from runtime.files import write_atomically
-from runtime.jsonl import LineWriter
 from runtime.keys.store import KeyStore
+from runtime.recording import LineWriter
 from runtime.run_folder import (
     BELIEFS,
     CONTROLLER_JOURNAL,

@@ -19,7 +19,7 @@ import pytest
 from controller_service.laws import registry
 from protocol.link.peer import Save
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.parts import part_path
+from runtime.recording import part_path
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,

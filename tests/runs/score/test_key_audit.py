@@ -12,10 +12,10 @@ from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from protocol.secret.nonces import fresh_nonce
 from runtime.logs import logger
+from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from runtime.trace import TraceWriter
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.runs.run import Run
 from wyner.runs.score.keys import Copies, Heard, KeyAudit, audit_keys

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from runtime.recording import TraceWriter
 from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
-from runtime.trace import TraceWriter
 from tap_service.eavesdroppers.base import Belief
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from wyner.runs.run import Run

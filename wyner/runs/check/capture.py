@@ -8,8 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from pydantic_core import from_json, to_json
 
-from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from runtime.parts import number_of, parts_of
+from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
 from tap_service.capture.recording import CAPTURE_VERSION
 from wyner.runs.check.records import Problem
 from wyner.runs.check.sides import HEADS, Segments

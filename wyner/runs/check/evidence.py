@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from protocol.link.session import Rules, rules_of
 from protocol.messages import Sealed
 from protocol.scenario import Scenario
-from runtime.parts import parts_of
+from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.check.capture import CaptureLines, Seen
 from wyner.runs.check.journals import Kept, read_controller, read_plant

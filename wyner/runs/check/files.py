@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from runtime.parts import parts_of
+from runtime.recording import CONTINUED, END, HEADER, decode, parts_of, raw_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     CAPTURE,

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from protocol.secret.records import Side, StoreError
 from runtime.files import write_atomically
-from runtime.jsonl import CONTINUED, decode
+from runtime.recording import CONTINUED, decode
 from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
 from wyner.runs.check.covered import evidence_below
 from wyner.runs.check.stores import what_stays

@@ -9,9 +9,18 @@ from pydantic import ValidationError
 from pydantic_core import to_json
 
 from protocol.link.session import Rules
-from runtime.jsonl import CONTINUED, END, HEADER, decode, raw_lines
-from runtime.parts import number_of, parts_of
-from runtime.trace import REPORTS, TRACE_FORMAT, TRACE_VERSION
+from runtime.recording import (
+    CONTINUED,
+    END,
+    HEADER,
+    REPORTS,
+    TRACE_FORMAT,
+    TRACE_VERSION,
+    decode,
+    number_of,
+    parts_of,
+    raw_lines,
+)
 from wyner.runs.check.journals import Kept
 from wyner.runs.check.records import (
     KINDS,

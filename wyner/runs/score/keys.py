@@ -18,8 +18,8 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
 from runtime.keys.store import KeyStore
+from runtime.recording import TraceError
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from runtime.trace import TraceError
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import AWAY, Audit, MissRate

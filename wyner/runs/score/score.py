@@ -15,7 +15,7 @@ from typing import Any, Final
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ScenarioError
 from protocol.text import printable
-from runtime.trace import TraceError
+from runtime.recording import TraceError
 from tap_service.eavesdroppers.base import Belief, KeysHeld
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError

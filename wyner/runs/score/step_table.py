@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from runtime.trace import TraceError
+from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.runs.run import Run

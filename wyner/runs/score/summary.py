@@ -5,7 +5,7 @@ import math
 from typing import Any, Final
 
 from protocol.text import readable
-from runtime.trace import TraceError
+from runtime.recording import TraceError
 from wyner.runs.run import Run
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
