@@ -1,7 +1,7 @@
 """Diagrams and tables of the documents, made from what the programs use.
 
-``python -m tools.diagrams --write`` puts them between their markers in
-docs/architecture.md and docs/protocol.md; a test says when they are stale.
+``python -m tools.diagrams --write`` puts them between their markers in docs/architecture.md,
+docs/protocol.md and docs/howto/run-folder.md; a test says when they are stale.
 """
 
 import re
@@ -20,9 +20,11 @@ from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.runs.check import CLAUSES
+from wyner.runs.check.covered import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
+RUN_FOLDER: Final = DOCUMENT.parent / "howto" / "run-folder.md"
 
 _MARKED: Final = re.compile(
     r"(?P<begin><!-- generated: (?P<name>[a-z-]+) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
@@ -137,6 +139,14 @@ def clause_table() -> str:
     return "\n".join([*lines, ""])
 
 
+def evidence_table() -> str:
+    """The files of a run's folder, and what holds each to what it was."""
+    lines = ["| file | evidence | held by, or why it is none |", "|---|---|---|"]
+    for kind in KINDS:
+        lines.append(f"| `{kind.pattern}` | {'yes' if kind.evidence else 'no'} | {kind.held_by} |")
+    return "\n".join([*lines, ""])
+
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
     **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
@@ -152,7 +162,14 @@ PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
 }
 """Of docs/protocol.md."""
 
-DOCUMENTS: Final = {DOCUMENT: PARTS, PROTOCOL: PROTOCOL_PARTS}
+RUN_FOLDER_PARTS: Final[dict[str, Callable[[], str]]] = {"evidence": evidence_table}
+"""Of docs/howto/run-folder.md."""
+
+DOCUMENTS: Final = {
+    DOCUMENT: PARTS,
+    PROTOCOL: PROTOCOL_PARTS,
+    RUN_FOLDER: RUN_FOLDER_PARTS,
+}
 
 
 def refreshed(text: str, parts: dict[str, Callable[[], str]] = PARTS) -> str:
