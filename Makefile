@@ -70,7 +70,7 @@ ROOM_runtime := runtime
 ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
-ROOM_wyner := api cli dashboard deployment kme run_report scoring simulate studies system verify
+ROOM_wyner := api cli dashboard deployment kme runs simulate studies system
 ROOM_house := house benchmarks campaigns examples tools
 
 $(ROOM_TARGETS): test-%: $(STAMPS)/dev
@@ -125,7 +125,7 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).spoiled_stores
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
-	WYNER_MUTANTS=all $(BIN)/pytest tests/verify/test_mutants.py
+	WYNER_MUTANTS=all $(BIN)/pytest tests/runs/check/test_mutants.py
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

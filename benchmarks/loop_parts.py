@@ -1,6 +1,6 @@
 """What a control step costs beside the transport: each part timed in one process.
 
-The same objects as in the services, driven directly: the plant and the controller's sender with
+The same objects as in the services, driven directly: the plant and the controller's core with
 the scenario's law, real journals and traces in a temporary folder, messages through JSON.
 """
 
@@ -129,37 +129,37 @@ class TimedPorts:
 
 def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> dict[str, float]:
     """Plant and controller in lock-step, everything but transport and telemetry."""
+    from controller_service.core import ControllerCore
     from controller_service.laws.registry import cached_design, make_law
-    from controller_service.peer import ControllerPeer
     from plant_service.opening import open_core
     from protocol.link.pacing import Pacing
-    from protocol.link.sender import Sender
     from protocol.link.session import rules_of
     from protocol.streams import CIPHER, COIN, noise, symbols
     from runtime.ids import new_id
     from runtime.journal import ControllerJournal, PlantJournal
     from runtime.perform import perform
     from runtime.ports import Files
+    from runtime.recording import TraceWriter
     from runtime.run_folder import (
         CONTROLLER_JOURNAL,
         CONTROLLER_TRACE,
         PLANT_JOURNAL,
         PLANT_TRACE,
     )
-    from runtime.trace import TraceWriter
 
     watch = Stopwatch()
     law = make_law(scenario, cached_design(scenario))
     fingerprint = scenario.fingerprint()
     queue = ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint)
-    sender = Sender(
+    controller = ControllerCore(
         rules_of(scenario),
         lambda x: watch.time("controller: law", lambda: law.candidates(x)),
         queue,
         symbols(None, CIPHER),
-        new_id(),
+        instance=new_id(),
+        period_s=scenario.plant.period_s,
+        message=MESSAGE,
     )
-    controller = ControllerPeer(sender, queue, scenario.plant.period_s, message=MESSAGE)
     journal = PlantJournal(folder / PLANT_JOURNAL, fingerprint)
     coin, disturbances = symbols(None, COIN), noise(None, scenario.n)
     now = time.monotonic()

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from benchmarks.fleet import quantile_ms
 from benchmarks.loop import SCENARIO, ServiceProcess, running
+from runtime.recording import TraceReader
 from runtime.run_folder import PLANT_STATUS, PLANT_TRACE
 from runtime.scenario_file import load_scenario
-from runtime.trace import TraceReader
 
 STEPS: Final = 10_000
 """Steps in which a rate must not miss any."""

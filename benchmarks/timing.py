@@ -35,10 +35,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
+    from controller_service.core import ControllerCore
     from plant_service.core import PlantCore
     from protocol.link.events import Event
     from protocol.link.peer import Notice, Peer, Write
-    from protocol.link.sender import Sender
     from protocol.messages import Message, Status
     from protocol.secret.tasks import Done, Task
     from runtime.ports import Files
@@ -189,7 +189,7 @@ class LivingEnd:
         self._perform = perform
         with self._drawing():
             self.endpoint, files, end = open_end(side, scenario, folder, life.began)
-            self.end: Sender | PlantCore = end
+            self.end: ControllerCore | PlantCore = end
             self.ports = TimingPorts(files)
             perform(self.endpoint.start(life.began), self.endpoint, self.ports)
 
@@ -243,7 +243,7 @@ class LivingEnd:
 
 def open_end(
     side: str, name: str, folder: Path, now: float
-) -> "tuple[Peer, Files, Sender] | tuple[Peer, Files, PlantCore]":
+) -> "tuple[Peer, Files, ControllerCore] | tuple[Peer, Files, PlantCore]":
     """An end of the scenario's link as the services open it."""
     from controller_service import service as controllers
     from controller_service.laws.registry import cached_design, make_law
@@ -263,7 +263,7 @@ def open_end(
             law = make_law(scenario, cached_design(scenario))
             config = controllers.ControllerConfig(scenario, folder, "loop", law, b"x" * 60_000)
             controller, files = controllers.open_controller(config)
-            return controller, files, controller.sender
+            return controller, files, controller
         fast = plants.PlantConfig(scenario, folder, "loop", Pace("fast"))
         plant, files = plants.open_plant(fast, now)
         return plant, files, plant

@@ -13,7 +13,7 @@ from runtime.options import (
     message_of,
     run_dir_of,
 )
-from runtime.parts import Bounds
+from runtime.recording import Bounds
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw

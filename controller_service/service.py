@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from controller_service.core import ControllerCore
 from controller_service.laws.online import OnlineLaw
-from controller_service.peer import ControllerPeer
 from controller_service.telemetry import ControllerTelemetry
 from protocol.link.pacing import STATUS_S
-from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import CIPHER, symbols
@@ -28,8 +27,8 @@ from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
 from runtime.model import load_model
-from runtime.parts import Bounds
 from runtime.ports import Files
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -37,7 +36,6 @@ from runtime.run_folder import (
     CONTROLLER_TRACE,
 )
 from runtime.scenario_file import keep_scenario, scenario_of
-from runtime.trace import TraceWriter
 from runtime.user_code import UserCodeError
 
 
@@ -54,7 +52,7 @@ class ControllerConfig(EndConfig):
 
 def open_controller(
     config: ControllerConfig, *, status_s: float = STATUS_S
-) -> tuple[ControllerPeer, Files]:
+) -> tuple[ControllerCore, Files]:
     """The controller's end of one loop as its journal has it, and its files.
 
     Parameters
@@ -86,14 +84,17 @@ def open_controller(
     trace = TraceWriter(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )
-    rules, fresh = rules_of(scenario), symbols(config.seed, CIPHER)
-    endpoint = ControllerPeer(
-        Sender(
-            *(rules, config.law.candidates, journal, fresh, new_id(), record, step, contributions),
-            predict=predict,
-        ),
+    core = ControllerCore(
+        rules_of(scenario),
+        config.law.candidates,
         journal,
-        scenario.plant.period_s,
+        symbols(config.seed, CIPHER),
+        instance=new_id(),
+        period_s=scenario.plant.period_s,
+        record=record,
+        step=step,
+        contributions=contributions,
+        predict=predict,
         message=config.message,
         telemetry=ControllerTelemetry(
             config.law,
@@ -101,10 +102,10 @@ def open_controller(
         ),
         status_s=status_s,
     )
-    return endpoint, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
+    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
 
 
-class ControllerService(EndService[ControllerPeer]):
+class ControllerService(EndService[ControllerCore]):
     """Answers one plant's measurements with offers until it is told to stop.
 
     Its parameters are those of :class:`EndService`.
@@ -128,13 +129,13 @@ class ControllerService(EndService[ControllerPeer]):
 
         log = logger("controller")
         super().__init__(config, open_controller(config), sealing, log, field, ops, stopping, clock)
-        self.sender = self.endpoint.sender
+        core = self.endpoint
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
-            self.sender.record.session or "none yet",
+            core.record.session or "none yet",
             config.scenario.fingerprint()[:8],
-            self.endpoint.messages.queued,
-            self.sender.record.message,
+            core.messages.queued,
+            core.record.message,
         )
 
 
@@ -150,7 +151,7 @@ def run_controllers(
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
     laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
 
-    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerPeer, Files]:
+    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerCore, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         if loop.scenario not in laws:

@@ -4,8 +4,8 @@ import time
 from typing import Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
-from protocol.link.ciphering import Outbox
-from protocol.link.sender import Sender
+from protocol.link.keying import Keying
+from protocol.link.records import SenderRecord
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
@@ -13,10 +13,14 @@ from protocol.text import Shown
 Phase = Literal["greeting", "running", "outside", "stopped", "refused"]
 
 
-class Messages(Outbox, Protocol):
-    """The queue of messages as the journal has it, with their identifiers."""
+class MessageQueue(Protocol):
+    """The messages to deliver, in order, numbered from 0, as the journal has them."""
 
     queued: int
+    """How many there ever were."""
+
+    def payload(self, number: int) -> bytes | None:
+        """Message ``number``, or None while it is not queued."""
 
     def queued_as(self, identifier: str) -> bytes | None:
         """The message that was ever queued under this identifier, or None."""
@@ -28,7 +32,7 @@ class Messages(Outbox, Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail`` and ``unexplained`` are the endpoint's to set.
+    ``phase``, ``detail`` and ``unexplained`` are the core's to set.
     """
 
     def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
@@ -41,15 +45,21 @@ class ControllerTelemetry:
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
         self._seq = 0
 
-    def status(self, sender: Sender, messages: Messages, malformed: int) -> ControllerStatus:
-        """What the dashboard is told now."""
-        record = sender.record
+    def status(
+        self,
+        record: SenderRecord,
+        size: int,
+        keying: Keying,
+        messages: MessageQueue,
+        malformed: int,
+    ) -> ControllerStatus:
+        """What the dashboard is told now; ``size`` is M."""
         idle = record.message >= messages.queued
         shown = min(record.message, messages.queued - 1)
         if shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
         payload = self._shown[1]
-        length = 0 if payload is None else frame_length(len(payload), sender.rules.size)
+        length = 0 if payload is None else frame_length(len(payload), size)
         try:
             set_index = self._law.index(record.x) if record.x else -1
         except LookupError:
@@ -73,5 +83,5 @@ class ControllerTelemetry:
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self.unexplained,
-            **sender.keying.told(self._keys_refused),
+            **keying.told(self._keys_refused),
         )

@@ -5,7 +5,9 @@ from importlib.metadata import version as installed
 from pathlib import Path
 
 from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
 
 # autodoc writes annotations into pydantic's base class, after which some models cannot be made
 import protocol.scenario  # noqa: F401
@@ -22,6 +24,7 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["data", "figures"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 suppress_warnings = [
     "ref.python",  # one name in two modules: the type in a signature stays unlinked
 ]
@@ -60,6 +63,19 @@ def draw_diagrams(_app: object, doctree: nodes.document) -> None:
             block.replace_self(nodes.raw("", drawn(block.astext()), format="html"))
 
 
+def inline_formula(self: HTML5Translator, node: nodes.math) -> None:
+    """A formula as MathML, which a browser draws without a script and without the network."""
+    self.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def displayed_formula(self: HTML5Translator, node: nodes.math_block) -> None:
+    """The same on a line of its own."""
+    self.body.append(tex2mathml(node.astext(), as_block=True))
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
     app.connect("doctree-read", draw_diagrams)

@@ -6,7 +6,7 @@ from pathlib import Path
 from runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
 from runtime.errors import DONE, UsageError
 from runtime.options import at_least, checked, pace_of, run_dir_of
-from runtime.parts import Bounds
+from runtime.recording import Bounds
 from runtime.run_folder import PLANT_SAFE
 
 

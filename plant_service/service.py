@@ -29,8 +29,8 @@ from runtime.key_opening import open_keeper, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.pace import Pace
-from runtime.parts import Bounds
 from runtime.ports import Files
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
     PLANT_JOURNAL,
     PLANT_KEYS,
@@ -39,7 +39,6 @@ from runtime.run_folder import (
     PLANT_TRACE,
 )
 from runtime.scenario_file import keep_scenario, scenario_of
-from runtime.trace import TraceWriter
 
 
 @dataclass(frozen=True, slots=True)

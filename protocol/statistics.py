@@ -5,7 +5,8 @@ has an interval over runs (:func:`share_over_runs`, :func:`mean_over_runs`), and
 :data:`FEWEST_RUNS` runs have none. What is looked at again and again, with a decision at each look,
 has a confidence sequence, which holds at all looks together (:func:`confidence_sequence` for a
 probability, :func:`mean_sequence` for a mean over runs). :func:`wilson` is for trials that are
-independent, such as one per run.
+independent, such as one per run, :func:`clopper_pearson` for the same where a bound must never be
+too narrow, :func:`normal` for an estimate whose standard error is known.
 
 Limits that are not known are NaN: :attr:`Interval.known` asks, :meth:`Interval.text` says so.
 """
@@ -100,6 +101,34 @@ def wilson(successes: float, trials: int, confidence: float = CONFIDENCE) -> Int
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == trials else centre + half
     return Interval(p, low, high)
+
+
+def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
+    """One-sided bounds on a probability, from ``k`` successes in ``n`` trials.
+
+    Parameters
+    ----------
+    k, n : int
+        Successes, and independent trials, looked at once.
+    alpha : float
+        Probability that a bound does not hold, for each of the two; 1e-6 is usual here.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper bound (Clopper and Pearson 1934).
+    """
+    from scipy.special import betaincinv
+
+    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, alpha))
+    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - alpha))
+    return lower, upper
+
+
+def normal(value: float, error: float, confidence: float = CONFIDENCE) -> Interval:
+    """The interval of an estimate that is about normal, with its standard error ``error``."""
+    half = NormalDist().inv_cdf(0.5 + _checked(confidence) / 2) * error
+    return Interval(value, value - half, value + half)
 
 
 # --- over runs ------------------------------------------------------------------------------------

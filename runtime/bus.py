@@ -45,7 +45,13 @@ class Channel(Protocol):
 
 
 class Bus(Protocol):
-    """Publish and subscribe. A bus never delivers its own messages to itself."""
+    """Publish and subscribe, on which the session rules build.
+
+    A put never waits: it is lost where nobody listens, a queue is full or a link dies. One
+    publisher's messages arrive in order or not at all, and under their own key or not at all. A bus
+    never delivers its own messages to itself. Peers relay nothing: each pair needs one that listens
+    and one that connects, in any order.
+    """
 
     def publisher(self, key: str, *, many: bool = False) -> Publisher:
         """A publisher on one key (no wildcard); one of ``many`` may wait 1 ms for others."""

@@ -15,8 +15,8 @@ from runtime.host import Host
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import End
 from runtime.keys.store import KeyStore
-from runtime.parts import Bounds
 from runtime.ports import Files
+from runtime.recording import Bounds
 from runtime.sealed_thread import SealedThread
 
 E = TypeVar("E", bound=Peer)

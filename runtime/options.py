@@ -27,7 +27,7 @@ def add_message_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--message",
         metavar="TEXT",
-        help="the message to deliver; - reads standard input, without its last newline",
+        help="the message to deliver, seen by all who list processes; - reads standard input",
     )
     group.add_argument(
         "--message-file",

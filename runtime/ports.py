@@ -15,7 +15,7 @@ from runtime.bus import Publisher
 from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
-from runtime.trace import TraceWriter
+from runtime.recording import TraceWriter
 
 
 class Journal(Protocol):

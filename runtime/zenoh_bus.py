@@ -73,6 +73,7 @@ class ZenohPublisher:
         # Every message names its key a second time: see `ZenohBus.subscribe`.
         settings: dict[str, Any] = {
             "encoding": zenoh.Encoding(f"{_JSON};{key}"),
+            # BLOCK held a put for 5 s while a partner was frozen.
             "congestion_control": zenoh.CongestionControl.DROP,
             "express": not many,
             "allowed_destination": zenoh.Locality.REMOTE,

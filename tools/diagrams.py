@@ -1,7 +1,7 @@
-"""Diagrams and tables of the documents, made from the schemes and messages that the programs use.
+"""Diagrams and tables of the documents, made from what the programs use.
 
-``python -m tools.diagrams --write`` puts them between their markers in
-docs/architecture.md and docs/protocol.md; a test says when they are stale.
+``python -m tools.diagrams --write`` puts them between their markers in docs/architecture.md,
+docs/protocol.md and docs/howto/run-folder.md; a test says when they are stale.
 """
 
 import re
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
 from protocol.messages import FIELD, INTEL, OPS, Message
 from protocol.schemes.base import Scheme
@@ -18,9 +19,12 @@ from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
+from wyner.runs.check import CLAUSES
+from wyner.runs.check.covered import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
+RUN_FOLDER: Final = DOCUMENT.parent / "howto" / "run-folder.md"
 
 _MARKED: Final = re.compile(
     r"(?P<begin><!-- generated: (?P<name>[a-z-]+) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
@@ -86,28 +90,61 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
     return "\n".join([*lines, ""])
 
 
-def plant_session() -> str:
-    """How a plant stands with a controller, what it may hear, and what comes of it."""
-    columns = [state for state in plants.STATES if state != "refused"]
+def session_table(
+    states: dict[Any, str],
+    heard: dict[Any, str],
+    answers: dict[Any, str],
+    table: dict[Any, Any],
+) -> str:
+    """How an end stands with its partner, what it may hear, and what comes of it."""
+    columns = [state for state in states if state != "refused"]
     lines = ["| state | |", "|---|---|"]
-    lines += [f"| *{state}* | {meaning} |" for state, meaning in plants.STATES.items()]
+    lines += [f"| *{state}* | {meaning} |" for state, meaning in states.items()]
     lines += ["", "| what is heard | |", "|---|---|"]
-    lines += [f"| {name} | {meaning} |" for name, meaning in plants.HEARD.items()]
+    lines += [f"| {name} | {meaning} |" for name, meaning in heard.items()]
     lines += ["", "| answer | |", "|---|---|"]
-    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in plants.ANSWERS.items()]
+    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in answers.items()]
     lines += ["", "| heard, in state | " + " | ".join(f"*{state}*" for state in columns) + " |"]
     lines.append("|---|" + "---|" * len(columns))
-    for name in plants.HEARD:
-        cells = [_cell(state, plants.TABLE[state, name]) for state in columns]
+    for name in heard:
+        cells = [_cell(state, table[state, name]) for state in columns]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
 
-def _cell(state: str, row: plants.Row) -> str:
+def plant_session() -> str:
+    """The plant's."""
+    return session_table(plants.STATES, plants.HEARD, plants.ANSWERS, plants.TABLE)
+
+
+def controller_session() -> str:
+    """The controller's."""
+    return session_table(
+        controllers.STATES, controllers.HEARD, controllers.ANSWERS, controllers.TABLE
+    )
+
+
+def _cell(state: str, row: tuple[str, str]) -> str:
     """A row of the table: the answer, and the next state where it is another one."""
-    answer = "" if row.answer == "nothing" else f"**{row.answer}**"
-    following = "" if row.next == state else f"*{row.next}*"
-    return ", ".join(filter(None, (answer, following))) or "–"
+    answer, following = row
+    words = ["" if answer == "nothing" else f"**{answer}**"]
+    words.append("" if following == state else f"*{following}*")
+    return ", ".join(filter(None, words)) or "–"
+
+
+def clause_table() -> str:
+    """What `wyner check` looks at: each clause, where it comes from, and what must hold."""
+    lines = ["| clause | source | what must hold | counts |", "|---|---|---|---|"]
+    lines += [f"| {c.name} | {c.source} | {c.says} | {c.of} |" for c in CLAUSES]
+    return "\n".join([*lines, ""])
+
+
+def evidence_table() -> str:
+    """The files of a run's folder, and what holds each to what it was."""
+    lines = ["| file | evidence | held by, or why it is none |", "|---|---|---|"]
+    for kind in KINDS:
+        lines.append(f"| `{kind.pattern}` | {'yes' if kind.evidence else 'no'} | {kind.held_by} |")
+    return "\n".join([*lines, ""])
 
 
 PARTS: Final[dict[str, Callable[[], str]]] = {
@@ -118,10 +155,21 @@ PARTS: Final[dict[str, Callable[[], str]]] = {
 }
 """Of docs/architecture.md."""
 
-PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {"plant-session": plant_session}
+PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
+    "plant-session": plant_session,
+    "controller-session": controller_session,
+    "clauses": clause_table,
+}
 """Of docs/protocol.md."""
 
-DOCUMENTS: Final = {DOCUMENT: PARTS, PROTOCOL: PROTOCOL_PARTS}
+RUN_FOLDER_PARTS: Final[dict[str, Callable[[], str]]] = {"evidence": evidence_table}
+"""Of docs/howto/run-folder.md."""
+
+DOCUMENTS: Final = {
+    DOCUMENT: PARTS,
+    PROTOCOL: PROTOCOL_PARTS,
+    RUN_FOLDER: RUN_FOLDER_PARTS,
+}
 
 
 def refreshed(text: str, parts: dict[str, Callable[[], str]] = PARTS) -> str:

@@ -25,24 +25,33 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from protocol.secret.bound import clopper_pearson
+from protocol.statistics import clopper_pearson
 
 
 def _files(room: str, names: str) -> tuple[str, ...]:
     return tuple(f"tests/{room}/test_{name}.py" for name in names.split())
 
 
+SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
+    "schemes": ("protocol/schemes",),
+    "link": ("protocol/link", "controller_service/core.py", "plant_service/core.py"),
+    "check": ("wyner/runs/check",),
+}
+"""A room's folders and files: the link's rules stand at both ends' cores."""
+
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
-    "protocol/schemes": _files("schemes", "framing switched pipelined own_scheme"),
-    "protocol/link": (
+    "schemes": _files("schemes", "framing switched pipelined own_scheme"),
+    "link": (
         *_files("link", "tallies refusals keying events model fallback pacing timers"),
         *_files("link", "transcripts meeting predictions session_machine appearances"),
-        *_files("link", "last_keys plant_session"),
+        *_files("link", "last_keys plant_session controller_session"),
         *_files("runtime", "perform sealing"),
         "tests/secret/test_keyed_link.py",
         "tests/simulate/test_network.py",
     ),
-    "wyner/verify": _files("verify", "key_blocks sealed rare_runs words seal parts deaths check"),
+    "check": _files(
+        "runs/check", "paper key_blocks sealed rare_runs words seal parts deaths check"
+    ),
 }
 """A room, and the tests that have to notice; those that notice much in little time come first."""
 
@@ -127,6 +136,12 @@ def changed(before: str, after: str) -> tuple[int, int]:
     return spot
 
 
+def _room_of(path: Path) -> str | None:
+    """The room whose source a file is."""
+    names = {str(path), str(path.parent)}
+    return next((room for room, sources in SOURCES.items() if names & set(sources)), None)
+
+
 def prepare(wanted: Collection[str]) -> dict[str, list[Mutant]]:
     """A copy of the checkout with the mutants of these rooms in it, and each room's mutants."""
     listed = subprocess.run(
@@ -139,7 +154,7 @@ def prepare(wanted: Collection[str]) -> dict[str, list[Mutant]]:
         if not path.exists():
             continue
         (TREE / path).parent.mkdir(parents=True, exist_ok=True)
-        room = str(path.parent)
+        room = _room_of(path)
         if room not in wanted or path.suffix != ".py":
             shutil.copy2(path, TREE / path)
             continue
@@ -155,7 +170,7 @@ def prepare(wanted: Collection[str]) -> dict[str, list[Mutant]]:
     INDEX.write_text(json.dumps(kept))
     rooms: dict[str, list[Mutant]] = {room: [] for room in wanted}
     for name, entry in sorted(kept.items()):
-        rooms[str(Path(name).parent)] += [Mutant(*row) for row in entry["mutants"]]
+        rooms[_room_of(Path(name)) or ""] += [Mutant(*row) for row in entry["mutants"]]
     return rooms
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import needs
-from wyner.scoring.report import percent
+from wyner.runs.score.report import percent
 from wyner.shipped import DATA
 from wyner.studies.secrecy.tables import exact_of, read_rows, share_of
 

@@ -14,7 +14,7 @@ from typing import Final
 from pydantic_core import to_json
 
 from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
-from runtime.jsonl import read_lines
+from runtime.recording import read_lines
 from wyner.dashboard.model import Arrival, Board, reduce_all
 from wyner.dashboard.screenshot import to_svg
 from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource

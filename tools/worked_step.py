@@ -1,7 +1,7 @@
 """The worked step of the documents: one agreed transition of a seeded run, numbers and picture.
 
 ``python -m tools.worked_step --write`` puts the numbers between their markers in
-docs/worked-step.md and draws docs/figures/worked-step.svg; a test says when they are stale.
+docs/tutorial.md and draws docs/figures/worked-step.svg; a test says when they are stale.
 """
 
 import sys
@@ -23,7 +23,7 @@ from wyner.simulate.network import Simulation
 from wyner.studies.figures.style import COLOURS, drawing, save
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
-PAGE: Final = DOCS / "worked-step.md"
+PAGE: Final = DOCS / "tutorial.md"
 PICTURE: Final = DOCS / "figures" / "worked-step.svg"
 
 SEED: Final = 1

@@ -3,7 +3,6 @@
 import sys
 
 from runtime.command import entered
-from runtime.private_arguments import hide_message
 
 
 def _load_and_run() -> int:
@@ -14,7 +13,6 @@ def _load_and_run() -> int:
 
 def main() -> int:
     """Load the command and run it; returns the exit code."""
-    hide_message()
     return entered(_load_and_run)
 
 

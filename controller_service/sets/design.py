@@ -41,7 +41,7 @@ __all__ = [
     "synthesise",
 ]
 
-Progress = Callable[[int, int, Polytope], None]
+Progress = Callable[[int, int], None]
 
 Start = tuple[Array, Polytope, Terminal]
 """K, T_0 and how it was made."""
@@ -263,7 +263,7 @@ def synthesise(
     ----------
     scenario : Scenario
     progress : callable, optional
-        ``progress(done, total, made)`` is called after each set, T_0 among them.
+        ``progress(done, total)`` is called after each set, T_0 among them.
     start : callable, optional
         K and T_0; by the scenario's gain or regulator if not given.
 
@@ -291,7 +291,7 @@ def synthesise(
         targets.append((q.H, q.h))
         margins.append(0.5 * deflation)
         if progress is not None:
-            progress(i, scenario.control.horizon, p)
+            progress(i, scenario.control.horizon)
     return Design(
         A=r.A,
         B=r.B,

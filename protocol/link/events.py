@@ -14,7 +14,7 @@ class Event(Protocol):
     """Something that happened at one side."""
 
     def as_event(self) -> dict[str, Any]:
-        """As a line of a trace, by the names in :mod:`runtime.trace`."""
+        """As a line of a trace, by the names in :mod:`runtime.recording`."""
 
 
 class SessionBegan(NamedTuple):

@@ -2,7 +2,7 @@
 
 Messages and the time go in, :class:`Actions` come out. Who carries them out, and in which order,
 stands in :mod:`runtime.perform`; no other module knows it. The two endpoints are
-:mod:`controller_service.peer` and :mod:`plant_service.core`.
+:mod:`controller_service.core` and :mod:`plant_service.core`.
 """
 
 from typing import Final, Literal, NamedTuple, Protocol

@@ -1,8 +1,8 @@
 """Exactly once over a network that loses, repeats, delays and reorders, with processes that die.
 
 Both ends are sans I/O: what was heard goes in, actions come out, and nothing is sent before it is
-saved. The plant's is ``plant_service/core.py``, the controller's :mod:`protocol.link.sender`. Here
-is what they share. The rules are those of docs/protocol.md, numbered there and here:
+saved. The controller's is ``controller_service/core.py``, the plant's ``plant_service/core.py``.
+Here is what they share. The rules are those of docs/protocol.md, numbered there and here:
 
 1. The plant owns the step counter k and repeats Measurement(k) until Offer(k) or its deadline.
 2. The controller counts a transition when a measurement first reports it, and answers the same

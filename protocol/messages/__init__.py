@@ -1,10 +1,10 @@
-"""The messages on the wire: flat, frozen, versioned, and nothing secret on the field bus.
+"""The messages on the wire: flat, frozen, versioned. Nothing on the field bus is secret.
 
-Three buses, three families, a file of this package each. *Field* messages (`Measurement`, `Offer`)
-are read by the tap; they hold no key, no plaintext, no automaton state, and look the same in both
-automaton states. *Ops* messages pass between controller, plant, dashboard and operator. *Intel*
-messages carry the tap's guesses.
-Models are flat (no nested model), so that a recorder's schema of each needs no reference.
+Each of the three buses has a file of this package. The tap reads *field* messages. They hold no
+key, no plaintext and no automaton state, and have the same form in both states. *Ops* messages pass
+between controller, plant, dashboard and operator. *Intel* messages carry the tap's guesses.
+
+No model is nested in another, so a recorder's schema of each needs no reference.
 """
 
 from protocol.messages.base import LARGEST_COUNT, SCHEMA, Message

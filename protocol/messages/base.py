@@ -1,4 +1,4 @@
-"""What all messages share: the version of the wire, the types of their fields, their form."""
+"""What all messages share: the wire's version, the types of fields, the encoding."""
 
 from typing import Annotated, ClassVar, Final, Literal
 
@@ -13,6 +13,8 @@ SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Identifier = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 LARGEST_COUNT: Final = 2**63 - 1
+"""Largest value of a count: it fits a signed integer of 64 bits."""
+
 Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
 Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
@@ -21,7 +23,7 @@ Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
 
 
 class Message(BaseModel):
-    """What all messages share: they cannot change, and unknown fields are refused."""
+    """Base of all messages. An instance is frozen; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -30,5 +32,5 @@ class Message(BaseModel):
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""
-        # what model_dump_json does, without turning bytes into text and back
+        # model_dump_json without its detour from bytes to text and back
         return self.__pydantic_serializer__.to_json(self)

@@ -1,4 +1,4 @@
-"""Field messages, read by everyone: no key, no plaintext, no state, and one form in all states."""
+"""Field messages, which everyone reads: no key, plaintext or state, and one form in all states."""
 
 from typing import Annotated, ClassVar
 
@@ -20,11 +20,30 @@ from protocol.vectors import FiniteVector
 class Measurement(Message):
     """Plant to controller: x(k), and the last applied offer with the state right after it.
 
-    ``applied_k`` is -1 (and ``x_after`` empty) until an offer has been applied in this session.
-    ``copy_number`` is 0 for the first copy of Measurement(k), whose ``nonce`` may count, and 1 for
-    all others, whose nonce is a dummy; ``applied_copy`` is the copy of the offer that was applied.
-    ``block`` is the last key block that the plant has stored, ``tag`` its tag. Where the scenario
-    makes no keys these five are 0, empty, 0, -1 and empty always.
+    The last five fields serve keys. In a scenario that makes none they keep their defaults.
+
+    Attributes
+    ----------
+    session : str
+        The session's random id, 16 hexadecimal digits.
+    k : int
+        The step.
+    x : tuple of float
+        x(k), the state at the start of the step, n numbers.
+    applied_k : int
+        Step of the last applied offer of this session; -1 before the first.
+    x_after : tuple of float
+        The state right after that offer's input, n numbers; empty before the first.
+    copy_number : {0, 1}
+        0: the first copy of Measurement(k), whose nonce may count. 1: any other copy.
+    nonce : str
+        256 random bits in base64. That of a copy 1 is a dummy and counts for nothing.
+    applied_copy : {0, 1}
+        Which copy of the offer was applied.
+    block : int
+        The last key block that the plant has announced; -1 before the first.
+    tag : str
+        That block's tag, 32 hexadecimal digits.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -43,9 +62,18 @@ class Measurement(Message):
 class Offer(Message):
     """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
 
-    ``predictions`` are the predictions f_c(x, u_i) where f_c is not linear, else none. ``heard`` is
-    the copy of that measurement which came first; the other fields of keys are those of
-    `Measurement`.
+    Fields that are not listed are those of `Measurement`.
+
+    Attributes
+    ----------
+    candidates : tuple of tuple of float
+        The M inputs u_i, m numbers each; the plant applies one of them.
+    cipher : int
+        The cipher symbol, 0 to M - 1.
+    predictions : tuple of tuple of float
+        f_c(x, u_i), n numbers each, where f_c is not linear; else empty.
+    heard : {0, 1}
+        Which copy of the measurement the controller received first.
     """
 
     topic: ClassVar[str] = "offer"
@@ -64,8 +92,18 @@ class Offer(Message):
 class Sealed(Message):
     """Controller to plant: a message under a one-time pad, with its one-time tag.
 
-    It is sent at the operator's wish and beside the loop, so it tells nothing of the scheme. Its
-    keys are named by their ids and used for nothing else, before or after.
+    The operator orders it, and it travels beside the loop, so it tells nothing of the scheme.
+
+    Attributes
+    ----------
+    id : str
+        The message's id, as the operator gave it.
+    key_ids : tuple of str
+        Ids of the keys that it takes, 1 to 4096. Each key serves this message alone.
+    cipher : bytes
+        The ciphertext, as long as the text; base64 on the wire.
+    tag : str
+        The one-time tag of ids and ciphertext, 32 hexadecimal digits.
     """
 
     topic: ClassVar[str] = "sealed"

@@ -11,21 +11,55 @@ from protocol.vectors import FiniteVector
 class TapStatus(Message):
     """One eavesdropper's view of the link, published by the tap at a bounded rate.
 
-    The ``tail_*`` lists are parallel, oldest first: the transition's step k, the likeliest symbol,
-    its probability, and the probability that a key was agreed there. ``message`` is the best
-    message so far (text, unprintable bytes shown as ``·``), ``confidence`` how sure she is of it.
-    ``candidates_left`` counts the messages still possible to her (0: not counted by this kind).
-    ``A``, ``B`` are the model she has learned or was given; ``solved_k`` is the step at which she
-    first was sure of a whole message (-1: not yet). ``bits_left`` is the entropy of the message
-    given all that she heard, in bits, by her own account (None: this kind does not compute it).
-    ``failed`` says why she guesses no more, or not at present (empty: she does); the rest is then
-    what she said last. ``behind`` counts the steps captured that she has not looked at.
-    Of one who attacks keys: ``key_blocks`` made keys, ``key_bits_held`` is what she can compute of
-    their rows (-1: this one does not try). Of ``copies`` 0 she missed ``copies_missed``. Of
-    those of ``missed_direction``, which speaks against the claim most, she missed a share of
-    ``missed_at_most``; that may refute it. Not among them are ``copies_absent``, sent while she was
-    not there. Of sealed texts heard lately she knows
-    ``sealed_bits_known``; ``sealed_text`` is the last one, with · for what she does not.
+    Attributes
+    ----------
+    seq, t_ns : int
+        Number of the status, and when it was made, in nanoseconds.
+    name : str
+        The eavesdropper's.
+    steps, lost : int
+        Transitions that she looked at, and those of which the tap lacks a message.
+    mirrored, dropped, malformed : int
+        Messages that the tap has recorded, has heard and lost, and could not read.
+    behind : int
+        Captured steps that she has not looked at.
+    message : str
+        Her best message so far; unprintable bytes are shown as ``·``.
+    confidence : float
+        How sure she is of it, 0 to 1.
+    candidates_left : int
+        Messages that are still possible to her; 0: this kind does not count them.
+    solved_k : int
+        Step at which she first was sure of a whole message; -1: not yet.
+    bits_left : float or None
+        Entropy of the message given all that she heard, in bits, by her own account. None: this
+        kind does not compute it.
+    failed : str
+        Why she does not guess at present; empty: she does. The other fields then keep her last
+        words.
+    A, B : tuple of tuple of float
+        The model that she has learned or was given; empty: none.
+    key_blocks, key_bits_held : int
+        Key blocks that she attacked, and bits of their rows that she can compute; -1 bits: she
+        attacks no keys. The fields up to ``sealed_text`` are those of one who does.
+    copies, copies_missed : int
+        Copies 0 that were sent while she was there, and those of them that she missed.
+    copies_absent : int
+        Copies 0 that were sent while she was not there.
+    missed_direction, missed_at_most : str, float
+        The direction that speaks most against the operator's claim, and the upper bound of the
+        share of its copies that she misses.
+    claim_refuted, misses_in_bursts : bool
+        She misses less than the operator claims; her misses come in bursts.
+    sealed_bits, sealed_bits_known : int
+        Bits of the sealed texts that she heard lately, and those of them that she knows.
+    sealed_text : str
+        The last of these texts, with ``·`` for what she does not know.
+    tail_k, tail_symbol : tuple of int
+        Of the last transitions, oldest first: the step k, and the symbol that she holds likeliest.
+    tail_probability, tail_agreed : tuple of float
+        Probability of that symbol, and that a key was agreed on there, by her account. All four
+        tails have one length.
     """
 
     topic: ClassVar[str] = "intel/tap/status"

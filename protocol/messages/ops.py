@@ -1,4 +1,4 @@
-"""Ops messages: between controller, plant, dashboard and operator, out of her reach."""
+"""Ops messages: between controller, plant, dashboard and operator; the tap must not reach them."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -19,10 +19,24 @@ from protocol.vectors import FiniteVector
 
 
 class PlantHello(Message):
-    """The plant asks ``controller`` to take up ``session``; repeated until it is answered.
+    """The plant asks a controller to take up a session, and repeats it until it is answered.
 
-    With None it looks for a controller: whoever greets is asked next. All others learn from it that
-    the session is not theirs. ``incarnation`` is that of the controller asked last, as it greeted.
+    Attributes
+    ----------
+    instance : str
+        The plant's process.
+    session : str
+        The session to take up.
+    controller : str or None
+        The controller process that is asked; every other one learns that the session is not its
+        own. None: the plant looks for a controller, and asks the next one that greets.
+    incarnation : int
+        That of the controller asked last, as it greeted.
+    fingerprint : str
+        SHA-256 of what both ends must share; with another one there is no session.
+    transitions, applied_k : int
+        Transitions that the plant has counted in the session, and the step of its last applied
+        offer (-1: none).
     """
 
     topic: ClassVar[str] = "ops/plant/hello"
@@ -36,10 +50,22 @@ class PlantHello(Message):
 
 
 class ControllerHello(Message):
-    """The controller's answer to a plant's hello, or (``greeting``) its word after a start.
+    """The controller's answer to a plant's hello, or its greeting after a start.
 
-    A greeting names the session that the controller's journal holds, an answer the one asked for.
-    ``incarnation`` counts the processes that had this journal.
+    Attributes
+    ----------
+    instance : str
+        The controller's process.
+    incarnation : int
+        Number of processes that have opened this controller's journal. The newest one counts.
+    fingerprint : str
+        As in `PlantHello`.
+    verdict : {"greeting", "accepted", "unknown-session", "other-model"}
+        What it says: a greeting, or one of the three answers.
+    session : str or None
+        Greeting: the session of its journal. Answer: the session that it was asked for.
+    answers : str or None
+        Answer: the plant's process.
     """
 
     topic: ClassVar[str] = "ops/controller/hello"
@@ -52,7 +78,7 @@ class ControllerHello(Message):
 
 
 class _Command(Message):
-    """A message that an operator hands over, under an id of his."""
+    """A message that an operator hands over, under an id of the operator's choice."""
 
     id: Identifier
     payload: bytes
@@ -61,7 +87,7 @@ class _Command(Message):
 
 
 class SendCommand(_Command):
-    """An operator's message for the controller to deliver; the same ``id`` is queued once."""
+    """An operator's message for the controller to deliver. An ``id`` is queued once."""
 
     topic: ClassVar[str] = "ops/command/send"
 
@@ -77,13 +103,13 @@ class SendReply(Message):
 
 
 class SealCommand(_Command):
-    """An operator's message to be sent sealed; the same ``id`` is taken once."""
+    """An operator's message to be sent sealed. An ``id`` is taken once."""
 
     topic: ClassVar[str] = "ops/command/seal"
 
 
 class SealReply(Message):
-    """The controller's answer to a `SealCommand`, each time that it comes."""
+    """The controller's answer to every `SealCommand`, repeated ones included."""
 
     topic: ClassVar[str] = "ops/reply/seal"
     id: Identifier
@@ -93,9 +119,10 @@ class SealReply(Message):
 
 
 class SealedReceipt(Message):
-    """The plant's acknowledgement of a `Sealed`, each time that it comes.
+    """The plant's answer to every `Sealed`, repeated ones included.
 
-    ``refused`` says why it will never open it, and ``key_ids`` are then those of the message.
+    Where ``refused`` is empty the message was opened. Else it says why the plant will never open
+    it, and ``key_ids`` are those of the message.
     """
 
     topic: ClassVar[str] = "ops/plant/receipt"
@@ -115,9 +142,10 @@ _What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "
 
 
 class BlockAnnouncement(Message):
-    """An end's word on key blocks once no step is left to carry it: the other end answers it.
+    """One end's announcement of a key block after the last step; the other end answers it.
 
-    ``waiting`` counts blocks that are whole there and not confirmed.
+    During the run `Measurement` and `Offer` carry ``block`` and ``tag``. ``waiting`` counts whole
+    blocks of this end that are not confirmed.
     """
 
     topic: ClassVar[str] = "ops/keys/word"
@@ -129,12 +157,22 @@ class BlockAnnouncement(Message):
 
 
 class KeyRequest(Message):
-    """An end asks the other to mark ``keys``, or ``pads``, that it is about to give, for a use.
+    """One end asks the other about keys or pads; repeated until it is answered.
 
-    After its start it asks besides which of those that it holds were given before: keys that it
-    knows of no use for (``unused``, and ``made`` for those made since), keys that were given there
-    (``marked``), pads (``ready``); which blocks it had beyond its newest ``blocks``; which of its
-    own are ``lacked`` there. It is said again until it is answered.
+    Attributes
+    ----------
+    side : {"controller", "plant"}
+        Who asks.
+    use : str
+        The one use that the keys or pads are for.
+    what : str
+        ``keys``, ``pads``: mark these for the use, before they are given. The others are asked
+        after a start, since the store may have been put back. ``unused``, ``made`` (since the
+        start), ``marked`` (given by the other end) and ``ready`` (pads): which of these were given
+        before? ``blocks``: which blocks beyond these, its newest, did it have? ``lacked``: which
+        of these blocks does the other end lack?
+    names : tuple of str
+        Ids of keys, origins of pads or names of blocks; 4096 at most.
     """
 
     topic: ClassVar[str] = "ops/keys/request"
@@ -145,7 +183,11 @@ class KeyRequest(Message):
 
 
 class KeyAnswer(Message):
-    """The answer to a `KeyRequest` of ``side``: names that it must not give; none: all marked."""
+    """The answer to a `KeyRequest` of ``side``.
+
+    ``refused`` are the names that it must not give, or the blocks that it asked for. Empty: all
+    keys or pads are marked.
+    """
 
     topic: ClassVar[str] = "ops/keys/answer"
     side: Literal["controller", "plant"]
@@ -166,16 +208,32 @@ LATENCY_BOUNDS_S: Final = (
     *(0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006, 0.008, 0.01),
     *(0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.2, 0.5, 1.0),
 )
-"""Upper bounds of a status's counts of latencies, seconds."""
+"""Upper bounds of the bins of `PlantStatus.latency_counts`, in seconds."""
 
 
 class PlantModel(Message):
-    """What does not change while a plant's process lives, for the dashboard: said now and then.
+    """What does not change while a plant's process lives, for the dashboard.
 
-    It travels right before a status: the first one, and one in a second or few. ``A``, ``B`` are
-    the controller's f_c, {d : H d <= h} is D_c, ``alpha`` that of D_e, which is alpha D_c where
-    ``eavesdropper_H`` is empty; ``keys_claim`` says under which claim keys are secret, and is empty
-    where none are made.
+    It travels right before the first status, and again every few seconds for late viewers.
+
+    Attributes
+    ----------
+    scenario, law, pace : str
+        Names.
+    seeded : bool
+        Draws are predictable, so the run's keys are for nobody.
+    period_s : float
+        Length of a step, in seconds.
+    alpha : float
+        D_e = alpha D_c, unless ``eavesdropper_H`` is given.
+    A, B : tuple of tuple of float
+        The controller's f_c(x, u) = A x + B u, shapes (n, n) and (n, m).
+    defender_H, defender_h
+        D_c = {d : H d <= h}.
+    eavesdropper_H, eavesdropper_h
+        D_e likewise where it has a shape of its own; else empty.
+    keys_claim : str
+        The claim under which keys are secret, in words; empty where none are made.
     """
 
     topic: ClassVar[str] = "ops/plant/model"
@@ -209,14 +267,14 @@ class PlantModel(Message):
 
 SECRET_FIELDS: Final = frozenset({"last_message", "partial", "sending"})
 SECRET_PREFIXES: Final = ("tail_", "pictured_")
-"""What a status says on ops and no file keeps: texts, and the last keys and coins."""
+"""Fields that travel on ops and stand in no file: texts, and the last keys and coins."""
 
 
 class _Status(Message):
-    """What an end of the loop knows: published at a bounded rate, the newest wins.
+    """What one end of the loop knows. It is published at a bounded rate; the newest wins.
 
-    The ends make theirs by ``model_construct``: a quarter of the time, and tests validate what they
-    say.
+    The ends build theirs by ``model_construct``, which takes a quarter of the time of validation;
+    tests validate what they publish.
     """
 
     seq: Count
@@ -225,7 +283,7 @@ class _Status(Message):
     detail: str = ""
 
     def on_file(self) -> bytes:
-        """The status as a file may keep it: no text, and none of the last keys and coins."""
+        """The status as a file may keep it, without `SECRET_FIELDS` and `SECRET_PREFIXES`."""
         return self.__pydantic_serializer__.to_json(self, exclude=_withheld(type(self)))
 
 
@@ -239,29 +297,56 @@ def _withheld(kind: type[_Status]) -> set[str]:
 
 
 class PlantStatus(_Status):
-    """What the plant knows, for the dashboard: published at a bounded rate, the newest wins.
+    """What the plant knows, for the dashboard.
 
-    The ``tail_*`` lists are parallel and hold the last transitions, oldest first: those since the
-    last status but one, 8 at least and 64 at most; 64 where a `PlantModel` went before.
-    ``tail_role`` is ``message`` where the transition carried a message symbol, else ``test``;
-    ``tail_symbol`` is the key symbol of an agreement and -1 where none was agreed, ``tail_coin``
-    the candidate b_r that was applied, ``tail_automaton`` the state s of the scheme afterwards.
-    ``outside`` counts transitions whose disturbance left D_c and ``unexplained`` those that no
-    candidate explains; ``sampled_late_s`` and ``actuated_after_s`` are median, 99th percentile and
-    largest of the last steps, empty in lock-step.
-    ``keys_made`` counts keys of confirmed blocks in this process's life, ``keys_of_block`` those of
-    the last one and ``key_block_steps`` its steps; ``keys_refused`` says why nobody gets them, and
-    ``keys_stopped`` why the session's newest block made none: empty again once a later one has made
-    some. ``key_blocks_lost`` counts those that made none in this process's life, and
-    ``key_blocks_waiting`` those that are whole and that the partner has not confirmed.
-    ``key_blocks_begun`` counts all that were begun, in all lives: each may be ``eps_sec`` away
-    from perfect keys, whatever became of it. A message on the field bus leaves ``appearances``
-    times.
-    ``pictured_*`` describe one transition in the plane, as in the paper's Fig. 4;
-    ``pictured_inside`` counts the candidates that explain it within D_c. ``message_k`` is
-    the step at which ``last_message`` was whole (-1: none yet, or before this process began).
-    ``latency_counts`` says how long offers took, from a step's first measurement to its offer: one
-    count for each bound of `LATENCY_BOUNDS_S`, not cumulative, and one for all above.
+    Attributes
+    ----------
+    k, x : int, tuple of float
+        The step, and the state x(k), n numbers.
+    transitions, agreements, symbol_errors : int
+        Transitions of the session; key symbols agreed on; those of them that are not the coin.
+    missed, late, malformed : int
+        Steps without an offer in time; offers after their step; messages that could not be read.
+    outside, unexplained : int
+        Transitions whose disturbance left D_c; those that no candidate explains.
+    rate_hz : float
+        Transitions a second, over the last few seconds.
+    automaton : int
+        The scheme's state s.
+    last_message, message_k : str, int
+        The last whole message, and the step at which it was whole (-1: none by this process).
+    partial, frame_symbols, frame_length : str, int, int
+        The text so far of the frame under way; its symbols so far, and in all.
+    latency_counts : tuple of int
+        Offers by the seconds from a step's first measurement to its offer: a bin for each bound of
+        `LATENCY_BOUNDS_S`, not cumulative, and one above them.
+    sampled_late_s, actuated_after_s : tuple of float
+        Median, 99th percentile and largest of the last steps, in seconds; empty in lock-step.
+    keys_made, key_blocks_lost : int
+        Keys of confirmed blocks, and blocks that made none, in this process's life.
+    keys_of_block, key_block_steps : int
+        Keys and steps of the last confirmed block.
+    keys_refused : str
+        Why nobody gets this end's keys; empty: they are given.
+    keys_stopped : str
+        Why the session's newest block made no key; empty once a later one has made some.
+    key_blocks_waiting : int
+        Whole blocks that the partner has not confirmed.
+    key_blocks_begun : int
+        Blocks begun in all lives. Each adds ``eps_sec`` to the distance from perfect keys, whatever
+        became of it.
+    appearances : int
+        How often a message leaves this end on the field bus.
+    pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
+        One transition, to be drawn in the plane as in the paper's Fig. 4; ``pictured_k`` is -1
+        where there is none.
+    pictured_inside : int
+        Candidates that explain it within D_c.
+    tail_k, tail_x, tail_role, tail_symbol, tail_coin, tail_automaton : tuple
+        The last transitions, oldest first: those since the last status but one, 8 to 64; 64 after a
+        `PlantModel`. The role is ``message`` where the transition carried a message symbol, else
+        ``test``. The symbol is -1 where none was agreed on. The coin is the applied candidate b_r.
+        The automaton's state is that after the transition.
     """
 
     topic: ClassVar[str] = "ops/plant/status"
@@ -334,12 +419,21 @@ class PlantStatus(_Status):
 
 
 class ControllerStatus(_Status):
-    """What the controller knows, for the dashboard: published at a bounded rate, the newest wins.
+    """What the controller knows, for the dashboard.
 
-    ``sending`` is the text on its way and ``queue`` counts the messages behind it. When all is
-    sent, ``sending`` keeps the last one and ``frame_symbols`` equals ``frame_length``.
-    ``unexplained`` counts transitions of this process's life that no candidate explains; the
-    fields of keys are those of `PlantStatus`.
+    Fields that are not listed are those of `PlantStatus`.
+
+    Attributes
+    ----------
+    set_index : int
+        i(k), the smallest i with x(k) in T_i; -1: in none.
+    sending : str
+        The text on its way. When all is sent it keeps the last one, and ``frame_symbols`` equals
+        ``frame_length``.
+    queue, delivered : int
+        Messages that wait behind it, and those of which every symbol was counted.
+    unexplained : int
+        Transitions of this process's life that no candidate explains.
     """
 
     topic: ClassVar[str] = "ops/controller/status"

@@ -1,31 +1,15 @@
-"""``[keys]``: what the operator claims that every tap misses, and so which keys are made."""
+"""``[keys]``: what the operator claims that every tap misses. It decides which keys are made."""
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
 from protocol.scenario.parts import ScenarioTable
 from protocol.secret.blocks import Schedule, schedule_of
-from protocol.secret.bound import NONCE_BITS, Assumption, Directions, GilbertElliott
-
-Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-
+from protocol.secret.bound import NONCE_BITS, Assumption, Directions
 
 MOST_APPEARANCES: Final = 16
-"""Links that a claim may be made for."""
-
-
-class Bursts(ScenarioTable):
-    """All four parameters of a tap's channel of two states, good and bad."""
-
-    loss_good: Probability
-    """Probability that she misses a copy in the good state."""
-    loss_bad: Probability
-    """The same in the bad state."""
-    to_bad: Annotated[float, Field(gt=0, le=1)]
-    """Probability, a copy, to go from good to bad."""
-    to_good: Annotated[float, Field(gt=0, le=1)]
-    """Probability, a copy, to come back."""
+"""Most appearances that a claim may state."""
 
 
 class Keys(ScenarioTable):
@@ -33,65 +17,43 @@ class Keys(ScenarioTable):
 
     ``eps_E`` is the least probability, given everything that happened before, that a tap misses the
     next appearance of a copy 0 entirely; it has no default above 0, and 0 makes no key. A copy that
-    leaves ``appearances`` times is missed with that power of it. ``bursts`` takes its place
-    where all of the tap's channel is known. ``assume = "independent"`` claims besides that her
-    misses have nothing to do with the link's own losses.
+    leaves ``appearances`` times is missed with that power of it.
     """
 
     eps_E: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
     """Least probability that a tap misses the next appearance of a copy, whatever happened before;
     0 makes no key."""
     eps_sec: Annotated[float, Field(gt=0, le=1e-3)] = 1e-12
-    """How far a key may be from a perfect one."""
+    """Distance from a perfect key, in total variation, that one block may have."""
     directions: Directions = "both"
-    """Whose copies the claim is about."""
-    assume: Literal["nothing", "independent"] = "nothing"
-    """Whether her misses have nothing to do with the link's own."""
-    bursts: Bursts | None = None
-    """All of the tap's channel, in place of eps_E."""
+    """Direction whose copies the claim is about; the other one's do not count."""
     unheard_bits: Annotated[int, Field(ge=16, le=NONCE_BITS, multiple_of=16)] = NONCE_BITS
-    """Of the nonce in a message that she misses, bits that stay unheard, in whole words of 16."""
+    """Bits of the nonce in a missed message that stay unheard, in whole words of 16."""
     appearances: Annotated[int, Field(ge=1, le=MOST_APPEARANCES)] = 1
-    """How often a first copy leaves an end at most; where it leaves more often no key is made."""
-
-    @model_validator(mode="after")
-    def _one_claim(self) -> Self:
-        if self.bursts is not None and self.eps_E:
-            raise ValueError("expected eps_E, or a table bursts that takes its place, and not both")
-        return self
+    """How often a first copy leaves an end at most. Where it leaves more often no key is made."""
 
     @model_validator(mode="after")
     def _whole_appearances(self) -> Self:
-        """What is heard of one appearance completes what is heard of another."""
-        for name, stated in (("bursts", self.bursts is not None), ("unheard_bits", self._partly)):
-            if self.appearances > 1 and stated:
-                raise ValueError(
-                    f"got appearances = {self.appearances} beside {name}, expected 1: "
-                    "a claim for several appearances is of whole messages, one by one"
-                )
+        """Several appearances need whole messages: parts heard of each may add up to the whole."""
+        if self.appearances > 1 and self.unheard_bits < NONCE_BITS:
+            raise ValueError(
+                f"got appearances = {self.appearances} beside unheard_bits, expected 1: "
+                "a claim for several appearances is of whole messages, one by one"
+            )
         return self
-
-    @property
-    def _partly(self) -> bool:
-        return self.unheard_bits < NONCE_BITS
 
     def assumption(self) -> Assumption:
         """The claim, as the bound reads it."""
-        bursts = None
-        if self.bursts is not None:
-            bursts = GilbertElliott(**self.bursts.model_dump())
         return Assumption(
-            eps_E=self.eps_E if bursts is None else bursts.eps_inf,
+            eps_E=self.eps_E,
             eps_sec=self.eps_sec,
             directions=self.directions,
-            independent=self.assume == "independent",
-            bursts=bursts,
             unheard_bits=self.unheard_bits,
             appearances=self.appearances,
         )
 
     def schedule(self) -> Schedule | None:
-        """Where blocks begin, or None where the claim makes no key."""
+        """The lengths of blocks; None where the claim makes no key."""
         return schedule_of(self.assumption())
 
     def refusal(self) -> str | None:

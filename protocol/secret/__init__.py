@@ -1,6 +1,5 @@
 """Keys with a proof: nonces that a tap may miss, the bound on how many, and what is made of them.
 
-What no eavesdropper can be promised to miss makes no key: the assumption (``eps_E``) is the
-operator's, stated in the scenario; everything else here is counting. The claim and its proof are in
-docs/keys.md.
+The operator states in the scenario what every tap misses (``eps_E``). Everything else here is
+counting. Without that assumption no key is made. The claim and its proof are in docs/keys.md.
 """

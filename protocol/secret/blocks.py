@@ -1,13 +1,13 @@
-"""Blocks: which transitions make one key block, and how both ends come to hold the same.
+"""Key blocks: which transitions make one, and how both ends come to hold the same.
 
-A block is ``open``, then closed by its last transition, ``stored`` once its keys are on disk, and
-``confirmed`` once the partner has shown the same tag for it. A side announces a block only when it
-has confirmed the one before; so the partner is at the same block or at the next, and a tag of the
-next one that holds confirms both. Blocks too poor for a key are announced by nobody.
+A block is open until its last transition closes it. It is ``stored`` once its keys are on disk, and
+``confirmed`` once the partner has shown the same tag. A side announces a block only when it has
+confirmed the one before. So the partner is at the same block or at the next, and an equal tag of
+the next one confirms both. A block too poor for a key is not announced.
 
-The session's first transition only fixes where block 0 begins: counted, it would be the one that a
-jammer chose. Block b is the N_b transitions after that, N_b = min(N, N_0 2^b), and everything
-about it follows from the transitions' numbers, which both ends count alike.
+Block b is N_b = min(N, N_0 2^b) transitions. Block 0 begins after the session's first transition:
+a jammer may have chosen that one, so it does not count. All of this follows from the transitions'
+numbers, which both ends count alike.
 """
 
 from collections.abc import Iterable
@@ -21,17 +21,18 @@ from protocol.secret.nonces import Contribution
 from protocol.secret.records import block_name
 
 LARGEST_BLOCK: Final = 16384
-"""Transitions of a block: two nonces of each and the rows fit the field."""
+"""Most transitions of a block: their two nonces each, and the rows, fit the field."""
 
 LARGEST_BY_WORDS: Final = 1024
-"""The same where each of a nonce's 16 words has a column of its own."""
+"""The same where each of the nonces' 16 words is a column."""
 
 ROWS_ENOUGH: Final = 64
-"""A block that yields as many rows is long enough: longer ones gain less and wait more."""
+"""Blocks grow until they yield so many rows. Longer ones gain little and come later."""
 
 UNCONFIRMED: Final = 2
-"""Blocks that are stored and not confirmed: the one announced, and the next, by whose tag a partner
-that is further on is judged. Each holds a pad; no more are spent on a partner that is away."""
+"""Most blocks that are stored and not confirmed: the one announced, and the next, whose tag is
+compared with that of a partner that is further on. Each holds a pad; a partner that is away costs
+no more."""
 
 TAG_DIGITS: Final = 32
 NO_TAG: Final = "0" * TAG_DIGITS
@@ -94,24 +95,24 @@ def schedule_of(assumption: Assumption) -> Schedule | None:
 
 
 class ClosedBlock(NamedTuple):
-    """A block whose last transition has been counted: all that its keys are made of.
+    """A block whose last transition has been counted, with all that its keys are made of.
 
     Parameters
     ----------
     session, number
-        Whose block it is, and which.
+        Session and number of the block.
     transitions, steps, counted : int
-        N, K and C; L = copies K - C.
+        Transitions N, steps (missed ones included), and copies 0 that count.
     rows : int
-        R; below 2 it makes no key.
+        R. Below 2 the block makes no key.
     pattern : str
-        For each transition 0, 1, 2 or 3: no copy counts, the offer's, the measurement's, both.
+        A digit a transition: 0 no copy counts, 1 the offer's, 2 the measurement's, 3 both.
     nonces : tuple of bytes
-        The counted copies in the order of the transitions, an offer's before its measurement's.
+        Nonces that count, in the order of transitions, an offer's before its measurement's.
     last : int
         Number of the block's last transition.
     by_words : bool
-        Keys are made of the nonces' words, not of whole nonces.
+        The matrix works on words of 16 bits in place of whole nonces.
     """
 
     session: str
@@ -127,22 +128,22 @@ class ClosedBlock(NamedTuple):
 
     @property
     def makes_keys(self) -> bool:
-        """Whether the rows are enough for a tag and a key."""
+        """Whether there are rows for a tag and a key."""
         return self.rows >= 2
 
     @property
     def name(self) -> str:
-        """SESSION/NUMBER, the block's name in ids and ledgers."""
+        """SESSION/NUMBER, as key ids and ledgers name the block."""
         return block_name(self.session, self.number)
 
     def message(self) -> bytes:
-        """Everything that the two ends must agree on, as bytes that say it in one way only."""
+        """What the tag covers: all that the two ends must agree on, in one encoding."""
         head = f"{self.name}/{self.transitions}/{self.steps}/{self.pattern}/"
         return head.encode() + b"".join(self.nonces)
 
 
 class OpenBlock:
-    """A block under way. Each row is taken in as it comes: the step that closes it does no more."""
+    """A block under way. It takes rows as they come, so its last step costs no more than others."""
 
     def __init__(self, assumption: Assumption) -> None:
         self._assumption = assumption
@@ -152,11 +153,11 @@ class OpenBlock:
 
     @property
     def empty(self) -> bool:
-        """Whether no row was taken yet."""
+        """Whether it has no row yet."""
         return not self._pattern
 
     def add(self, contribution: Contribution) -> None:
-        """Take the row of the next transition."""
+        """Add the row of the next transition."""
         counts = self._assumption.counting(contribution.counts)
         if counts & 1 and contribution.offer is not None:
             self._nonces.append(contribution.offer)
@@ -166,7 +167,7 @@ class OpenBlock:
         self._steps += contribution.steps
 
     def close(self, session: str, number: int, last: int) -> ClosedBlock:
-        """The block ``number`` once the row of transition ``last`` has been taken."""
+        """The closed block ``number``; the row of transition ``last`` was its last one."""
         n, steps, counted = len(self._pattern), self._steps, len(self._nonces)
         return ClosedBlock(
             session,
@@ -183,12 +184,26 @@ class OpenBlock:
 
 
 class Stored(NamedTuple):
-    """A block is on disk: its own tag, and that of the partner which would confirm it.
+    """A block that is on disk.
 
-    No tag: the block made no key, and nobody announces it; ``exhausted`` says that there was no pad
-    to sign it with, ``older`` that it began before its store did. ``confirmed`` says that it was
-    confirmed before this process began. ``keys`` were made of it. ``signed`` names the set of pads
-    that its tag was made with; empty where tags are public.
+    Parameters
+    ----------
+    session, number
+        Session and number of the block.
+    tag : str
+        This end's tag; empty: the block made no key and is not announced.
+    accepted : str
+        The partner's tag that confirms it.
+    confirmed : bool
+        It was confirmed before this process began.
+    keys : int
+        Keys that were made of it.
+    exhausted : bool
+        No pad was left to sign it with.
+    older : bool
+        It began before its store did, so its keys may have been given.
+    signed : str
+        Name of the set of pads of its tag; empty where tags are public.
     """
 
     session: str
@@ -203,7 +218,7 @@ class Stored(NamedTuple):
 
 
 class BlockResult(NamedTuple):
-    """What the partner's word says of a stored block."""
+    """What the partner's announcement means for a stored block."""
 
     number: int
     what: Literal["confirmed", "unequal"]
@@ -217,14 +232,14 @@ class Blocks:
     schedule : Schedule
     session : str
     block, tag
-        What this end has announced last, as read back.
-    raws : iterable of Raw
-        Rows of transitions whose block is open or not settled, as read back.
+        The last announcement of this end, as read back from its journal.
+    contributions : iterable of Contribution
+        Rows of transitions whose block is open or not confirmed, as read back.
 
     Attributes
     ----------
     began : bool
-        Whether the row taken last was the first one of its block.
+        Whether the last row was the first one of its block.
     """
 
     def __init__(
@@ -255,7 +270,7 @@ class Blocks:
             self._confirmed = block - 1
 
     def count(self, contribution: Contribution) -> None:
-        """Take the row of the next transition."""
+        """Add the row of the next transition."""
         self.began = self._open.empty
         self._open.add(contribution)
         self._newest = contribution.j
@@ -267,7 +282,7 @@ class Blocks:
             self._closed.append(closed)
 
     def to_keep(self) -> ClosedBlock | None:
-        """The next block to be stored, once; None while there is none, or two are unconfirmed."""
+        """The next block to store, told once; None while there is none, or two are unconfirmed."""
         if not self._closed or sum(n > self._confirmed for n in self._kept) >= UNCONFIRMED:
             return None
         block = self._closed.pop(0)
@@ -275,9 +290,12 @@ class Blocks:
         return block
 
     def stored(self, block: Stored) -> tuple[BlockResult, ...]:
-        """A block is on disk; those of a session that is over are of no concern.
+        """Note that a block is on disk. Blocks of former sessions are ignored.
 
-        A verdict that was reached before a start, but not yet on disk, is told once more.
+        Returns
+        -------
+        tuple of BlockResult
+            A verdict that was reached before a restart and not written down.
         """
         if block.session != self.session:
             return ()
@@ -296,9 +314,9 @@ class Blocks:
     def word(self) -> tuple[int, str]:
         """The block to announce in the next new message, with its tag.
 
-        Not before a later transition was counted. The partner has then counted the block's last
-        one, which an end that is put back from a copy could else count otherwise, in the same
-        session, and sign once more.
+        A block is announced once a later transition was counted. The partner has then counted the
+        block's last transition. Otherwise an end put back from a copy could count that one
+        differently, in the same session, and sign a second time.
         """
         if self._confirmed >= self.block:
             following = min((n for n in self._stored if n > self.block), default=None)
@@ -307,7 +325,7 @@ class Blocks:
         return self.block, self.tag
 
     def heard(self, block: int, tag: str) -> tuple[BlockResult, ...]:
-        """Judge the partner's word: which blocks it confirms, or that it differs."""
+        """Compare the partner's announcement: which blocks it confirms, or that one differs."""
         mine = self._stored.get(block)
         if mine is None or block <= self._confirmed or self._unequal:
             return ()
@@ -320,9 +338,9 @@ class Blocks:
 
     @property
     def waiting(self) -> int:
-        """Blocks that are whole and not confirmed, and make keys as far as is known.
+        """Whole blocks that are not confirmed and make keys, as far as is known.
 
-        Not one that only a further transition may announce.
+        A block that waits for one further transition is not among them.
         """
         closed = {block.number for block in self._closed if block.makes_keys}
         kept = {n for n in self._kept if n not in self._settled}
@@ -332,14 +350,14 @@ class Blocks:
         )
 
     def judged(self, session: str, number: int) -> None:
-        """A judgement of :meth:`heard` is on disk."""
+        """Note that a result of :meth:`heard` is on disk."""
         if session == self.session:
             self._settled.add(number)
 
     def obsolete_rows(self) -> tuple[range, ...]:
-        """Transitions whose rows nobody needs any more; they are named once.
+        """Transitions whose rows can be erased, told once.
 
-        A block's are kept until it is confirmed on disk and this end has announced it.
+        Rows are kept until their block is confirmed on disk and this end has announced it.
         """
         over = {n for n in self._settled if n <= self.block or n not in self._stored}
         self._settled -= over

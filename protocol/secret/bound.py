@@ -1,10 +1,10 @@
-"""How many copies the tap misses at least, and how many rows of key that leaves.
+"""The least number of copies that the tap misses, and how many rows of key that leaves.
 
 For N = 256 transitions with two copies each, eps_E = 0.3 and eps_sec = 1e-12 the tap misses at
-least Q = 85 of 512, and each copy that was sent but not counted takes one row away.
+least Q = 85 of 512. Each copy that was sent but not counted takes one row away.
 
-Tails are summed from logarithms of factorials, so both ends need no library for it and come to the
-same number; a guard of 1e-9, relative, covers their rounding on the safe side.
+Tails are summed from logarithms of factorials, without a library, so both ends come to the same
+number. A relative guard of 1e-9 covers the rounding on the safe side.
 """
 
 import math
@@ -18,7 +18,7 @@ GUARD: Final = 1 + 1e-9
 """Factor on a computed tail before it is compared: rounding must never gain a row."""
 
 NONCE_BITS: Final = 8 * NONCE_BYTES
-"""Of the nonce in each copy; a row of a block is as long."""
+"""Bits of the nonce in each copy, and of a row of a block."""
 
 Directions = Literal["both", "offers", "measurements"]
 
@@ -35,11 +35,16 @@ def quantile(n: int, e: float, eps: float) -> int:
     Parameters
     ----------
     n : int
-        Copies.
+        Number of copies.
     e : float
-        Least probability that one is missed, given all before it.
+        Least probability that a copy is missed, given all before it.
     eps : float
-        Probability with which fewer may be missed.
+        Probability that the bound may fail.
+
+    Returns
+    -------
+    int
+        Copies that are missed at least, except with probability ``eps``.
 
     Raises
     ------
@@ -67,68 +72,8 @@ def _check(name: str, value: float, holds: bool, expected: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class GilbertElliott:
-    """A channel of two states, good and bad, each with its own probability of a miss.
-
-    Parameters
-    ----------
-    loss_good, loss_bad : float
-        e_G and e_B, the probabilities that a copy is missed.
-    to_bad, to_good : float
-        g and b, the probabilities of a change of state between two copies.
-    """
-
-    loss_good: float
-    loss_bad: float
-    to_bad: float
-    to_good: float
-
-    @property
-    def mean(self) -> float:
-        """The share missed in the long run."""
-        bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
-        return (1 - bad) * self.loss_good + bad * self.loss_bad
-
-    @property
-    def eps_inf(self) -> float:
-        """The least probability of a miss given any past: what assumption T asks for."""
-        g, b = self.to_bad, self.to_good
-        return min(
-            (1 - g) * self.loss_good + g * self.loss_bad,
-            b * self.loss_good + (1 - b) * self.loss_bad,
-        )
-
-    def tails(self, n: int, most: int) -> list[float]:
-        """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
-
-        Exact by transfer matrix, O(n most).
-        """
-        import numpy as np
-
-        worst = np.zeros(most + 1)
-        for start in (0, 1):
-            counts = np.zeros((2, most + 1))  # counts[state, misses so far]
-            counts[start, 0] = 1.0
-            for _ in range(n):
-                good = (1 - self.to_bad) * counts[0] + self.to_good * counts[1]
-                bad = self.to_bad * counts[0] + (1 - self.to_good) * counts[1]
-                for state, mass, loss in ((0, good, self.loss_good), (1, bad, self.loss_bad)):
-                    counts[state] = (1 - loss) * mass
-                    counts[state, 1:] += loss * mass[:-1]
-            total = counts.sum(axis=0)
-            worst = np.maximum(worst, np.concatenate(([0.0], np.cumsum(total)))[: most + 1])
-        return [float(value) for value in worst]
-
-    def quantile(self, n: int, eps: float) -> int:
-        """The largest m with P[fewer than m of n are missed] <= eps, from either state before."""
-        # it is below the mean, or the mean is below one
-        tails = self.tails(n, min(n, int(n * self.mean) + 1))
-        return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
-
-
-@dataclass(frozen=True, slots=True)
 class Assumption:
-    """What the operator claims of every tap, and the chance that the claim may leave.
+    """What the operator claims that every tap misses, and how far a key may be from perfect.
 
     Parameters
     ----------
@@ -136,99 +81,87 @@ class Assumption:
         Least probability, given everything that happened before, that the tap misses the next
         copy 0 entirely. 0 claims nothing, and makes no key.
     eps_sec : float
-        Distance from a perfect key that a block may have.
+        Distance from a perfect key that a block may have, in total variation.
     directions : {"both", "offers", "measurements"}
-        In which directions the tap misses; the other one's nonces are left out.
-    independent : bool
-        Claim besides that her misses do not depend on the link's own losses: then a copy that the
-        link lost costs nothing but itself. A jammer breaks it.
-    bursts : GilbertElliott, optional
-        All four parameters of her channel, for its exact quantile in place of eps_E's.
+        Directions in which the tap misses copies. Nonces of the other one do not count.
     unheard_bits : int
-        Of the nonce in a copy that she misses, the bits that stay unheard, in whole words of 16:
-        all 256, unless she may hear a part of a message.
+        Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 she may
+        hear a part of a message.
     appearances : int
-        How often a copy 0 leaves an end at most. Each time is a chance for her, so that eps_E is
-        claimed of each appearance, given all before it, and a copy is missed with eps_E to that
-        power at least.
+        How often a copy 0 leaves an end at most. ``eps_E`` is claimed of each appearance, given
+        all before it, so a copy is missed with probability eps_E^appearances at least.
     """
 
     eps_E: float
     eps_sec: float = 1e-12
     directions: Directions = "both"
-    independent: bool = False
-    bursts: GilbertElliott | None = None
     unheard_bits: int = NONCE_BITS
     appearances: int = 1
 
     @property
     def eps_copy(self) -> float:
-        """Least probability that she misses a copy 0 in all of its appearances."""
+        """Least probability that she misses all appearances of a copy 0."""
         return self.eps_E**self.appearances
 
     @property
     def by_words(self) -> bool:
-        """Whether keys are made of the nonces' words, since she may hear a part of one."""
+        """Whether keys are made of words of 16 bits, since she may hear a part of a nonce."""
         return self.unheard_bits < NONCE_BITS
 
     @property
     def copies(self) -> int:
-        """Copies of a step that count: 2, or 1 where one direction is left out."""
+        """Copies 0 of a step that may count: 2, or 1 where one direction is left out."""
         return 2 if self.directions == "both" else 1
 
     def counting(self, counts: int) -> int:
-        """Of copies that were taken (1 the offer's, 2 the measurement's) those that may count."""
+        """Those of the copies taken that may count: 1 the offer's, 2 the measurement's, 3 both."""
         return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
 
     def misses(self, n: int) -> int:
-        """How many of ``n`` copies she misses at least, but for eps_sec."""
+        """Copies of ``n`` that she misses at least, except with probability eps_sec."""
         if self.eps_E == 0:
             return 0
-        if self.bursts is not None:
-            return self.bursts.quantile(n, self.eps_sec)
         return quantile(n, self.eps_copy, self.eps_sec)
 
     def rows(self, transitions: int, steps: int, counted: int) -> int:
-        """Rows R that a block may have; below 2 it makes no key.
+        """Rows R of a block. Below 2 it makes no key.
 
         Parameters
         ----------
         transitions : int
             N, transitions of the block.
         steps : int
-            K, steps from the block before to this one's last transition, missed ones included.
+            Steps from the block before to this one's last transition, missed ones included.
         counted : int
-            C, copies counted.
+            C, the copies 0 that count.
         """
-        if self.independent:
-            missed = self.misses(counted)
-        else:
-            lost = self.copies * steps - counted
-            missed = max(0, self.misses(self.copies * transitions) - lost)
+        lost = self.copies * steps - counted
+        missed = max(0, self.misses(self.copies * transitions) - lost)
         return missed * self.unheard_bits // NONCE_BITS
 
     def sentence(self) -> str:
-        """The claim in words, as it is printed with every key."""
+        """The claim as one sentence; it is printed with every key."""
         where = {
             "both": "first copies",
             "offers": "offers' first copies",
             "measurements": "measurements' first copies",
         }[self.directions]
-        if not self.eps_E and self.bursts is None:
+        if not self.eps_E:
             return "nothing is claimed that a tap misses (eps_E = 0): no secret"
         share = f"{100 * self.eps_E:.4g} % of {where}"
         if self.appearances > 1:
             share = f"{100 * self.eps_E:.4g} % of the {self.appearances} appearances of {where}"
-        if self.bursts is not None:
-            share = f"what its stated bursts imply ({self.bursts.mean:.3g} of {where} on average)"
-        beside = ", whatever the link itself loses" if self.independent else ""
+        beside = ""
         if self.by_words:
-            beside += f", and then {self.unheard_bits} bits of the nonce at least"
+            beside = f", and then {self.unheard_bits} bits of the nonce at least"
         return f"secret only from a tap that misses {share} or more{beside}"
 
 
 def least(holds: Callable[[int], bool], most: int) -> int | None:
-    """The least number in 1 ... ``most`` for which ``holds``, a test that stays true once true."""
+    """Least number in 1 ... ``most`` for which ``holds``; None where there is none.
+
+    ``holds`` must stay true once it is true.
+    """
     if not holds(most):
         return None
     low, high = 0, most
@@ -239,24 +172,3 @@ def least(holds: Callable[[int], bool], most: int) -> int | None:
         else:
             low = middle
     return high
-
-
-def clopper_pearson(k: int, n: int, alpha: float) -> tuple[float, float]:
-    """One-sided bounds on a probability of which ``k`` of ``n`` trials came true.
-
-    Parameters
-    ----------
-    k, n : int
-    alpha : float
-        Probability that one of the two bounds does not hold; 1e-6 is usual here.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound (Clopper and Pearson 1934).
-    """
-    from scipy.special import betaincinv
-
-    lower = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, alpha))
-    upper = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - alpha))
-    return lower, upper

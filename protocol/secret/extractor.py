@@ -1,13 +1,13 @@
 """From counted nonces to keys: a Cauchy matrix, any square part of which can be inverted.
 
-If the tap missed at least as many of the counted nonces as there are rows, every row is uniform
-given all that she has, exactly. No seed, no loss, and she may choose what to miss (wiretap II).
+If the tap missed at least as many counted nonces as there are rows, every row is exactly uniform
+given all that she has. No seed is needed, and she may choose what to miss (wiretap channel II).
 
 Row i and column j hold 1 / ((65535 - i) + j) in GF(2^16), where plus is exclusive or.
 
-A column is a nonce, its words worked on side by side: half of each missed nonce heard is then half
-of every row known. Where she may hear a part of what she misses, a column is a word of 16 bits and
-a key is 16 rows: what counts are the words that she missed, wherever they are.
+A column is a nonce; its 16 words are worked on side by side. If she hears half of each missed nonce
+she knows half of every row. Where that may be, a column is a word of 16 bits and a key is 16 rows:
+then the words that she missed count, wherever they are.
 """
 
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from protocol.secret.galois import ORDER, Words, inverse, product
 from protocol.secret.nonces import NONCE_BYTES
 
 WORDS: Final = NONCE_BYTES // 2
-"""Of a nonce, and of a row of a block."""
+"""Words of 16 bits in a nonce, and in a row of a block."""
 
 SLICE: Final = 1 << 15
-"""Products at once: what they take is then a few hundred kilobytes, however large a block is."""
+"""Products made at once. They take a few hundred kilobytes, however large a block is."""
 
 
 def cauchy(rows: int, columns: int, first: int = 0) -> Words:
-    """The matrix, shape (rows, columns), from its column ``first`` on.
+    """The Cauchy matrix from column ``first`` on, shape (rows, columns).
 
     Raises
     ------
@@ -51,15 +51,16 @@ def words(nonces: Sequence[bytes]) -> Words:
 
 
 def extract(nonces: Sequence[bytes], rows: int, by_words: bool = False) -> list[bytes]:
-    """``rows`` rows, each as long as a nonce; column j is nonce, or word, number j.
+    """The block's rows, each as long as a nonce. Column j of the matrix is nonce, or word, j.
 
     Parameters
     ----------
     nonces : sequence of bytes
-        The counted copies, all of one even length, in an order that both ends share.
+        Nonces that count, all of one even length, in an order that both ends share.
     rows : int
+        R, the rows that the bound allows.
     by_words : bool
-        A column is a word, and a row of the block as many rows of the matrix as a nonce has words.
+        A column is a word of 16 bits, and a row of the block is 16 rows of the matrix.
 
     Raises
     ------

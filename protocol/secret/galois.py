@@ -1,7 +1,7 @@
-"""GF(2^16) in numpy: sums are exclusive or, products go through logarithms.
+"""GF(2^16) in NumPy: addition is exclusive or, multiplication goes through logarithms.
 
-The polynomial is x^16 + x^12 + x^3 + x + 1 (0x1100B), of which x is a generator. Log of 0 points
-behind both periods of the table, where all entries are 0, so that no product needs a branch.
+The polynomial is x^16 + x^12 + x^3 + x + 1 (0x1100B); x is a generator. The logarithm of 0 points
+behind both periods of the table of powers, where all entries are 0, so no product needs a branch.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ _ZERO: Final = 2 * ORDER
 
 
 class Tables(NamedTuple):
-    """``exp``: powers of the generator, twice over and then zeros; ``log``: its inverse."""
+    """``exp``: two periods of the generator's powers, then zeros. ``log``: the logarithms."""
 
     exp: Words
     log: NDArray[np.int32]
@@ -28,7 +28,7 @@ class Tables(NamedTuple):
 
 @cache
 def tables() -> Tables:
-    """The field's tables, made once."""
+    """The field's tables, computed once."""
     powers = np.empty(ORDER, np.uint16)
     value = 1
     for i in range(ORDER):
@@ -44,20 +44,20 @@ def tables() -> Tables:
 
 
 def multiply(a: Words, b: Words) -> Words:
-    """The products of two arrays, shapes as numpy broadcasts them."""
+    """Products, element by element; shapes broadcast as in NumPy."""
     exp, log = tables()
     out: Words = exp[log[a] + log[b]]
     return out
 
 
 def inverse(a: Words) -> Words:
-    """The inverses of numbers other than 0."""
+    """Inverses, element by element; no element may be 0."""
     exp, log = tables()
     return exp[ORDER - log[a]]
 
 
 def product(a: Words, b: Words) -> Words:
-    """The matrix product, shapes (r, c) and (c, w)."""
+    """The matrix product of shapes (r, c) and (c, w), shape (r, w)."""
     exp, log = tables()
     log_a, log_b = log[a], log[b]
     out = np.zeros((a.shape[0], b.shape[1]), np.uint16)
@@ -75,12 +75,12 @@ def eliminate(matrix: Words, columns: int | None = None) -> tuple[Words, int]:
     ----------
     matrix : array, shape (r, c)
     columns : int, optional
-        Where to look for pivots; all by default. Columns behind them are carried along.
+        Columns to look for pivots in; all by default. The others are carried along.
 
     Returns
     -------
     tuple
-        The reduced matrix; from row ``rank`` on its first ``columns`` entries are 0.
+        The reduced matrix and its rank; from row ``rank`` on the first ``columns`` entries are 0.
     """
     rows = matrix.copy()
     rank = 0

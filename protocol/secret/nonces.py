@@ -1,13 +1,13 @@
-"""Nonces and copies: what of a step counts, and when a message may carry a nonce that does.
+"""Nonces and copies: which nonces of a step count.
 
-Of each message of a step the first copy, copy 0, may count, and it leaves at most once. Everything
-after it is copy 1 with a nonce drawn afresh and thrown away: a copy that were repeated with its
-nonce would give a tap a second chance to hear it. A process that cannot be sure whether its copy 0
-left sends copy 1: that costs a symbol, and never a secret.
+The first copy of a step's message is copy 0. Its nonce may count, and it leaves at most once. Every
+later copy is copy 1, with a nonce drawn afresh and thrown away: a repeated nonce would give the tap
+a second chance. A process that cannot be sure whether its copy 0 left sends copy 1. That costs a
+nonce, and never a secret.
 
 Each end names the copy that it took of the other's message (``heard`` in an offer,
-``applied_copy`` in a measurement). A nonce belongs to a transition, and both ends count transitions
-exactly once; so both know the same nonces without another word.
+``applied_copy`` in a measurement). Both count each transition exactly once, so both know which
+nonces count.
 """
 
 import secrets
@@ -18,13 +18,13 @@ from typing import Final, Literal, NamedTuple
 Copy = Literal[0, 1]
 
 NONCE_BYTES: Final = 32
-"""w = 256 bits: a copy that she misses makes one row of key, and a row is one key of 256 bits."""
+"""256 bits. A copy that she misses makes one row, and a row is one key of 256 bits."""
 
 FIRST: Final = 0
-"""The number of the copy that may count; all others are copies 1."""
+"""Number of the copy that may count."""
 
 NONCE_FORM: Final = rf"^([A-Za-z0-9+/]{{{-(-NONCE_BYTES // 3) * 4 - 1}}}=)?$"
-"""A nonce in base64, or nothing where the scenario makes no keys."""
+"""A nonce in base64; empty where the scenario makes no keys."""
 
 NonceSource = Callable[[], str]
 
@@ -35,16 +35,21 @@ def fresh_nonce() -> str:
 
 
 def as_bytes(nonce: str) -> bytes:
-    """The nonce itself."""
+    """The 32 bytes of a nonce in base64."""
     return a2b_base64(nonce)
 
 
 class Contribution(NamedTuple):
-    """What one counted transition contributes, as both ends know it.
+    """What one counted transition contributes to its key block; both ends know the same.
 
-    ``j`` is its number in the session and ``steps`` how many steps it came after the transition
-    before; ``offer`` and ``measurement`` are the nonces of its two copies 0, None where the copy
-    that was taken was another.
+    Parameters
+    ----------
+    j : int
+        Number of the transition in the session.
+    steps : int
+        Steps since the transition before: 1, and 1 more for each missed step.
+    offer, measurement : bytes or None
+        The nonces of its two copies 0; None where another copy was taken.
     """
 
     j: int
@@ -61,11 +66,12 @@ class Contribution(NamedTuple):
 def contribution_of(
     *, j: int, steps: int, offer: str, applied_copy: int, measurement: str, heard: int
 ) -> Contribution:
-    """The raw row of transition ``j``.
+    """The contribution of transition ``j``.
 
     Parameters
     ----------
     j, steps : int
+        As in `Contribution`.
     offer : str
         Nonce of the offer's copy 0.
     applied_copy : int

@@ -1,4 +1,4 @@
-"""What a key store gives and takes: keys, blocks, counts, and the reasons why not."""
+"""What a key store takes and returns: keys, blocks, counts, and its errors."""
 
 import uuid
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ State = Literal["stored", "confirmed", "delivered", "dropped"]
 
 
 class StoreError(Exception):
-    """A store that cannot be used; the text is one line and names the file."""
+    """A key store cannot be used. The text is one line and names the file."""
 
 
 class KeysRefused(Exception):
-    """This store's keys are for nobody; the text says why."""
+    """Nobody may have this store's keys. The text says why."""
 
 
 class TooFewKeys(Exception):
-    """Fewer keys are confirmed than were asked for; none was taken."""
+    """Fewer keys are confirmed than were asked for. None was taken."""
 
     def __init__(self, asked: int, available: int) -> None:
         super().__init__(f"number: got {asked}, expected at most the {available} keys there are")
@@ -28,17 +28,22 @@ class TooFewKeys(Exception):
 
 
 class Share(NamedTuple):
-    """Which keys of a store are one pair's, where several pairs of applications share it.
+    """Which keys of a store belong to one pair of applications.
 
-    Rows 1 and 2 of a block are for the first pair, 3 and 4 for the second, and so on and round
-    again: an odd row and an even one, so that either of a pair may be the master.
+    Rows 1 and 2 of a block are the first pair's, 3 and 4 the second's, and so on and round again.
+    Each pair gets odd and even rows, so either of the two may be the master.
+
+    Parameters
+    ----------
+    place, of : int
+        Number of the pair, from 0, and number of pairs.
     """
 
     place: int = 0
     of: int = 1
 
     def has(self, row: int) -> bool:
-        """Whether a block's row belongs to it."""
+        """Whether row ``row`` (from 1) of a block belongs to the pair."""
         return (row - 1) // 2 % self.of == self.place
 
 
@@ -46,7 +51,7 @@ WHOLE: Final = Share()
 
 
 class UnknownKeys(Exception):
-    """Some ids are not, or no longer, in this store; none of the others was taken."""
+    """Some ids are not, or no longer, in this store. No key was taken."""
 
     def __init__(self, ids: Sequence[str]) -> None:
         super().__init__(f"{len(ids)} of the keys asked for are not in this store")
@@ -54,11 +59,11 @@ class UnknownKeys(Exception):
 
 
 class OthersKeys(UnknownKeys):
-    """Some ids are of another pair's share; nothing was taken."""
+    """Some ids belong to another pair. No key was taken."""
 
 
 class Key(NamedTuple):
-    """A delivered key: its id, a UUID as both ends know it, and its 32 bytes."""
+    """A delivered key: its id (a UUID, the same at both ends) and its 32 bytes."""
 
     key_id: str
     key: bytes
@@ -68,7 +73,7 @@ class Key(NamedTuple):
 
 
 class BlockRow(NamedTuple):
-    """A block as the store remembers it; nothing in it is secret."""
+    """A block as the store records it. Nothing in it is secret."""
 
     session: str
     number: int
@@ -82,7 +87,7 @@ class BlockRow(NamedTuple):
 
 
 class BlockTag(NamedTuple):
-    """Where a block stands, this side's tag of it, and how many keys were made."""
+    """A block's state, this side's tag of it, and the number of its keys."""
 
     state: str
     tag: str
@@ -90,7 +95,10 @@ class BlockTag(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Keys by state, both halves together; ``available`` can be delivered from this side's half."""
+    """Number of keys in each state, both halves together.
+
+    ``available`` counts those that this side can deliver from its own half.
+    """
 
     stored: int
     confirmed: int
@@ -100,7 +108,7 @@ class Counts(NamedTuple):
 
 
 class PadCounts(NamedTuple):
-    """One-time pads of a direction: what went in, what was spent, and what is left."""
+    """Sets of one-time pads: made, spent, and left."""
 
     made: int
     spent: int
@@ -108,10 +116,10 @@ class PadCounts(NamedTuple):
 
 
 def block_name(session: str, number: int) -> str:
-    """The name of a block in ids and ledgers."""
+    """SESSION/NUMBER, as key ids and ledgers name a block."""
     return f"{session}/{number}"
 
 
 def key_id(session: str, number: int, row: int) -> str:
-    """The id of row ``row`` of a block, the same at both ends."""
+    """The id (a UUID) of row ``row`` of a block; the same at both ends."""
     return str(uuid.uuid5(NAMESPACE, f"{block_name(session, number)}/{row}"))

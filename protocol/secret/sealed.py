@@ -1,8 +1,9 @@
 """A sealed message: one-time pad and one-time tag under distilled keys, of any length.
 
-"The old mill, at nine." is 22 bytes: 176 bits of pad and 256 of tag, two keys of 256 bits. Nobody
-without the keys learns more than its length, and a forger changes it unseen with probability
-(words + 1) / (2^127 - 1) at most, whatever either can compute. A key serves one message.
+"The old mill, at nine." is 22 bytes: 176 bits of pad and 256 bits for the tag, two keys of 256
+bits. Whoever lacks the keys learns its length and no more. A forger changes it unseen with
+probability (words + 1) / (2^127 - 1) at most. Both hold against any computing power. A key serves
+one message.
 """
 
 import hmac
@@ -17,11 +18,11 @@ TAG_KEY_BYTES: Final = 2 * TAG_BYTES
 
 
 class Unsealed(ValueError):
-    """A sealed message that was changed, or is under other keys; nothing of it can be used."""
+    """A sealed message was changed on its way, or is under other keys. Its text is not returned."""
 
 
 def keys_needed(length: int) -> int:
-    """Keys of 256 bits that a message of ``length`` bytes takes."""
+    """Number of 256-bit keys that a text of ``length`` bytes takes."""
     return -(-(length + TAG_KEY_BYTES) // NONCE_BYTES)
 
 
@@ -31,8 +32,9 @@ def seal(header: bytes, text: bytes, keys: Sequence[bytes]) -> tuple[bytes, str]
     Parameters
     ----------
     header : bytes
-        Who, to whom, which number, which key ids: in one form that both ends make alike.
+        The message's id and key ids, in one encoding that both ends make alike.
     text : bytes
+        Of any length.
     keys : sequence of bytes
         :func:`keys_needed` of them, never used before or after.
 

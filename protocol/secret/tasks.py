@@ -1,4 +1,4 @@
-"""What is asked of a key maker, and what it answers."""
+"""Tasks for a key maker, and its answers."""
 
 from typing import NamedTuple
 
@@ -6,14 +6,14 @@ from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 
 
 class BlockVerdict(NamedTuple):
-    """What became of a block, to be written down."""
+    """A block is confirmed, or differs: the key maker is to write it down."""
 
     session: str
     judgement: BlockResult
 
 
 class Judged(NamedTuple):
-    """A verdict is on disk."""
+    """The key maker has written a verdict to disk."""
 
     session: str
     number: int
@@ -22,7 +22,7 @@ class Judged(NamedTuple):
 
 
 class Broken(NamedTuple):
-    """The store cannot be used any more: no key is made from here on, and the loop goes on."""
+    """The store cannot be used any more. No key is made from here on; the loop goes on."""
 
     reason: str
 

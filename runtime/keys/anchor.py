@@ -1,9 +1,9 @@
-"""How often a key store has given something, in a file of its own beside it.
+"""How often a key store has given something, counted in a second file beside it.
 
-A store that is put back from a copy has keys in it that were given out since, and would give them
-once more. It cannot know that by itself. So whoever takes something out of a store says so here
-twice: before it is written in the store, and once it is, before anybody gets it. The store's own
-count then lies between the two, wherever a process dies; that of an older copy lies below.
+A store that is put back from a copy holds keys that were given since, and cannot know it. So the
+file beside it has two counts. The first is raised before the store is written, the second after,
+and only then does anybody get the key. Wherever a process dies, the store's own count lies between
+the two. That of an older copy lies below.
 """
 
 import fcntl
@@ -19,7 +19,7 @@ from protocol.secret.records import StoreError
 from runtime.files import open_private
 
 GIVEN: Final = "-given"
-"""What the file is called, after its store's name."""
+"""Suffix of the file's name, after its store's name."""
 
 _COUNTS: Final = struct.Struct("<QQ")
 _CHECK: Final = struct.Struct("<I")
@@ -27,7 +27,7 @@ _SIZE: Final = _COUNTS.size + _CHECK.size
 
 
 class Anchor:
-    """The file beside one store.
+    """The counts beside one store.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ class Anchor:
         self.path = store.with_name(store.name + GIVEN)
 
     def compare(self, given: int) -> None:
-        """See that a store that has given so often is the one that was left here.
+        """Check that a store that has given ``given`` times is no older copy.
 
         Raises
         ------
         StoreError
-            When it is an older one, or this file is not as it was written, or is gone.
+            When it is one, or this file is damaged or gone.
         """
         with self._open(os.O_RDWR | (os.O_CREAT if given == 0 else 0)) as file:
             counted, announced = self._read(file)
@@ -55,12 +55,12 @@ class Anchor:
                 self._write(file, given, announced)
 
     def look(self, given: int) -> None:
-        """What :meth:`compare` sees, and nothing is written.
+        """Check as :meth:`compare` does, and write nothing.
 
         Raises
         ------
         StoreError
-            Where that does.
+            As :meth:`compare`.
         """
         if given == 0 and not self.path.exists():
             return
@@ -76,12 +76,12 @@ class Anchor:
         )
 
     def announce(self, given: int) -> None:
-        """The store is about to have given so often; on return that survives a power failure.
+        """Note that the store is about to have given ``given`` times. It survives a power failure.
 
         Raises
         ------
         StoreError
-            When it had given so often before: it was put back under whoever has it open.
+            When that count was reached before: the store was put back while it is open.
         """
         with self._open(os.O_RDWR) as file:
             counted, announced = self._read(file)
@@ -91,14 +91,14 @@ class Anchor:
             os.fdatasync(file)
 
     def count(self, given: int) -> None:
-        """The store has it."""
+        """Note that the store has given ``given`` times."""
         with self._open(os.O_RDWR) as file:
             counted, announced = self._read(file)
             self._write(file, max(counted, given), announced)
 
     @contextmanager
     def _open(self, flags: int, lock: int = fcntl.LOCK_EX) -> Iterator[int]:
-        """One process at a time, where it writes."""
+        """Open the file; a writer has it alone."""
         try:
             file = open_private(self.path, flags)
         except FileNotFoundError:

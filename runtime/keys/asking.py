@@ -1,10 +1,10 @@
-"""Both ends alike: ask the other to mark what is about to be given, and answer when asked.
+"""The part of either end that asks the other to mark what is about to be given, and answers.
 
-What is asked stands in the key store, put there by whoever gives: a key server in a process of its
-own, the sealed messages, or the key maker. So it is looked for again and again.
+Whoever gives keys (a key server in another process, the sealed messages, the key maker) writes the
+request into the key store. So this part looks there every `LOOK_S`.
 
-An end that starts asks besides which of the keys and pads that it holds were given before, and
-erases them: it may have been put back from a copy, and the other end may be put back later.
+An end that starts also asks which of its keys and pads were given before, and erases them: its
+store may have been put back from a copy.
 """
 
 from collections.abc import Sequence
@@ -20,25 +20,25 @@ from runtime.keys.giving import Asking, What, new_use, pending
 from runtime.keys.sealed_book import SealedBook
 
 REPEAT_S: Final = 0.25
-"""Seconds after which something goes out again, or keys are looked for again."""
+"""Seconds between two copies of a request, and between two looks for enough keys."""
 
 AT_ONCE: Final = 4096
-"""Names that one message may hold."""
+"""Most names in one message."""
 
 AUDITED: Final = "keys: the other end has said what was given before"
-"""From here on the other end may be put back as well, and nothing is given twice."""
+"""Log line: from here on the other end may be put back too, and nothing is given twice."""
 
 LOOK_S: Final = 0.05
-"""Seconds between two looks for what is to be asked."""
+"""Seconds between two looks into the store for new requests."""
 
 
 class Asker:
-    """One end's part.
+    """Asks and answers for one end.
 
     Parameters
     ----------
     book : SealedBook
-        Of this end's key store.
+        That of this end's key store.
     """
 
     hears: tuple[type[Message], ...] = (KeyRequest, KeyAnswer)
@@ -61,11 +61,11 @@ class Asker:
         self._audit("lacked", self._store.blocks_held())
 
     def wake_at(self) -> float:
-        """When it looks again."""
+        """When :meth:`wake` is due, on the loop's clock, in seconds."""
         return self._look_at
 
     def wake(self, now: float) -> tuple[Outgoing, ...]:
-        """Ask what was not asked yet, and again what was not answered."""
+        """New requests, and again those that were not answered."""
         if now < self._look_at:
             return ()
         self._look_at = now + LOOK_S
@@ -81,7 +81,7 @@ class Asker:
         return tuple(said)
 
     def _pending(self) -> tuple[Outgoing, ...]:
-        """What the other end has not answered, once more."""
+        """Requests that the other end has not answered."""
         requests = (
             KeyRequest(side=self._side, use=use, what=what, names=names)
             for use, what, names in pending(self._store)
@@ -89,7 +89,7 @@ class Asker:
         return tuple(Outgoing(KeyRequest, request.wire()) for request in requests)
 
     def receive(self, kind: type[Message], payload: bytes) -> Actions:
-        """The other end asks, or answers; what this end said itself is not for it."""
+        """Take a request or an answer of the other end; this end's own are ignored."""
         try:
             if kind is KeyRequest:
                 return self._asked(KeyRequest.model_validate_json(payload))
@@ -137,7 +137,7 @@ class Asker:
         return Actions(notices=_erased(what, erased))
 
     def _audited(self, what: What, answer: KeyAnswer) -> Actions:
-        """The other end knows what of this was given before."""
+        """Erase what was given before, as the other end says."""
         if what == "ready":
             erased = ledger.were_given(self._store, answer.refused)
         elif what == "blocks":
@@ -158,7 +158,7 @@ class Asker:
         return Actions(notices=notices)
 
     def _audit_newer(self) -> None:
-        """Keys that were made since are asked about, too: a journal put back makes some anew."""
+        """Ask about keys made since the start: an older journal makes some a second time."""
         newest = self._store.newest()
         if newest > self._looked_at:
             unused, _ = self._store.held(self._looked_at, newest)

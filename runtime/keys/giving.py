@@ -1,16 +1,15 @@
-"""What one end gives is marked at the other first, so that a store put back gives nothing twice.
+"""Keys are marked at the other end before they are given, so a store put back gives none twice.
 
 A key store that is put back from a copy cannot know what it gave since. Its partner can. So a key
-is given in three steps: it is set aside here for one *use*, a name that is drawn for it; the
-partner marks it with that use, on its disk; and only then is it taken. A partner that has marked a
-key for another use refuses, and so does one that does not have it. Whatever end is put back, and
-whenever, the other one knows; where both are put back together nobody does.
+is given in three steps. It is set aside here for one *use*, a fresh name. The partner marks it with
+that use, on its disk. Only then is it taken. A partner refuses a key that it has marked for another
+use, or does not have. If one end is put back the other one knows; if both are put back at once
+nobody does.
 
-Giving anew under a use that was granted is harmless where the use says all of what is done: a
-sealed message's text stands beside its use, so the same bytes come of it. A key server forgets the
-uses of its former lives.
+A sealed message may be given its keys again under the same use: its text stands beside the use, so
+the same bytes result. A key server forgets the uses of its former processes.
 
-The pads that sign a session's first key block are agreed on alike: the use is the session.
+The pads that sign a session's first key block are marked alike. Their use is the session.
 """
 
 import json
@@ -23,19 +22,20 @@ from protocol.secret.records import WHOLE, Key, Share, UnknownKeys
 from runtime.keys.store import KeyStore
 
 ANSWER_S: Final = 2.0
-"""How long a key server waits for the partner's word, while its caller waits."""
+"""Seconds that a key server waits for the partner's answer."""
 
 LOOK_S: Final = 0.005
+"""Seconds between two looks for that answer."""
 
 SERVED: Final = "served"
 SEALED: Final = "sealed"
-"""What a use begins with: a key server's caller, or a sealed message, whose identifier follows."""
+"""First word of a use: a key server's caller; a sealed message, whose identifier follows."""
 
 What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
 
 
 class Unanswered(Exception):
-    """The partner has not marked the keys yet; what was set aside waits for it."""
+    """The partner has not marked the keys yet. They stay set aside."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -44,7 +44,7 @@ class Unanswered(Exception):
 
 
 class Asking(NamedTuple):
-    """What this end wants the other to mark, and for which use."""
+    """A request: what the other end is to mark or to say, and for which use."""
 
     use: str
     what: What
@@ -52,12 +52,12 @@ class Asking(NamedTuple):
 
 
 def new_use(kind: str, name: str = "") -> str:
-    """A use that was never named before."""
+    """A fresh name of a use: kind, name, and 64 random bits."""
     return " ".join(filter(None, (kind, name, secrets.token_hex(8))))
 
 
 def pending(store: KeyStore, most: int = 8) -> list[Asking]:
-    """What the partner has not answered, oldest first."""
+    """Requests that the partner has not answered, oldest first; ``most`` at most."""
     rows = store.rows(
         "SELECT use, what, names FROM asked WHERE refused IS NULL ORDER BY rowid LIMIT ?", (most,)
     )
@@ -65,15 +65,17 @@ def pending(store: KeyStore, most: int = 8) -> list[Asking]:
 
 
 class Giver:
-    """Gives keys of a store to callers, one process's life long.
+    """Gives keys of a store to callers.
+
+    Uses of former processes are forgotten, and their keys erased.
 
     Parameters
     ----------
     store : KeyStore
     wait_s : float
-        How long to wait for the partner's word.
+        Seconds to wait for the partner's answer.
     look : callable
-        Called again and again meanwhile.
+        Called between two looks for it; sleeps.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class Giver:
         store.forget_uses(SERVED)
 
     def deliver(self, number: int = 1, who: str = "", share: Share = WHOLE) -> tuple[Key, ...]:
-        """The oldest confirmed keys of this side's half; all or none, each once.
+        """The oldest confirmed keys of this side's half: ``number`` of them, or none.
 
         Keys that the partner refuses are erased, and others take their place.
 
@@ -97,7 +99,7 @@ class Giver:
         ------
         TooFewKeys, KeysRefused, StoreError
         Unanswered
-            When the partner did not answer in time. Who asks for as many later gets these.
+            When the partner did not answer in time. The next caller for as many gets these.
         """
         wanted = number, share
         while True:
@@ -117,7 +119,7 @@ class Giver:
     def deliver_named(
         self, ids: Sequence[str], who: str = "", share: Share = WHOLE
     ) -> tuple[Key, ...]:
-        """Keys of the partner's half by their ids, which the partner has given; all or none.
+        """Keys of the partner's half by their ids, once the partner gave them: all or none.
 
         Raises
         ------
@@ -126,7 +128,7 @@ class Giver:
         UnknownKeys
             When some are not here, were delivered before, or were not given by the partner.
         KeysRefused, StoreError, Unanswered
-            As :meth:`deliver`.
+            As in :meth:`deliver`.
         """
         wanted = tuple(dict.fromkeys(ids)), share
         if not wanted[0]:
@@ -144,7 +146,7 @@ class Giver:
         return self._store.take(use, who)
 
     def _answer(self, use: str) -> tuple[str, ...]:
-        """The names that the partner refuses."""
+        """The names that the partner refuses to mark."""
         until = time.monotonic() + self._wait_s
         while (refused := self._store.answer(use)) is None:
             if time.monotonic() >= until:

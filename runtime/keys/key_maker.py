@@ -1,8 +1,7 @@
-"""From a closed block to stored keys: extract, tag, insert. The slow half, off the loop's path.
+"""From a closed block to stored keys: extract, tag, insert. The loop does not wait for it.
 
-A key maker belongs to one store, and remembers nothing that is not in it. So it may work in a
-process of its own: what it is given again, after a death at any instant, it does again to the same
-rows, ids and tags.
+A key maker belongs to one store and keeps no other state. So it can work in a process of its own: a
+task that is repeated after a death at any instant gives the same rows, ids and tags.
 """
 
 import time
@@ -16,17 +15,18 @@ from runtime.keys.ledger import Authentication, Made, spent_rows
 from runtime.keys.store import KeyStore
 
 PUBLIC_TAG_BYTES: Final = 16
-"""Of row 0 shown to the partner: chance faults pass with 2^-128, forgers are another matter."""
+"""Bytes of row 0 that are shown to the partner. A chance fault passes with probability 2^-128; a
+forger is kept out by secret tags only."""
 
 
 class KeyMaker:
-    """Makes keys of blocks and keeps them.
+    """Makes keys of blocks and stores them.
 
     Parameters
     ----------
     store : KeyStore
     authentication : Authentication, optional
-        With it blocks carry secret tags; without, public ones that no forger need fear.
+        Blocks then carry secret tags. Without it tags are public and stop no forger.
     """
 
     def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
@@ -34,10 +34,10 @@ class KeyMaker:
         self.authentication = authentication
 
     def make_keys(self, closed: ClosedBlock) -> Stored:
-        """Store a block's keys: rows 1 to R - 1, while row 0 serves the tag.
+        """Store a block's keys: rows 1 to R - 1. Row 0 serves the tag.
 
-        A signed block of many rows spends two more (:mod:`runtime.keys.ledger`). Where there is
-        no pad for its tag, or it began before the store did, the block is stored without keys.
+        A signed block of 16 rows or more spends two more (:mod:`runtime.keys.ledger`). A block
+        without a pad for its tag, or one that began before the store did, is stored without keys.
         """
         session, number = closed.session, closed.number
         known = self.store.block_tag(session, number)
@@ -79,7 +79,7 @@ class KeyMaker:
         return stored._replace(exhausted=exhausted, older=older, signed=origin)
 
     def judge(self, session: str, judgement: BlockResult) -> None:
-        """Confirm a block or erase it, as the partner's word has it."""
+        """Confirm a block, or erase it where the partner's tag differs."""
         if judgement.what == "unequal":
             self.store.drop(session, judgement.number)
             return
@@ -89,7 +89,7 @@ class KeyMaker:
 
 
 def work(key_maker: KeyMaker, task: Task) -> Done:
-    """Do one task; whoever has no loop to spare calls this."""
+    """Do one task in the calling thread."""
     try:
         if isinstance(task, ClosedBlock):
             return key_maker.make_keys(task)
@@ -102,13 +102,13 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
 
 
 class KeyMakerAt(NamedTuple):
-    """Where a key maker's store is, for whoever opens it."""
+    """Path and side of a key maker's store."""
 
     path: Path
     side: Side
 
     def open(self) -> KeyMaker:
-        """The key maker of that store.
+        """Open the store and return its key maker.
 
         Raises
         ------

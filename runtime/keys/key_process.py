@@ -1,8 +1,8 @@
-"""The process in which a service's keys are made and kept, while the loop leaves a core idle.
+"""The process that makes and stores a service's keys, where a core is idle.
 
-Started by :class:`runtime.keys.worker.KeyWorker` and told what to do through its standard input,
-so that no nonce stands in a command line or a file. It dies with the service, whatever that one
-dies of, and leaves no core: two processes that kept the same store would not order its blocks.
+:class:`runtime.keys.worker.KeyWorker` starts it and writes tasks to its standard input, so no nonce
+stands in a command line or a file. It leaves no core file, and dies with the service, whatever ends
+that one: two processes on one store would not keep its blocks in order.
 """
 
 import ctypes
@@ -24,7 +24,7 @@ _PR_SET_DUMPABLE: Final = 4
 
 
 def die_with(parent: int) -> None:
-    """End when the process ``parent`` does, and leave no image of the memory behind."""
+    """End this process when ``parent`` ends, and allow no image of its memory."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         libc = ctypes.CDLL(None)
@@ -35,9 +35,10 @@ def die_with(parent: int) -> None:
 
 
 def step_back() -> None:
-    """Run where a core is idle, and wherever somebody else wants it give it up at once.
+    """Run only where a core is idle (SCHED_IDLE).
 
-    Not so below a service that gives way itself: where all others come first this one never would.
+    A service that is nice itself keeps its priority here: on a full machine its keys would else
+    never be made.
     """
     if os.getpriority(os.PRIO_PROCESS, 0) > 0:
         return
@@ -49,7 +50,7 @@ def step_back() -> None:
 
 
 def keep_all(asked: BinaryIO, told: BinaryIO) -> None:
-    """Do what is asked, one task after another, until nobody can ask any more."""
+    """Do one task after another until the input ends."""
     key_makers: dict[KeyMakerAt, KeyMaker] = {}
     while True:
         try:
@@ -75,7 +76,7 @@ def _done(key_makers: dict[KeyMakerAt, KeyMaker], at: KeyMakerAt, task: Task) ->
 
 
 def main() -> None:
-    """Become the key maker of the process that is named in the command line."""
+    """Run as the key maker of the process whose id is the first argument."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends with its service, and not before
     die_with(int(sys.argv[1]))

@@ -1,16 +1,16 @@
-"""The ledger of one-time pads: which set signs which key block, beside the keys they guard.
+"""The ledger of one-time pads in a key store: which set of pads signs which key block.
 
-A set is a point and a pad for each direction. Which one signs a block follows from the block alone,
-so no index travels, each block has one tag that is accepted, and no set signs two:
+A set is a point and a pad for each direction. The block alone determines its set. So no index
+travels, each block has one tag that is accepted, and no set signs two blocks:
 
-- a session's first block that makes keys is signed under a set of the reserve. Each end asks the
-  other to mark the oldest for that session, before either signs with it: whatever store is put
-  back, a set serves one session;
-- each later one under the set that the block before it made, of its row 0.
+- A session's first block that makes keys takes a set of the reserve. Each end asks the other to
+  mark the oldest one for that session before either signs, so a set serves one session, whichever
+  store is put back.
+- Each later block takes the set that the block before it made of its row 0.
 
-A block of :data:`RENEWS` rows or more spends two rows besides: one is added to the point of all
-that follows, one refills the reserve. So whoever came to know a point, having heard blocks whole,
-has lost it once she misses enough of one.
+A block of :data:`RENEWS` rows or more spends two further rows. One is added to the point of all
+later sets, one refills the reserve. An eavesdropper who heard blocks whole and so knows a point
+loses it with the first block of which she misses enough.
 """
 
 import json
@@ -28,21 +28,22 @@ from runtime.keys.store import KeyStore
 from runtime.keys.store_file import UNREADABLE, check_of
 
 RENEWS: Final = 16
-"""Rows from which on a block spends two of them on a fresh point and on the reserve."""
+"""Least rows of a block that spends two of them on a fresh point and on the reserve."""
 
 MOST_RESERVE: Final = 32
-"""Sets of the reserve that wait; the oldest beyond them are erased."""
+"""Most sets in the reserve; the oldest beyond them are erased."""
 
 AGREE_S: Final = 10.0
-"""How long a session's first block waits for the set that both ends agree on."""
+"""Seconds that a session's first block waits for a set that both ends have marked."""
 
 LOOK_S: Final = 0.01
+"""Seconds between two looks for it."""
 
 Kind = Literal["reserve", "chain"]
 
 
 class Made(NamedTuple):
-    """A set of pads that a block makes: what it is called, what for, and its bytes."""
+    """A set of pads that a block makes: its name, its kind, and its bytes."""
 
     origin: str
     kind: Kind
@@ -59,7 +60,7 @@ class _Set(NamedTuple):
 
 
 def spent_rows(rows: int) -> int:
-    """How many of a signed block's rows make no key."""
+    """Rows of a signed block that make no key: 3, or 1 below :data:`RENEWS` rows."""
     return 3 if rows >= RENEWS else 1
 
 
@@ -69,11 +70,11 @@ class Authentication:
     Parameters
     ----------
     store : KeyStore
-        Which holds the ledger. A secret must have been taken into it: :func:`take_secret`.
+        The store that holds the ledger. It must have a secret: :func:`take_secret`.
     wait_s : float
-        How long to wait for the other end.
+        Seconds to wait for the other end.
     look : callable
-        Called again and again meanwhile.
+        Called between two looks for its answer; sleeps.
     """
 
     def __init__(
@@ -91,9 +92,9 @@ class Authentication:
     def tags(
         self, session: str, block: int, message: bytes, rows: Sequence[bytes]
     ) -> tuple[str, str, str, tuple[Made, ...]] | None:
-        """This side's tag of a block, the partner's, their set, and the sets that the block makes.
+        """This side's tag of a block, the partner's, the set's name, and the sets that it makes.
 
-        Asked again for the same block it gives the same. None where no set signs it.
+        The same block gives the same answer each time. None: no set signs it.
         """
         signing = self._set_of(session, block)
         if signing is None:
@@ -108,11 +109,12 @@ class Authentication:
         return own, signing.tag(self._partner, message), signing.origin, tuple(made)
 
     def origin(self, session: str, block: int) -> str | None:
-        """What the set is called that signs a block; None where none can.
+        """Name of the set that signs a block; None where none can.
 
-        That of the block before it that made keys. A block that made none because it was too poor
-        is passed over at both ends; any other without keys leaves the session without a set, and so
-        does one that this store does not know: it was put back, and may have signed with its set.
+        It is the set made by the last block before it that made keys. Blocks too poor for keys are
+        passed over at both ends. Any other block without keys leaves the session without a set. So
+        does a block that this store does not know: the store was put back, and may have signed
+        with that set.
         """
         for before in range(block - 1, -1, -1):
             found = self._store.rows(
@@ -147,7 +149,7 @@ class Authentication:
         return _Set(origin, point, {"controller": first, "plant": second})
 
     def _agree(self, session: str) -> str | None:
-        """Have both ends mark a set of the reserve for a session; None where none is left."""
+        """Name of a set of the reserve that both ends have marked; None: none left or no answer."""
         until = time.monotonic() + self._wait_s
         self._leave_others(session)
         while True:
@@ -163,7 +165,7 @@ class Authentication:
             self._look()
 
     def _asked(self, session: str) -> bool:
-        """See that a set is asked for; False where none is left."""
+        """Ask for a set unless that was done; False where none is left."""
         with self._store.transaction() as db:
             if db.execute("SELECT 1 FROM asked WHERE use = ?", (session,)).fetchone():
                 return True
@@ -184,7 +186,7 @@ class Authentication:
         return True
 
     def _leave_others(self, session: str) -> None:
-        """What other sessions had is of no use any more: erase it."""
+        """Erase the sets of former sessions."""
         with self._store.transaction() as db:
             db.execute(
                 f"UPDATE pad SET {_SPENT} WHERE body IS NOT NULL AND session IS NOT NULL "
@@ -194,7 +196,7 @@ class Authentication:
             db.execute("DELETE FROM asked WHERE what = 'pads' AND use != ?", (session,))
 
     def confirm(self, session: str, block: int) -> None:
-        """A block is confirmed for good: the set that signed it is erased."""
+        """Erase the set that signed a block, which is confirmed."""
         origin = self.origin(session, block)
         with self._store.transaction() as db:
             db.execute(f"UPDATE pad SET {_SPENT} WHERE origin = ?", (origin,))
@@ -210,12 +212,12 @@ _SPENT: Final = "state = 'spent', body = NULL, check_ = NULL"
 
 
 def mark(store: KeyStore, session: str, origins: Sequence[str]) -> tuple[str, ...]:
-    """The partner will sign a session's first block under this set: mark it for that session.
+    """Mark the set under which the partner will sign a session's first block.
 
     Returns
     -------
     tuple of str
-        Those that cannot serve it; () where it is marked.
+        The set's name where it cannot serve that session; () where it is marked.
     """
     if store.note("secret") is None:
         return tuple(origins)
@@ -243,7 +245,7 @@ def mark(store: KeyStore, session: str, origins: Sequence[str]) -> tuple[str, ..
 
 
 def answered(store: KeyStore, session: str, refused: Sequence[str]) -> int:
-    """The partner has marked the set, or refuses it: then it is erased; returns how many were."""
+    """Note that the partner has marked the set, or erase it where it refuses; returns how many."""
     with store.transaction() as db:
         cursor = db.execute("DELETE FROM asked WHERE use = ? AND what = 'pads'", (session,))
         if cursor.rowcount == 0:
@@ -263,7 +265,7 @@ def answered(store: KeyStore, session: str, refused: Sequence[str]) -> int:
 
 
 def ready(store: KeyStore) -> list[str]:
-    """The sets of the reserve that may still serve a session."""
+    """Names of the sets of the reserve that may still serve a session, oldest first."""
     rows = store.rows(
         "SELECT origin FROM pad WHERE kind = 'reserve' AND state = 'ready' ORDER BY place"
     )
@@ -271,10 +273,10 @@ def ready(store: KeyStore) -> list[str]:
 
 
 def given_before(store: KeyStore, origins: Sequence[str]) -> list[str]:
-    """Which of the sets that the partner has left may serve a session already.
+    """Those of the partner's sets that may have served a session.
 
-    As this side knows, or has forgotten: a set that is not here is of no use to anybody. Without a
-    secret it knows nothing, and marks nothing.
+    A set that this side does not have is among them, since nobody can use it. Without a secret this
+    side knows none.
     """
     if store.note("secret") is None:
         return []
@@ -284,7 +286,7 @@ def given_before(store: KeyStore, origins: Sequence[str]) -> list[str]:
 
 
 def were_given(store: KeyStore, origins: Sequence[str]) -> int:
-    """The partner knows sessions that these sets serve: erase them; returns how many were."""
+    """Erase sets that served a session, as the partner says; returns how many were erased."""
     with store.transaction() as db:
         return sum(
             db.execute(
@@ -295,9 +297,9 @@ def were_given(store: KeyStore, origins: Sequence[str]) -> int:
 
 
 def pad_counts(path: Path) -> PadCounts | None:
-    """What the ledger of a key store says of its reserve; None where no secret was taken.
+    """The reserve of the key store at ``path``; None where it has no secret.
 
-    The file is read beside whoever has it open, and nothing in it is touched.
+    The file may be open elsewhere; nothing is written.
 
     Raises
     ------
@@ -316,7 +318,7 @@ def pad_counts(path: Path) -> PadCounts | None:
 
 
 def take_secret(store: KeyStore, path: Path) -> Authentication:
-    """Take the secret of ``path`` into ``store``, once; afterwards the file is only its name.
+    """Take the secret of ``path`` into ``store``, once. The file then holds only its name.
 
     Raises
     ------

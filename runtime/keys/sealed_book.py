@@ -1,11 +1,10 @@
-"""Sealed messages beside the keys they use, in one file: taken and written in one transaction.
+"""Sealed messages, in the file of the keys that they use.
 
-At the controller a message is ``queued``, then ``asked`` (keys are set aside for it, and the plant
-is asked to mark them), then ``sealed`` (its keys are erased, its text too, the ciphertext kept),
-then ``done`` once the plant has acknowledged it, or ``lost`` where the plant cannot open it. At the
-plant the text is kept and its keys are erased in the same transaction. So a process may die at any
-instant, and a store may be put back: nothing is sealed twice under one key, nothing is opened
-twice, and nothing that was accepted is lost in silence.
+At the controller a message is ``queued``; ``asked`` (its keys are set aside, and the plant is asked
+to mark them); ``sealed`` (keys and text are erased, the ciphertext kept); and ``done`` once the
+plant has acknowledged it, or ``lost`` where the plant cannot open it. At the plant one transaction
+keeps the text and erases the keys. So a process may die at any instant and a store may be put back:
+no key seals twice, no message opens twice, and none that was accepted is lost without a word.
 """
 
 import hashlib
@@ -21,8 +20,8 @@ from runtime.keys.store import KeyStore
 SealState = Literal["queued", "asked", "sealed", "done", "lost"]
 
 MOST_TRIES: Final = 16
-"""Messages whose tag does not hold that a plant looks at under the keys of one. A forger who makes
-as many has a chance of 16 (words + 1) / (2^127 - 1), and the keys are then given up."""
+"""Wrong tags that a plant checks under the keys of one message before it gives the keys up. A
+forger succeeds with probability 16 (words + 1) / (2^127 - 1) at most."""
 
 
 _OPEN: Final = "state NOT IN ('done', 'lost')"
@@ -37,7 +36,7 @@ class SealedText(NamedTuple):
     tag: str
 
     def header(self) -> bytes:
-        """What is tagged beside the ciphertext."""
+        """What the tag covers beside the ciphertext: id and key ids, in one encoding."""
         return json.dumps(["wyner sealed", self.identifier, *self.key_ids]).encode()
 
 
@@ -47,7 +46,7 @@ class SealedBook:
     Parameters
     ----------
     store : KeyStore
-        In whose file they stand.
+        The store in whose file they stand.
     """
 
     def __init__(self, store: KeyStore) -> None:
@@ -56,14 +55,14 @@ class SealedBook:
     # --- the controller's -------------------------------------------------------------------------
 
     def queue(self, identifier: str, payload: bytes) -> SealState:
-        """Take in a message once; returns where it stands.
+        """Queue a message, once an identifier; returns its state.
 
         Raises
         ------
         KeysRefused
             When this store's keys are for nobody.
         ValueError
-            When the identifier is another message's.
+            When the identifier belongs to another message.
         """
         if self.store.refused is not None:
             raise KeysRefused(self.store.refused)
@@ -83,15 +82,15 @@ class SealedBook:
         return answer
 
     def waiting(self) -> int:
-        """Messages that the plant has not acknowledged."""
+        """Number of messages that the plant has not acknowledged."""
         with self.store.transaction() as db:
             row = db.execute(f"SELECT COUNT(*) FROM sealed WHERE {_OPEN}").fetchone()
         return int(row[0])
 
     def next(self) -> SealedText | None:
-        """The oldest message, once it is sealed; one that is queued has keys set aside for it.
+        """The oldest open message, if it is sealed. Where it is queued, set its keys aside.
 
-        None while there is none, or not enough keys, or the plant has not marked them.
+        None: there is no message, there are too few keys, or the plant has not marked them.
 
         Raises
         ------
@@ -122,14 +121,14 @@ class SealedBook:
         return None
 
     def answered(self, use: str, refused: Sequence[str]) -> int:
-        """The plant has marked a use's keys, and its message is sealed now; or it refuses some.
+        """Take the plant's answer: seal the use's message under its marked keys.
 
-        These are erased, and the message waits for others.
+        Keys that the plant refuses are erased, and the message waits for others.
 
         Returns
         -------
         int
-            How many keys were erased.
+            Number of keys that were erased.
         """
         with self.store.transaction() as db:
             row = db.execute(
@@ -158,7 +157,7 @@ class SealedBook:
         return 0
 
     def acknowledged(self, identifier: str) -> bool:
-        """The plant has it; True the first time."""
+        """Note that the plant has opened the message; True the first time."""
         with self.store.transaction() as db:
             cursor = db.execute(
                 "UPDATE sealed SET state = 'done' WHERE id = ? AND state = 'sealed'",
@@ -167,9 +166,9 @@ class SealedBook:
         return cursor.rowcount == 1
 
     def give_up(self, identifier: str, key_ids: Sequence[str]) -> bool:
-        """The plant cannot open the message that was sealed under these keys; True the first time.
+        """Give up a message that the plant cannot open; True the first time.
 
-        Its text is gone: whoever sent it has to send it again.
+        Its text is gone, so its sender must send it again.
         """
         with self.store.transaction() as db:
             cursor = db.execute(
@@ -199,10 +198,10 @@ class SealedBook:
         Raises
         ------
         Unsealed
-            When it was changed on its way; its keys stay for the true one, but for
-            :data:`MOST_TRIES` such.
+            When it was changed on its way. Its keys stay for the true one, up to
+            :data:`MOST_TRIES` times.
         UnknownKeys
-            When its keys are not here, not marked for it, or were tried too often.
+            When its keys are not here, not marked for it, or given up.
         KeysRefused
             When this store's keys are for nobody.
         """
@@ -224,7 +223,7 @@ class SealedBook:
         return True
 
     def opened(self) -> list[tuple[str, bytes]]:
-        """Every message that was opened here, in order: its identifier and its text."""
+        """Identifier and text of every message that was opened here, in order."""
         with self.store.transaction() as db:
             rows = db.execute("SELECT id, payload FROM opened ORDER BY number").fetchall()
         return [(identifier, bytes(payload)) for identifier, payload in rows]

@@ -1,8 +1,8 @@
-"""Both ends of sealed messages, beside the control loop: sealed, repeated, opened, acknowledged.
+"""Both ends of sealed messages, beside the control loop.
 
-They use the keys that the loop has made, and neither wait for it nor hold it up. A message goes out
-again until the plant has acknowledged it; the next one only after that. The two ends also ask each
-other what may be given (:mod:`runtime.keys.asking`).
+They use the keys that the loop has made; neither waits for the other. The controller's end seals a
+message and repeats it until the plant's end has opened and acknowledged it; then comes the next
+one. The two also ask each other which keys may be given (:mod:`runtime.keys.asking`).
 """
 
 from math import inf
@@ -20,13 +20,13 @@ from runtime.keys.sealed_book import SealedBook, SealedText
 
 
 class End(Protocol):
-    """One end: what it hears and says, and when it wants to be woken."""
+    """One end: message types that it receives and sends, and when it wants to be woken."""
 
     hears: tuple[type[Message], ...]
     says: tuple[type[Message], ...]
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A message came."""
+        """Take a message that arrived at ``now``, in seconds."""
 
     def wake_at(self) -> float:
         """When :meth:`wake` is due."""
@@ -36,12 +36,12 @@ class End(Protocol):
 
 
 class SealingEnd:
-    """The controller's: takes messages from the operator and sends them sealed.
+    """The controller's end: takes messages from the operator and sends them sealed.
 
     Attributes
     ----------
     due_at : float
-        When a message is to go out again, or may at last be sealed.
+        When a message is sent again, or keys are looked for again, in seconds.
     """
 
     hears: tuple[type[Message], ...] = (SealCommand, SealedReceipt, *Asker.hears)
@@ -53,7 +53,7 @@ class SealingEnd:
         self.due_at = now if book.waiting() else inf
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A message to be sealed, the plant's acknowledgement, or its word on keys."""
+        """Take an operator's message, the plant's acknowledgement, or a message about keys."""
         if kind in Asker.hears:
             actions = self._asker.receive(kind, payload)
             self.due_at = now if self._book.waiting() else inf
@@ -78,11 +78,11 @@ class SealingEnd:
         return Actions(notices=(notice,))
 
     def wake_at(self) -> float:
-        """When a message is to go out again, or may at last be sealed, or keys are asked for."""
+        """When :meth:`wake` is due, in seconds."""
         return min(self.due_at, self._asker.wake_at())
 
     def wake(self, now: float) -> Actions:
-        """Send the oldest message that was not acknowledged; ask what is to be asked."""
+        """Send the oldest message that is not acknowledged, and requests about keys."""
         text = None
         notices: tuple[Notice, ...] = ()
         if now >= self.due_at:
@@ -122,7 +122,7 @@ class SealingEnd:
 
 
 class OpeningEnd:
-    """The plant's: opens what comes, keeps it, and acknowledges it."""
+    """The plant's end: opens sealed messages, keeps their texts, and acknowledges them."""
 
     hears: tuple[type[Message], ...] = (Sealed, *Asker.hears)
     says: tuple[type[Message], ...] = (SealedReceipt, *Asker.says)
@@ -132,15 +132,15 @@ class OpeningEnd:
         self._asker = Asker(book)
 
     def wake_at(self) -> float:
-        """When keys are asked for."""
+        """When :meth:`wake` is due, in seconds."""
         return self._asker.wake_at()
 
     def wake(self, now: float) -> Actions:
-        """Ask what is to be asked."""
+        """Send requests about keys."""
         return Actions(publish=self._asker.wake(now))
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:  # noqa: ARG002
-        """Open a message once; acknowledge it each time that it comes, or say that it cannot be."""
+        """Open a message once. Acknowledge every copy of it, or say why it cannot be opened."""
         if kind in Asker.hears:
             return self._asker.receive(kind, payload)
         try:

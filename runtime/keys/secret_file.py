@@ -1,4 +1,4 @@
-"""The file of the secret that the two ends share before their first block."""
+"""The file of the secret that the two ends share before their first key block."""
 
 import os
 import secrets
@@ -12,7 +12,7 @@ _USED: Final = "used"
 
 
 class SecretError(Exception):
-    """A file that holds no secret, or one that was taken already; the text is one line."""
+    """A file holds no secret, or one that was taken already. The text is one line."""
 
 
 def make_secret(path: Path) -> str:
@@ -71,7 +71,7 @@ def read_secret(path: Path) -> Secret | str:
 
 
 def spend_secret(path: Path, name: str) -> None:
-    """Replace the secret by a line that says it was taken: a second store must not reuse its pads.
+    """Overwrite the secret by a line that says it was taken, so no second store uses its pads.
 
     Raises
     ------

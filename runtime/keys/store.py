@@ -1,19 +1,18 @@
-"""The key store: one SQLite file a side, confirmed before delivered, delivered once.
+"""The key store: one SQLite file a side. A key is confirmed before it is delivered, and once.
 
 A key is ``stored`` when its block has closed here, ``confirmed`` once the partner has shown the
-same tag, and ``delivered`` when it was handed out: its bytes are erased in that same transaction,
-before anyone sees them, and its row stays as a tombstone. A process that dies in between loses a
-key, and never gives one twice. ``dropped`` are keys whose block differed, or that nobody fetched
-until the store was full.
+same tag, and ``delivered`` when it was handed out. Its bytes are erased in that same transaction,
+before anyone sees them; its row stays. A process that dies in between loses a key, and never gives
+one twice. A key is ``dropped`` where its block differed, or nobody fetched it until the store was
+full.
 
-The two ends own disjoint halves, odd rows the controller and even rows the plant. Each hands out
-its own half, and the partner finds the same key by its id. Ids follow from session, block and row;
-both ends order alike. A key has the ``use`` for which it is given here, and the one for which it is
-given ``there``: the first is set before the partner is asked, the second before it is answered
-(:mod:`runtime.keys.giving`).
+The controller hands out odd rows, the plant even ones. The partner finds the same key by its id.
+Ids follow from session, block and row, and both ends order alike. A key has the ``use`` that it is
+given for here, and the one that it is given for ``there``. The first is set before the partner is
+asked, the second before the partner is answered (:mod:`runtime.keys.giving`).
 
-Apart from the journal, because other processes open it too: a service that adds blocks, and a key
-server that delivers.
+The store is apart from the journal because two processes open it: the service, which adds blocks,
+and a key server, which delivers.
 """
 
 import json
@@ -42,20 +41,21 @@ from protocol.secret.records import (
 from runtime.keys.store_file import UNREADABLE, StoreFile, check_of
 
 MOST_KEYS: Final = 100_000
-"""Undelivered keys that a side keeps of its own half: those among so many, the newest of the half.
-Of the partner's half it keeps twice as many, so that none the partner still gives out is missing
-here. Halves take turns, so that a key's place says how many are newer: no key is counted."""
+"""Newest keys of its own half that a side keeps; older ones are dropped where they were not
+delivered. Of the partner's half it keeps twice as many, so it has every key that the partner still
+gives out. The halves take turns, so a key's place tells how many are newer."""
 
 TOMBSTONES: Final = 1_000_000
+"""Newest keys whose rows are kept at all."""
 
 _BEGUN: Final = "begun"
 
 Held = Literal["unused", "made", "marked"]
-"""Keys that may be given: of which no use is known, at the start or made since, and those of the
-partner's half that it has given."""
+"""Keys that may be given: without a known use at the start; the same, made since; and those of the
+partner's half that the partner has given."""
 
 _READY: Final = "own = 1 AND state = 'confirmed' AND use IS NULL AND (row - 1) / 2 % ? = ?"
-"""Keys of a share of this side's own half that may be delivered."""
+"""Condition: keys of one share of this side's own half that may be delivered."""
 
 _DOUBTFUL: Final = "EXISTS (SELECT 1 FROM doubtful WHERE doubtful.block = key.block)"
 
@@ -63,7 +63,7 @@ _DROPPED: Final = "state = 'dropped', body = NULL, check_ = NULL"
 
 
 def _pads_of(session: str, number: int) -> tuple[str, str]:
-    """What the sets of pads are called that a block makes."""
+    """Names of the sets of pads that a block makes."""
     name = block_name(session, number)
     return name, f"{name}/reserve"
 
@@ -73,33 +73,32 @@ def _asked(share: Share) -> tuple[int, int]:
 
 
 class KeyStore(StoreFile):
-    """The keys of one side; it is opened as a :class:`StoreFile`."""
+    """The keys of one side; opened as a :class:`StoreFile`."""
 
     @property
     def refused(self) -> str | None:
-        """Why nobody gets a key of this store, or None: the run is seeded, or claims nothing."""
+        """Why nobody gets a key of this store (a seeded run, no claim); None: keys are given."""
         return self.note("refused")
 
     def refuse(self, reason: str) -> None:
-        """From here on, and after every start, no key of this store is handed out."""
+        """Hand out no key of this store from here on, after restarts too."""
         if self.refused is None:
             self.set_note("refused", reason)
 
     @property
     def assumption(self) -> str:
-        """Under which claim the keys are secret, in words."""
+        """The claim under which the keys are secret, as a sentence."""
         return self.note("assumption") or ""
 
     def begin(self, session: str | None, transitions: int) -> None:
-        """Note, once, at which transition of which session this store was new."""
+        """Note once at which transition of which session this store was new."""
         if self.note(_BEGUN) is None:
             self.set_note(_BEGUN, f"{session}/{transitions}")
 
     def is_younger(self, session: str, number: int, first: int) -> bool:
         """Whether a block that begins at transition ``first`` began before this store did.
 
-        Its keys may be in one that was removed, or in what this one was before it was put back, and
-        given.
+        Its keys may have been given, by a store that was removed or by a newer copy of this one.
         """
         if self._is_lost(session, number):
             return True
@@ -110,20 +109,23 @@ class KeyStore(StoreFile):
         return theirs == session and first < int(transitions)
 
     def newest_blocks(self) -> list[str]:
-        """The names of the newest blocks, newest first."""
+        """Names of the 64 newest blocks, newest first."""
         rows = self.rows("SELECT session, number FROM block ORDER BY place DESC LIMIT 64")
         return [block_name(*row) for row in rows]
 
     def blocks_beyond(self, names: Sequence[str], most: int) -> list[str]:
-        """Blocks that the partner has stored once and has no more, as far as this side knows.
+        """Blocks that the partner once stored and has lost, as far as this side knows.
+
+        They are newer than ``names``, and were confirmed here or had a key used. Blocks that this
+        side has lost are added.
 
         Parameters
         ----------
         names : sequence of str
-            Its newest ones. Beyond them are those that were confirmed here, or of which a key was
-            used: it had them before. Those that this side has lost belong to them.
+            The partner's newest blocks.
         most : int
-            So many at most, the oldest: only those right behind its newest can it make anew.
+            Blocks at most, oldest first: the partner can make only those again that follow its
+            newest ones.
         """
         with self.transaction() as db:
             place = 0
@@ -147,12 +149,12 @@ class KeyStore(StoreFile):
         return [name for name in dict.fromkeys(found) if name not in set(names)]
 
     def lose(self, names: Sequence[str]) -> None:
-        """Blocks that this side had before it was put back: it makes no key of them any more."""
+        """Make no more keys of these blocks: this side had them before it was put back."""
         with self.transaction() as db:
             db.executemany("INSERT OR IGNORE INTO lost VALUES (?)", ((name,) for name in names))
 
     def blocks_held(self) -> list[str]:
-        """The names of blocks with keys that may still be given."""
+        """Names of blocks with keys that may still be given."""
         rows = self.rows(
             "SELECT session, number FROM block WHERE place IN (SELECT block FROM key "
             "WHERE state IN ('stored', 'confirmed') AND use IS NULL) ORDER BY place"
@@ -160,22 +162,22 @@ class KeyStore(StoreFile):
         return [block_name(*row) for row in rows]
 
     def lacking(self, names: Sequence[str]) -> list[str]:
-        """Which of these blocks made no key here, or are not here: as far as this side knows."""
+        """Those of these blocks that made no key here, or are not here."""
         with self.transaction() as db:
             rows = db.execute("SELECT session, number FROM block WHERE keys > 0").fetchall()
         known = {block_name(*row) for row in rows}
         return [name for name in names if name not in known]
 
     def doubt(self, names: Sequence[str]) -> int:
-        """The partner lacks these blocks: it was put back, and what it gave of them it forgot.
+        """Take note that the partner lacks these blocks: it was put back, and may have given keys.
 
-        Those that it had confirmed are erased. Others it may be about to make: they are doubtful,
-        and nothing of them is given, until it confirms them.
+        Keys of confirmed blocks are erased. Other blocks may be about to be made there: they are
+        doubtful, and nothing of them is given until the partner confirms them.
 
         Returns
         -------
         int
-            How many keys were erased.
+            Number of keys that were erased.
         """
         erased = 0
         with self.transaction() as db:
@@ -210,25 +212,26 @@ class KeyStore(StoreFile):
         tag: str = "",
         pads: Sequence[tuple[str, str, bytes]] = (),
     ) -> bool:
-        """Keep a block with its keys, rows 1, 2, ...; on return it survives a power failure.
+        """Store a block with its keys, rows 1, 2, ...; on return it survives a power failure.
 
-        Ids are what they must be, so that a block that is added again is found to be there.
+        Ids follow from session, block and row, so a block that is added again is recognised.
 
         Parameters
         ----------
         block : BlockRow
             Its ``state`` says whether there is anything to confirm.
         keys : sequence of bytes
+            32 bytes each.
         tag : str
             This side's tag of the block.
         pads : sequence of (origin, kind, bytes)
-            Sets of one-time pads that the block yields, for tags of blocks to come.
+            Sets of one-time pads that the block makes, for tags of later blocks.
 
         Returns
         -------
         bool
-            False when the block was there already, or would make keys of one that was lost here
-            (:meth:`lose`); nothing has changed.
+            False when the block was there already, or would make keys of a lost one
+            (:meth:`lose`). Nothing has changed then.
         """
         with self.transaction() as db:
             if block.state != "empty" and self._is_lost(block.session, block.number):
@@ -268,7 +271,7 @@ class KeyStore(StoreFile):
         return True
 
     def block_tag(self, session: str, number: int) -> BlockTag | None:
-        """What was kept of a block, or None."""
+        """State, tag and number of keys of a block; None where it is not here."""
         rows = self.rows(
             "SELECT state, session, number, tag, keys, check_ FROM block "
             "WHERE session = ? AND number = ?",
@@ -292,7 +295,7 @@ class KeyStore(StoreFile):
         db.execute("DELETE FROM key WHERE place <= ?", ((newest or 0) - TOMBSTONES,))
 
     def confirm(self, session: str, number: int) -> None:
-        """The partner holds the same block: its keys may be delivered, its pads used."""
+        """Note that the partner holds the same block: its keys and pads may be used."""
         with self.transaction() as db:
             self._change(db, session, number, "confirmed")
             db.execute(
@@ -306,7 +309,7 @@ class KeyStore(StoreFile):
             )
 
     def drop(self, session: str, number: int) -> None:
-        """The partner holds another block: erase it here."""
+        """Erase a block: the partner holds another one."""
         with self.transaction() as db:
             self._change(db, session, number, "dropped", ", body = NULL, check_ = NULL")
             db.execute(
@@ -329,20 +332,20 @@ class KeyStore(StoreFile):
     # --- delivery ---------------------------------------------------------------------------------
 
     def available(self, share: Share = WHOLE) -> int:
-        """Keys of this side's half that are confirmed, not delivered, not refused."""
+        """Number of keys of this side's half that can be delivered now."""
         if self.refused is not None:
             return 0
         return int(self.rows(f"SELECT COUNT(*) FROM key WHERE {_READY}", _asked(share))[0][0])
 
     def set_aside(self, use: str, number: int, share: Share = WHOLE) -> tuple[str, ...]:
-        """Set the oldest confirmed keys of this side's half aside for a use; their ids.
+        """Set the oldest confirmed keys of this side's half aside for a use; returns their ids.
 
-        The partner is asked to mark them (:mod:`runtime.keys.giving`).
+        The partner will be asked to mark them (:mod:`runtime.keys.giving`).
 
         Raises
         ------
         TooFewKeys
-            When there are not so many.
+            When there are fewer than ``number``.
         KeysRefused
             When nobody gets this store's keys.
         """
@@ -352,7 +355,7 @@ class KeyStore(StoreFile):
     def set_aside_within(
         self, db: sqlite3.Connection, use: str, number: int, share: Share = WHOLE
     ) -> tuple[str, ...]:
-        """What :meth:`set_aside` does, within a transaction that has more to write."""
+        """:meth:`set_aside` within a transaction of the caller."""
         self.check_refused()
         rows = db.execute(
             f"SELECT place, id FROM key WHERE {_READY} ORDER BY place LIMIT ?",
@@ -368,8 +371,8 @@ class KeyStore(StoreFile):
     def set_aside_named(self, use: str, ids: Sequence[str], share: Share = WHOLE) -> None:
         """Set keys of the partner's half aside for a use, by their ids.
 
-        ``stored`` is enough: whoever knows an id has it from the partner, which gives keys only
-        once it has seen that they are stored here.
+        Keys that are only ``stored`` may be taken: the partner gives an id only once it has seen
+        that its key is stored here.
 
         Raises
         ------
@@ -410,12 +413,12 @@ class KeyStore(StoreFile):
         )
 
     def answer(self, use: str) -> tuple[str, ...] | None:
-        """Which names the partner refuses to mark for a use; None while it has not answered.
+        """Names that the partner refuses to mark for a use; None while it has not answered.
 
         Raises
         ------
         StoreError
-            When nothing was asked under that use: the store was put back under its user.
+            When nothing was asked under that use: the store was put back while in use.
         """
         rows = self.rows("SELECT refused FROM asked WHERE use = ?", (use,))
         if not rows:
@@ -423,22 +426,22 @@ class KeyStore(StoreFile):
         return None if rows[0][0] is None else tuple(json.loads(rows[0][0]))
 
     def answered(self, use: str, refused: Sequence[str]) -> int:
-        """The partner has marked what was asked under a use, or refuses some of it.
+        """Take the partner's answer to a request.
 
-        Then the others are free again. A key of this side's half that is refused was given before,
-        by a later life of this store, or the partner does not have it: it is erased.
+        Where it refuses some keys the others are free again. A refused key of this side's half is
+        erased: it was given by a newer copy of this store, or the partner does not have it.
 
         Returns
         -------
         int
-            How many keys were erased.
+            Number of keys that were erased.
         """
         with self.transaction() as db:
             return self.answered_within(db, use, refused)
 
     @staticmethod
     def answered_within(db: sqlite3.Connection, use: str, refused: Sequence[str]) -> int:
-        """What :meth:`answered` does, within a transaction that has more to write."""
+        """:meth:`answered` within a transaction of the caller."""
         cursor = db.execute(
             "UPDATE asked SET refused = ? WHERE use = ? AND refused IS NULL",
             (json.dumps(refused), use),
@@ -454,7 +457,7 @@ class KeyStore(StoreFile):
         return erased
 
     def forget_uses(self, kind: str) -> None:
-        """Uses of a kind that were named in a former life are over, and what was set aside gone."""
+        """Forget the uses of a kind that former processes named, and erase their keys."""
         with self.transaction() as db:
             uses = db.execute("SELECT use FROM asked WHERE use LIKE ?", (f"{kind} %",)).fetchall()
             for (use,) in uses:
@@ -465,15 +468,15 @@ class KeyStore(StoreFile):
                 db.execute("DELETE FROM asked WHERE use = ?", (use,))
 
     def mark(self, use: str, ids: Sequence[str]) -> tuple[str, ...]:
-        """The partner gives these keys for a use: mark all of them, or none.
+        """Mark these keys for a use of the partner's: all of them, or none.
 
-        A key of the partner's half must be here, unused. Of this side's half the partner may give
-        what this side gave.
+        A key of the partner's half must be here and unused. A key of this side's half must have
+        been given here.
 
         Returns
         -------
         tuple of str
-            Those that it must not give; () where all are marked.
+            Keys that the partner must not give; () where all are marked.
         """
         with self.transaction() as db:
             refused = tuple(name for name in ids if not self._markable(db, use, name))
@@ -502,8 +505,12 @@ class KeyStore(StoreFile):
         return int(self.rows("SELECT COALESCE(MAX(place), 0) FROM key")[0][0])
 
     def held(self, after: int, until: int) -> tuple[list[str], list[str]]:
-        """Keys beyond one place, up to another, that may still be given: those of which no use is
-        known, and of the partner's half those that it has given.
+        """Ids of keys that may still be given, of places above ``after`` up to ``until``.
+
+        Returns
+        -------
+        tuple of two lists
+            Keys without a known use, and keys of the partner's half that the partner has given.
         """
         alive = (
             "SELECT id FROM key WHERE place > ? AND place <= ? AND use IS NULL "
@@ -515,10 +522,10 @@ class KeyStore(StoreFile):
         return [name for (name,) in unused], [name for (name,) in marked]
 
     def given_before(self, what: Held, ids: Sequence[str]) -> list[str]:
-        """Which of the keys that the partner holds it must not give: this side knows their use.
+        """Those of the partner's keys that it must not give, since this side knows a use.
 
-        Also those that it is about to be asked for, since it may have been asked in a former life;
-        of ``unused`` ones also those of doubtful blocks (:meth:`doubt`).
+        Keys that the partner is about to be asked for are among them: a newer copy of it may have
+        been asked. So are, of ``unused`` ones, keys of doubtful blocks (:meth:`doubt`).
         """
         used = "there IS NOT NULL"
         if what != "marked":
@@ -530,12 +537,12 @@ class KeyStore(StoreFile):
             return [name for name in ids if db.execute(statement, (name,)).fetchone()]
 
     def were_given(self, what: Held, ids: Sequence[str]) -> int:
-        """The partner knows a use of these keys: erase those of which none is known here still.
+        """Erase those of these keys without a use here: the partner knows one.
 
         Returns
         -------
         int
-            How many were erased.
+            Number of keys that were erased.
         """
         mark = "there IS NOT NULL" if what == "marked" else "there IS NULL"
         with self.transaction() as db:
@@ -549,18 +556,18 @@ class KeyStore(StoreFile):
             )
 
     def take(self, use: str, who: str = "") -> tuple[Key, ...]:
-        """The keys of a use that the partner has marked, erased here before they are returned.
+        """The keys of a use. They are erased here before they are returned.
 
         Raises
         ------
         StoreError
-            When it has not, or they are gone.
+            When the partner has not marked them, or they are gone.
         """
         with self.transaction() as db:
             return self.take_within(db, use, who)
 
     def take_within(self, db: sqlite3.Connection, use: str, who: str = "") -> tuple[Key, ...]:
-        """What :meth:`take` does, within a transaction that has more to write."""
+        """:meth:`take` within a transaction of the caller."""
         row = db.execute("SELECT names FROM asked WHERE use = ? AND refused = '[]'", (use,))
         found = row.fetchone()
         if found is None:
@@ -573,12 +580,12 @@ class KeyStore(StoreFile):
     def marked(
         self, db: sqlite3.Connection, kind: str, name: str, ids: Sequence[str], most_tries: int
     ) -> tuple[Key, ...]:
-        """Keys that the partner gave for a use of this kind and name; they stay.
+        """Keys that the partner gave for a use of this kind and name. They stay in the store.
 
         Raises
         ------
         UnknownKeys
-            When some are not here, not marked so, or were tried too often.
+            When some are not here, not marked for it, or had ``most_tries`` wrong tags.
         KeysRefused
             When nobody gets this store's keys.
         """
@@ -596,7 +603,7 @@ class KeyStore(StoreFile):
         return tuple(keys)
 
     def tried(self, ids: Sequence[str]) -> int:
-        """A tag under these keys did not hold; returns how often that has happened."""
+        """Count a wrong tag under these keys; returns their wrong tags so far."""
         with self.transaction() as db:
             db.executemany(
                 "UPDATE key SET tries = tries + 1 WHERE id = ?", ((name,) for name in ids)
@@ -605,7 +612,7 @@ class KeyStore(StoreFile):
         return int(row[0])
 
     def _key_of(self, db: sqlite3.Connection, name: str, usable: str, *values: object) -> Key:
-        """A key as its row has it."""
+        """The key ``name``, if its row is ``usable``."""
         row = db.execute(
             "SELECT place, id, row, own, body, check_ FROM key "
             f"WHERE id = ? AND state IN ('stored', 'confirmed') AND {usable}",
@@ -619,18 +626,19 @@ class KeyStore(StoreFile):
         return Key(row[1], bytes(row[4]))
 
     def check_refused(self) -> None:
-        """See that keys of this store are for somebody.
+        """Check that keys of this store may be given.
 
         Raises
         ------
         KeysRefused
+            When nobody gets them.
         """
         reason = self.refused
         if reason is not None:
             raise KeysRefused(reason)
 
     def bury(self, db: sqlite3.Connection, ids: Sequence[str], who: str) -> None:
-        """Erase keys that are given in the transaction under way."""
+        """Erase keys that the transaction under way gives to ``who``."""
         now = time.time_ns()
         self.gives()
         db.executemany(
@@ -642,7 +650,7 @@ class KeyStore(StoreFile):
     # --- telling ----------------------------------------------------------------------------------
 
     def counts(self) -> Counts:
-        """How many keys are in which state."""
+        """Number of keys in each state."""
         rows = self.rows("SELECT state, COUNT(*) FROM key GROUP BY state")
         by = {str(state): int(count) for state, count in rows}
         return Counts(
@@ -654,7 +662,7 @@ class KeyStore(StoreFile):
         )
 
     def blocks(self, last: int | None = None) -> list[BlockRow]:
-        """The blocks, oldest first; the ``last`` ones only where that is given."""
+        """The blocks, or the ``last`` newest ones, oldest first."""
         rows = self.rows(
             "SELECT session, number, transitions, steps, counted, rows, keys, state, t_ns "
             "FROM block ORDER BY place DESC LIMIT ?",
@@ -663,17 +671,17 @@ class KeyStore(StoreFile):
         return [BlockRow(*row) for row in reversed(rows)]
 
     def ids(self) -> list[tuple[str, State]]:
-        """Every key's id and state, in the order that both ends share."""
+        """Id and state of every key, in the order that both ends share."""
         rows = self.rows("SELECT id, state FROM key ORDER BY place")
         return [(name, state) for name, state in rows]
 
     def own_ids(self) -> list[str]:
-        """The ids of this side's half."""
+        """Ids of this side's half, in order."""
         rows = self.rows("SELECT id FROM key WHERE own = 1 ORDER BY place")
         return [name for (name,) in rows]
 
     def uses(self) -> dict[str, tuple[str, str]]:
-        """For every key the use it was given for here, and the one it was marked with."""
+        """For every key the use that it was given for here, and the one marked for the partner."""
         rows = self.rows(
             "SELECT id, CASE state WHEN 'delivered' THEN COALESCE(use, there, '') ELSE '' END, "
             "COALESCE(there, '') FROM key ORDER BY place"
@@ -681,10 +689,10 @@ class KeyStore(StoreFile):
         return {name: (here, there) for name, here, there in rows}
 
     def same_as(self, partner: "KeyStore") -> bool:
-        """Whether what both stores hold is the same: ids, order, and the bytes that are there.
+        """Whether both stores hold the same keys: ids, order, and the bytes that are left.
 
-        The last block of a run may have been closed at one end only, and is confirmed at none.
-        Both are files; a million keys take no memory.
+        A run's last block may be stored at one end only; it is confirmed at none. Both stores are
+        files, and are compared without loading them.
         """
         self.rows("ATTACH ? AS partner", (str(partner.path),))
         try:
@@ -709,9 +717,6 @@ class KeyStore(StoreFile):
             self.rows("DETACH partner")
 
     def compare(self) -> dict[str, bytes | None]:
-        """Every key by its id, in order, None where it was erased: for whoever holds both stores.
-
-        Nobody else should; a test bed does.
-        """
+        """Every key by its id, in order; None where it was erased. For a holder of both stores."""
         rows = self.rows("SELECT id, body FROM key ORDER BY place")
         return {name: None if body is None else bytes(body) for name, body in rows}

@@ -1,4 +1,4 @@
-"""The file of a key store: SQLite, for its owner only, nothing of what was erased left in it."""
+"""The file of a key store: SQLite, mode 0600, without remains of what was erased."""
 
 import os
 import sqlite3
@@ -17,10 +17,10 @@ from runtime.keys.anchor import Anchor
 STORE_VERSION: Final = 3
 
 UNREADABLE: Final = (sqlite3.Error, UnicodeDecodeError)
-"""What a damaged file raises: what SQLite says of it may quote bytes that are no text."""
+"""What a damaged file raises. SQLite's message may quote bytes that are no text."""
 
 BUSY_S: Final = 30.0
-"""How long another process may be at it: one that runs where a core is idle takes its time."""
+"""Seconds to wait for another process's transaction: the key maker runs where a core is idle."""
 
 _TABLES: Final = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT, check_ INTEGER);
@@ -53,15 +53,15 @@ CREATE TABLE IF NOT EXISTS opened (
 
 
 def check_of(*values: Any) -> int:
-    """The check of a row: a flipped bit in any of these columns is seen.
+    """CRC-32 of a row's columns, which shows a flipped bit.
 
-    It tells something of them, so it goes where they are erased.
+    It depends on the columns, so it is erased together with them.
     """
     return crc32(repr(values).encode())
 
 
 def _inode(path: Path | None) -> tuple[int, int] | None:
-    """Which file there is under a name."""
+    """Device and inode of the file at ``path``; (0, 0) where there is none."""
     try:
         found = None if path is None else path.stat()
     except OSError:
@@ -70,23 +70,22 @@ def _inode(path: Path | None) -> tuple[int, int] | None:
 
 
 class StoreFile:
-    """A store's file, its tables, transactions and notes.
+    """A key store's file: its tables, transactions and notes.
 
     Parameters
     ----------
     path : Path, optional
-        None: in memory, for simulations. Else made, with mode 0600 and its folder, where
-        ``create`` says so.
+        None: in memory, for simulations.
     side : {"controller", "plant"}
-        Whose it is.
+        Whose store it is.
     create : bool
-        Make the file where it is not there.
+        Make the file (mode 0600) and its folder where they are missing.
 
     Raises
     ------
     StoreError
-        When the file is not there, cannot be opened, is damaged, another side's or version's, or an
-        older copy of itself.
+        When the file is missing, cannot be opened, is damaged, belongs to another side or version,
+        or is an older copy of itself.
     """
 
     def __init__(self, path: Path | None, side: Side, *, create: bool = False) -> None:
@@ -144,11 +143,11 @@ class StoreFile:
                 self._anchor.compare(self._given())
 
     def _look_through(self, how: str = "quick_check") -> None:
-        """See that the notes are as they were written, and the file's pages in order.
+        """Check the notes, and the file's pages by SQLite's own check.
 
-        A copy that was taken of a file in use may hold an index that does not fit its table: only
-        ``integrity_check`` sees that. It takes 8 s for a million keys, and a service asks for it
-        once, at its start.
+        A copy of a file in use may hold an index that does not fit its table. Only
+        ``integrity_check`` sees that. It takes 8 s for a million keys; a service runs it once, at
+        its start.
         """
         for (name,) in self._db.execute("SELECT name FROM meta").fetchall():
             self.note(name)
@@ -157,15 +156,15 @@ class StoreFile:
 
     @classmethod
     def copy_of(cls, path: Path, side: Side) -> Self:
-        """A copy in memory of the store at ``path``, for whoever only looks at it.
+        """A copy in memory of the store at ``path``, for reading.
 
-        Nothing in its folder is written, also where a key server has it open; but a transaction
-        that a death cut short is taken back first, as by everyone who opens it.
+        Nothing is written in its folder, even while a key server has it open. One exception: a
+        transaction that a death cut short is rolled back first.
 
         Raises
         ------
         StoreError
-            As for a store that is opened.
+            As for the constructor.
         """
         if not path.is_file():
             raise StoreError(f"{path}: no key store is there: no key was ever made here")
@@ -200,16 +199,16 @@ class StoreFile:
         return int(self.note("given") or 0)
 
     def gives(self) -> None:
-        """The transaction under way takes something out for good: no older copy may do so again."""
+        """Count the transaction under way, beside the store, as one that gives something away."""
         self._gives = True
 
     def expect(self, row: Sequence[Any], what: str) -> None:
-        """See that a row, whose last column is its check, is as it was written.
+        """Check a row, whose last column is its CRC-32.
 
         Raises
         ------
         StoreError
-            When it is not; ``what`` names it.
+            When it is not as it was written; ``what`` names it.
         """
         *values, check = row
         if check_of(*values) != check:
@@ -217,7 +216,7 @@ class StoreFile:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing, on disk when it ends; one at a time, in this process and beside others.
+        """A transaction: all or nothing, on disk when it ends, one at a time over all processes.
 
         Raises
         ------
@@ -247,7 +246,7 @@ class StoreFile:
                 raise StoreError(f"{self.path}: {error}") from None
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
-        """What a query finds.
+        """The rows that a query finds.
 
         Raises
         ------
@@ -262,14 +261,15 @@ class StoreFile:
                 raise StoreError(f"{self.path}: {error}") from None
 
     def stay(self) -> None:
-        """See that the file has not been moved away under whoever has it open.
+        """Check that the file has not been moved away or replaced while it is open.
 
-        SQLite finds its rollback journal by the name: one that is moved away and the one that was
-        put in its place would spoil each other.
+        SQLite finds its rollback journal by name, so the old and the new file would spoil each
+        other.
 
         Raises
         ------
         StoreError
+            When it has been.
         """
         if self._opened is not None and _inode(self.path) != self._opened:
             raise StoreError(
@@ -279,7 +279,7 @@ class StoreFile:
     # --- notes ------------------------------------------------------------------------------------
 
     def note(self, name: str) -> str | None:
-        """A line of text kept with the store, or None."""
+        """The note ``name`` of the store, or None."""
         rows = self.rows("SELECT * FROM meta WHERE name = ?", (name,))
         if not rows:
             return None
@@ -287,13 +287,13 @@ class StoreFile:
         return str(rows[0][1])
 
     def set_note(self, name: str, value: str) -> None:
-        """Keep a line of text with the store."""
+        """Write the note ``name``."""
         with self._lock:
             row = (name, value, check_of(name, value))
             self.rows("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     def close(self) -> None:
-        """Close the file; it can be opened again."""
+        """Close the file."""
         with self._lock:
             self._db.close()
 

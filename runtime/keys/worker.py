@@ -1,4 +1,4 @@
-"""Makes and keeps keys beside a service, so that the loop never waits for a disk or a matrix."""
+"""Has keys made beside a service, so the loop never waits for a disk or a matrix."""
 
 import os
 import pickle
@@ -15,13 +15,13 @@ from protocol.secret.tasks import Broken, Done, Task
 from runtime.keys.key_maker import KeyMakerAt
 
 TRIES: Final = 5
-"""Deaths over one task after which it is given up, and with it all keys from here on."""
+"""Deaths of the process over one task after which no more keys are made."""
 
 AGAIN_S: Final = 0.05
-"""Before a process is started anew; twice as long after each death."""
+"""Seconds before the process is started again; twice as long after each death."""
 
 FINISH_S: Final = 20.0
-"""How long a service that ends waits for what is under way; what is left is asked for again."""
+"""Seconds that a service that ends waits for tasks under way. The next start repeats the others."""
 
 
 class _Asked(NamedTuple):
@@ -33,9 +33,9 @@ class _Asked(NamedTuple):
 class KeyWorker:
     """Has tasks done in order in a process of its own, :mod:`runtime.keys.key_process`.
 
-    The process is started at once, one for all loops of a host, and has its libraries before there
-    is a loop to disturb. Where it dies it is started again and asked again: a key maker does what
-    it is given twice to the same rows, ids and tags. A thread waits for it, and does nothing else.
+    One process serves all loops of a host. It starts at once, so its libraries are loaded before
+    there is a loop to disturb. If it dies it is started again and its task repeated, which gives
+    the same rows, ids and tags. One thread waits for it.
     """
 
     def __init__(self) -> None:
@@ -50,19 +50,21 @@ class KeyWorker:
 
         Parameters
         ----------
-        at : KeeperAt
+        at : KeyMakerAt
+            The store.
         done : callable
-            Told of the task's end, from the worker's thread.
+            Called with the result, in the worker's thread.
         task : Task
+            What to do.
         """
         self._asked.put(_Asked(at, task, done))
 
     def leave(self, at: KeyMakerAt) -> None:
-        """Close a store once all that was handed over for it is done; returns at once."""
+        """Close a store once its tasks are done; returns at once."""
         self._asked.put(_Asked(at, None, lambda _done: None))
 
     def close(self) -> None:
-        """Finish what was handed over, and end the process."""
+        """Finish the tasks and end the process. It is killed where that takes more than 20 s."""
         self._asked.put(None)
         self._thread.join(FINISH_S)
         self._late = self._thread.is_alive()
@@ -116,11 +118,11 @@ class KeyWorker:
 
 
 def _start() -> "subprocess.Popen[bytes]":
-    """Start it beyond Ctrl-C's reach, and in this session.
+    """Start the process beyond Ctrl-C's reach, and in this session.
 
-    Linux divides the processors among sessions first (autogroup) and looks at the policy within
-    each. In a session of its own the process came before none, but after none either: an offer
-    was half a millisecond late while both ends distilled.
+    Linux divides the processors among sessions first (autogroup), and looks at policies within
+    each. In a session of its own the process weighs as much as the service, and an offer was half
+    a millisecond late while both ends distilled.
     """
     return subprocess.Popen(
         [sys.executable, "-m", "runtime.keys.key_process", str(os.getpid())],

@@ -15,7 +15,7 @@ from typing import IO, Any, Final
 from protocol.messages import FIELD, FieldMessage, Measurement, Offer, Sealed
 from protocol.topics import key_of
 from runtime.errors import needs
-from runtime.parts import first_part, parts_of
+from runtime.recording import first_part, parts_of
 from tap_service.capture.reading import CaptureReader
 
 KEY_FIELDS: Final = ("copy_number", "nonce", "applied_copy", "heard", "block", "tag")

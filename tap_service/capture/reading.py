@@ -11,10 +11,8 @@ from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage
-from runtime.jsonl import END, LONGEST, LineReader, decode
-from runtime.parts import number_of, parts_of
+from runtime.recording import END, LONGEST, TRACE_FORMAT, LineReader, decode, number_of, parts_of
 from runtime.run_folder import CAPTURE
-from runtime.trace import TRACE_FORMAT
 from tap_service.capture.recording import CAPTURE_VERSION
 
 FIELD_TYPES: Final = {kind.topic: kind for kind in FIELD}

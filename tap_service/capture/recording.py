@@ -17,9 +17,14 @@ from typing import Any, Final
 from pydantic import Field
 from pydantic_core import from_json, to_json
 
-from runtime.jsonl import END_BYTES, LineWriter, dumps
-from runtime.parts import Bounds, Parts, part_path
-from runtime.trace import TRACE_FORMAT, TRACE_VERSION
+from runtime.recording import (
+    END_BYTES,
+    TRACE_FORMAT,
+    TRACE_VERSION,
+    Bounds,
+    Parts,
+    dumps,
+)
 
 CAPTURE_VERSION: Final = 2
 
@@ -75,14 +80,8 @@ class RotatingLog:
         self._log = log
         path.parent.mkdir(parents=True, exist_ok=True)
         self._parts = Parts(path)
-        self._number = self._parts.newest
-        self.first_part = self._number + 1
-        self._file: LineWriter | None = None
+        self.first_part = self._parts.number + 1
         self._begin()
-
-    @property
-    def _size(self) -> int:
-        return 0 if self._file is None else self._file.size
 
     def write(self, line: bytes) -> None:
         """Append one line (without its newline), or count it as dropped.
@@ -94,12 +93,12 @@ class RotatingLog:
         now = time.monotonic()
         if now >= self._next_look:
             self._look(now)
-        if self._file is None or not self._make_room(len(line) + 1):
+        if self._parts.lines is None or not self._make_room(len(line) + 1):
             self.dropped += 1
             return
         self._held.append(line)
         self._held_bytes += len(line) + 1
-        if self._size + self._held_bytes >= self._limits.of_a_part:
+        if self._parts.size + self._held_bytes >= self._limits.of_a_part:
             self._begin()
         elif self._held_bytes >= HELD_BYTES:
             self.flush()
@@ -107,10 +106,11 @@ class RotatingLog:
     def flush(self) -> None:
         """Hand what was written to the operating system, in one piece: it survives ``kill -9``."""
         held, self._held, self._held_bytes = self._held, [], 0
-        if self._file is None or not held:
+        lines = self._parts.lines
+        if lines is None or not held:
             return
         try:
-            whole = self._file.append_all(held)
+            whole = lines.append_all(held)
         except OSError as error:
             self.dropped += len(held)
             self._pause(error.strerror or "write failed")
@@ -126,24 +126,18 @@ class RotatingLog:
 
     def _end(self, *, last: bool = False) -> None:
         self.flush()
-        if self._file is None:
-            return
-        self._file.close(dropped=self.dropped, last=last)
-        self._parts.add(self._number, self._file.size)
-        self._file = None
+        self._parts.end(dropped=self.dropped, last=last)
 
     def _begin(self) -> None:
         self._end()
         self._began = time.monotonic()
         self._next_look = 0.0
-        number = self._number + 1
-        path = part_path(self._path, number)
+        number = self._parts.number + 1
         header = {
             "format": TRACE_FORMAT,
             "version": TRACE_VERSION,
             "vantage": "tap",
             "capture_version": CAPTURE_VERSION,
-            "part": number,
             "started_ns": time.time_ns(),
             **self._header,
         }
@@ -151,18 +145,17 @@ class RotatingLog:
             self._pause("the bound of all parts has no room for a header")
             return
         try:
-            self._file = LineWriter(path, header, new=True)
+            self._parts.begin(number, header, new=True)
         except OSError as error:
             self._pause(error.strerror or "cannot be opened")
             return
-        self._number = number
         if self.paused:
             self.paused = False
             self._log.info("%s: recording again, %d lines were dropped", self._path, self.dropped)
 
     def _make_room(self, length: int) -> bool:
         """Drop the oldest parts until ``length`` bytes more fit; False where they never do."""
-        needed = self._size + self._held_bytes + length + END_BYTES
+        needed = self._parts.size + self._held_bytes + length + END_BYTES
         if needed > self._limits.total_bytes:
             return False
         for number in self._parts.beyond(self._limits.total_bytes - needed):
@@ -186,7 +179,7 @@ class RotatingLog:
         self._next_look = now + self._LOOK_AT_DISK_S
         if self._free() < self._limits.free_bytes:
             self._pause(f"less than {self._limits.free_bytes} bytes are free on the disk")
-        elif self._file is None or now - self._began >= self._limits.part_s:
+        elif self._parts.lines is None or now - self._began >= self._limits.part_s:
             self._begin()
             self._next_look = now + self._LOOK_AT_DISK_S
 

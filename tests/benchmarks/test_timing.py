@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.timing import SIDES, Answers, difference, measure, recorded, render, response_times
 from benchmarks.work import work
-from protocol.link.ciphering import Ciphering
+from controller_service.core import ControllerCore
 
 
 def times(seed: int, count: int, longer: float = 0.0) -> Answers:
@@ -78,14 +78,14 @@ def test_with_keys_too(side: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    decide = Ciphering.decide
+    decide = ControllerCore._decide
 
-    def longer(self: Ciphering, state: tuple[int, ...], *of: Any) -> Any:
+    def longer(self: ControllerCore, state: tuple[int, ...], *of: Any) -> Any:
         if state[0] == 2:
-            self.frame  # noqa: B018
+            self.carries  # noqa: B018
         return decide(self, state, *of)
 
-    monkeypatch.setattr(Ciphering, "decide", longer)
+    monkeypatch.setattr(ControllerCore, "_decide", longer)
     found = work("controller", "sustained", recorded(200, "sustained", tmp_path)["controller"])
     assert found[False].most_common(1)[0][1] < 0.9 * found[False].total()
 

@@ -10,7 +10,7 @@ import hashlib
 from math import inf
 from typing import Final, Literal, NamedTuple
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
@@ -119,7 +119,7 @@ class End:
             self.journal = MemoryControllerJournal(*PAYLOADS)
         else:
             self.journal = MemoryPlantJournal()
-        self.endpoint: ControllerPeer | PlantCore
+        self.endpoint: ControllerCore | PlantCore
         self._line: LinePlant | ActingLine | None = None
         self.mortal()
         self._begin_event()
@@ -191,8 +191,8 @@ class End:
     def nonce(self) -> str:
         """A nonce that tells what it is for."""
         if self.side == "controller":
-            assert isinstance(self.endpoint, ControllerPeer)
-            session, k = self.endpoint.sender.record.session, self._heard_k
+            assert isinstance(self.endpoint, ControllerCore)
+            session, k = self.endpoint.record.session, self._heard_k
         else:
             assert isinstance(self.endpoint, PlantCore)
             record = self.endpoint.record
@@ -250,12 +250,8 @@ class End:
 
     def _offered(self, offer: Offer) -> None:
         """No transition is offered two cipher symbols."""
-        assert isinstance(self.endpoint, ControllerPeer)
-        sender = self.endpoint.sender
-        answer = sender._answer
-        # while an answer is not settled the record is the one before it
-        j = sender.record.transitions
-        j += answer is not None and answer.counted is not None and answer.offer == offer
+        assert isinstance(self.endpoint, ControllerCore)
+        j = self.endpoint.reported
         for session, known, cipher in self._ciphers:
             if (session, known) == (offer.session, j) and cipher != offer.cipher:
                 raise Broken(f"transition {j} was offered ciphers {cipher} and {offer.cipher}")
@@ -334,7 +330,7 @@ class End:
         endpoint = self.endpoint
         if doing.what == "hears":
             assert kind is not None
-            if isinstance(endpoint, ControllerPeer):
+            if isinstance(endpoint, ControllerCore):
                 self._heard_k = _k_of(payload) if kind is Measurement else -1
                 self.now += LONG_S if doing.pace == "late" else 0.0
                 endpoint._greeting_at = inf if doing.pace == "soon" else -inf
@@ -364,7 +360,7 @@ class End:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
         endpoint._now = 0.0
-        if isinstance(endpoint, ControllerPeer):
+        if isinstance(endpoint, ControllerCore):
             away = now - endpoint._plant_at >= endpoint._running_s
             endpoint._plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all

@@ -20,8 +20,8 @@ from protocol.secret.records import StoreError
 from runtime.keys.ledger import pad_counts
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS, PLANT_STATUS
 from tests.system.test_integration import children_of
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 LOOK_S = 0.5
 GROWTH_MIB = 8.0

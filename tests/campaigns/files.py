@@ -186,7 +186,7 @@ def lay_out(run: Path) -> None:
 def _let_the_tap_guess(run: Path) -> None:
     """Guesses and beliefs of a tap that heard the capture."""
     from protocol.messages import Measurement, Offer
-    from runtime.jsonl import read_lines
+    from runtime.recording import read_lines
     from tests.campaigns.listeners import Tap
 
     with tempfile.TemporaryDirectory() as folder:

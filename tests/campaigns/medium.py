@@ -26,8 +26,9 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import CAPTURE_VERSION, Limits, RotatingLog, mirror_line
 from tests.support.medium import Medium, NoNamespaces, Radio, Station, medium
-from wyner.scoring.keys import KeyAudit, audit_keys
-from wyner.scoring.summary import summarise
+from wyner.runs.run import Run
+from wyner.runs.score.keys import KeyAudit, audit_keys
+from wyner.runs.score.summary import summarise
 
 GROUP: Final = "udp/224.0.0.251:7461#iface=air"
 
@@ -80,7 +81,7 @@ def run(case: Case, seed: int, folder: Path) -> Result:
         air.start()
         _loop(case, air, folder)
     run_dir = folder / "run"
-    told = summarise(run_dir, b"hello")["keys"]
+    told = summarise(Run.load(run_dir), b"hello")["keys"]
     status = json.loads((run_dir / PLANT_STATUS).read_bytes())
     other = json.loads((run_dir / "controller" / PLANT_STATUS.name).read_bytes())
     audit = _audit(radio, case, folder)
@@ -177,7 +178,7 @@ def _audit(radio: Radio, case: Case, folder: Path) -> KeyAudit:
     for t_ns, topic, fields in radio.heard:
         capture.write(mirror_line(t_ns, topic, to_json(fields)))
     capture.close()
-    audit = audit_keys(hers, load_scenario(folder / "keys.toml"))
+    audit = audit_keys(Run.load(hers), load_scenario(folder / "keys.toml"))
     assert audit is not None
     return audit
 

@@ -19,8 +19,8 @@ from typing import Final
 from runtime.errors import Failure, UsageError
 from tests.campaigns.resumable import Results, options, seeds
 from tests.support.recorded_loop import SIDES, RecordedLoop, Side
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 KINDS: Final = (
     *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "malformed"),
@@ -125,7 +125,7 @@ class Spoiled:
 
     def _rewound(self) -> None:
         """The next transition's symbol is the one decided before; all later ones are new."""
-        record = self.loop.sender.record
+        record = self.loop.controller.record
         for session, j in list(self.loop.ciphers):
             if session == record.session and j > record.transitions:
                 del self.loop.ciphers[session, j]

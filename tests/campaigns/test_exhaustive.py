@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
+from controller_service import core
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link import keying, sender_session
-from protocol.link.ciphering import Ciphering
+from protocol.link import keying
+from protocol.link.controller_session import TABLE, Row
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
-from protocol.link.sender import Sender
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
@@ -65,12 +66,12 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    decide = Ciphering.decide
+    decide = ControllerCore._decide
 
-    def anew(self: Ciphering, *args: Any, **kwargs: Any) -> Any:
+    def anew(self: ControllerCore, *args: Any, **kwargs: Any) -> Any:
         return decide(self, *args[:4])
 
-    patch.setattr(Ciphering, "decide", anew)
+    patch.setattr(ControllerCore, "_decide", anew)
 
 
 def apply_stale(patch: Patch) -> None:
@@ -97,34 +98,21 @@ def publish_first(patch: Patch) -> None:
 
 def take_up_anything(patch: Patch) -> None:
     """Rule 6: a controller that lost its journal goes on in the plant's session."""
-    refuse = Sender._refuse
-
-    def adopt(self: Sender, hello: Any, why: str) -> Any:
-        effects = refuse(self, hello, why)
-        if hello.session == self.record.session:
-            return effects
-        self._adopt(hello)
-        return effects._replace(save=True, reply=self._hello("accepted", hello), refusal="")
-
-    patch.setattr(Sender, "_refuse", adopt)
+    for state in ("greeting", "serving", "elsewhere"):
+        adopt = Row("adopt and serve", "serving")
+        patch.setitem(TABLE, (state, "asked, session unknown"), adopt)
 
 
 def end_on_a_late_hello(patch: Patch) -> None:
     """Rule 6: a hello that does not fit ends the session at once, whoever sent it."""
-    refuse = Sender._refuse
-
-    def wrong(self: Sender, hello: Any, why: str) -> Any:
-        dropped = self.record.session is not None and hello.session == self.record.session
-        if dropped:
-            self._drop_session()
-        return refuse(self, hello, why)._replace(save=dropped)
-
-    patch.setattr(Sender, "_refuse", wrong)
+    for state in ("greeting", "serving"):
+        ends = Row("end and step back", "greeting")
+        patch.setitem(TABLE, (state, "asked, session does not fit"), ends)
 
 
 def count_no_lives(patch: Patch) -> None:
     """Rule 6: a controller that was started again takes itself for the one before."""
-    patch.setattr(sender_session, "_after", lambda incarnation: incarnation)
+    patch.setattr(core, "_after", lambda incarnation: incarnation)
 
 
 def as_it_is(_: Patch) -> None:

@@ -13,16 +13,16 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
 from protocol.secret.records import StoreError
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
-from runtime.run_folder import PLANT_KEYS, PLANT_TRACE
-from runtime.trace import TraceReader
+from runtime.run_folder import PLANT_KEYS
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+from wyner.runs.run import Run
 
 AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""
@@ -161,8 +161,9 @@ class Traffic:
 
 
 def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:
-    trace = TraceReader(run_dir / PLANT_TRACE)
-    events = [e for e in trace if e["event"] in ("recovered", "session")]
+    told: list[dict[str, Any]] = []
+    Run.load(run_dir).feed("plant", told.append)
+    events = [e for e in told if e["event"] in ("recovered", "session")]
     got = [base64.b64decode(e["payload"]).decode() for e in events if e["event"] == "recovered"]
     counts["sessions"] = len({e["session"] for e in events if e["event"] == "session"})
     seen = Counter(got)

@@ -7,7 +7,7 @@ It judges nothing: what an unreliable network may do to the link is tried in
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event
 from protocol.link.peer import Actions, Notice, Outgoing
@@ -51,7 +51,7 @@ class World:
     got: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     plant: PlantCore = field(init=False)
     line: LinePlant = field(init=False)
-    controller: ControllerPeer = field(init=False)
+    controller: ControllerCore = field(init=False)
 
     def __post_init__(self) -> None:
         self.controller_journal = MemoryControllerJournal(PAYLOAD)
@@ -97,7 +97,7 @@ class World:
         elif isinstance(event, CountedTransition):
             self.sent[event.session, event.j] = event
 
-    def _perform(self, endpoint: ControllerPeer | PlantCore, actions: Actions) -> None:
+    def _perform(self, endpoint: ControllerCore | PlantCore, actions: Actions) -> None:
         mine = isinstance(endpoint, PlantCore)
         perform(actions, endpoint, self._plant_ports if mine else self._controller_ports)
 

@@ -17,8 +17,8 @@ import pytest
 
 from protocol.messages import FIELD, Sealed
 from runtime.options import alone_in
+from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
-from runtime.trace import TraceWriter
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
@@ -54,6 +54,7 @@ def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
             {
                 "event": "transition",
                 "session": session,
+                "j": k,
                 "k": k,
                 "candidates": [[0.0], [0.0]],
                 "role": "message" if at in run.truth.symbols else "test",
@@ -380,7 +381,7 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
         (("replay", "nowhere"), "nowhere: cannot be read: no such capture"),
         (("export", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
         (("export", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
-        (("secrecy", "nowhere"), "nowhere/plant/trace.jsonl: cannot be read"),
+        (("secrecy", "nowhere"), "nowhere: no run here"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--loss", "2"), "--loss: got 2.0"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--view", "up"), "invalid choice"),
         (

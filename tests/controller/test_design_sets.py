@@ -223,7 +223,7 @@ def test_nested(design: Design) -> None:
 
 def test_progress_is_told(paper: Scenario) -> None:
     seen: list[tuple[int, int]] = []
-    synthesise(changed(paper, horizon=5), lambda done, total, _made: seen.append((done, total)))
+    synthesise(changed(paper, horizon=5), lambda done, total: seen.append((done, total)))
     assert seen == [(i, 5) for i in range(6)]
 
 

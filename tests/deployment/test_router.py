@@ -28,9 +28,9 @@ from runtime.addresses import TlsFiles, free_endpoints
 from runtime.bus import Deliver
 from runtime.run_folder import PLANT_TRACE
 from runtime.services import BUSES, SERVICES, on_bus
-from runtime.trace import read_trace
 from runtime.zenoh_bus import ZenohBus, open_router
 from tests.support.matched import matched
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 from wyner.deployment.access import access_control
 from wyner.deployment.certificates import ensure_certificates

@@ -1,6 +1,7 @@
 """Every example runs as it stands, and says what its words promise."""
 
 import json
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -27,6 +28,8 @@ SAYS = {
     "lossy_network": "the plant has [b'first', b'second']",
     "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",
     "own_plant": "250 of 250 tested steps agreed, 10.0 bit/s",
+    "paper_scheme": "nearest-centre names 178 of 178 key bits",
+    "whole_messages": "list-decoder reads 20 of 20 messages",
     "packed_law": "expected at most 4",
     "pendulum": "regulator  for ever",
 }
@@ -95,3 +98,16 @@ def test_there_are_a_dozen_programs_and_three_notebooks() -> None:
     assert {path.stem for path in PROGRAMS} == set(SAYS)
     assert len(PROGRAMS) >= 12
     assert len(NOTEBOOKS) == 3
+
+
+def test_the_readme_has_the_numbers_of_the_papers_example(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    runpy.run_path(str(ROOT / "examples" / "paper_scheme.py"), run_name="__main__")
+    out = capsys.readouterr().out
+    rates = re.findall(r": (\S+ \[\S+, \S+\]) bit/s", out)
+    named = re.findall(r"nearest-centre names (\d+ of \d+)", out)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for rate, keys in zip(rates, named, strict=True):
+        assert f"| {rate} | {keys} |" in readme
+    assert len(named) == 3

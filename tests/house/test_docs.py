@@ -2,7 +2,9 @@
 
 import ast
 import importlib
+import importlib.util
 import re
+import shlex
 from functools import cache
 from pathlib import Path
 
@@ -10,9 +12,11 @@ import pytest
 
 from protocol.messages import FIELD, INTEL, OPS
 from protocol.schemes.registry import SCHEMES, make_scheme
+from runtime.errors import UsageError
 from tools.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from tools.diagrams import DOCUMENTS as GENERATED
-from wyner.verify import CLAUSES
+from wyner.cli.main import build_parser, commands
+from wyner.runs.check import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
@@ -173,3 +177,71 @@ def test_the_index_has_every_page_once() -> None:
     named = [row for row in rows if "/" not in row]
     assert sorted(named) == sorted(p.stem for p in DOCUMENTS if p.stem != "index")
     assert "howto/*" in rows
+
+
+def is_there(command: str) -> bool:
+    """Whether a command of a page is one: its options parse, its module, file or test exists."""
+    program, *words = shlex.split(command)
+    if program == "wyner":
+        assert words[0] in commands(), command
+        return bool(build_parser(words[0]).parse_args(words))
+    if program == "pytest":
+        for target in words:
+            path, _, name = target.partition("::")
+            assert not name or name in names_in(ROOT / path), command
+        return all((ROOT / target.partition("::")[0]).is_file() for target in words)
+    if program.endswith("python") and words[0] == "-m":
+        return importlib.util.find_spec(words[1]) is not None
+    if program.endswith("python"):
+        return (ROOT / words[0]).is_file()
+    raise AssertionError(f"{command}: expected wyner, pytest or python")
+
+
+REPRODUCED = re.findall(
+    r"^\|[^|]+\| `([^`]+)` \| [^|]+ \| [^|]+ \|[^|]*\|$",
+    (ROOT / "docs" / "reproduce.md").read_text(encoding="utf-8"),
+    re.MULTILINE,
+)
+
+
+def test_every_row_of_the_page_for_reviewers_has_a_command() -> None:
+    text = (ROOT / "docs" / "reproduce.md").read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if re.match(r"\| (?!claim)[^-]", line)]
+    assert len(rows) == len(REPRODUCED) > 20
+
+
+@pytest.mark.parametrize("command", REPRODUCED)
+def test_a_command_of_the_page_for_reviewers_exists(command: str) -> None:
+    assert is_there(command)
+
+
+@pytest.mark.parametrize("command", ["wyner up --sceanrio x", "wyner nothing", "pytest nothing.py"])
+def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
+    with pytest.raises((AssertionError, UsageError, SystemExit)):
+        assert is_there(command)
+
+
+def typed(page: Path) -> list[str]:
+    """The lines of a page's blocks of shell that begin with ``wyner``, without their comments."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"^```(?:sh|console)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line.strip().removeprefix("$ ") for block in blocks for line in block.splitlines()]
+    return [
+        shlex.join(shlex.split(line, comments=True)) for line in lines if line.startswith("wyner ")
+    ]
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")], ids=lambda path: path.stem
+)
+def test_what_a_page_tells_to_type_is_a_command(page: Path) -> None:
+    for line in typed(page):
+        assert is_there(line.partition(" '&'")[0].partition(" '|'")[0]), line
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: path.stem)
+def test_every_formula_can_be_drawn_without_a_script(page: Path) -> None:
+    convert = pytest.importorskip("docutils.utils.math.latex2mathml").tex2mathml
+    text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for displayed, inline in re.findall(r"\$\$(.+?)\$\$|\$([^$]+)\$", text, re.DOTALL):
+        assert "<math" in convert((displayed or inline).strip())

@@ -16,15 +16,28 @@ def test_the_table_is_that_of_the_data() -> None:
 
 def test_every_citation_is_in_the_bibliography_and_the_other_way_round() -> None:
     cited = set(re.findall(r"@([a-z0-9]+)", TEXT.split("---", 2)[2]))
-    listed = set(re.findall(r"^@article\{(\w+),", (FOLDER / "paper.bib").read_text(), re.MULTILINE))
+    listed = set(re.findall(r"^@\w+\{(\w+),", (FOLDER / "paper.bib").read_text(), re.MULTILINE))
     assert cited == listed
 
 
 def test_it_is_as_long_as_the_journal_wants_and_its_pictures_are_there() -> None:
     words = len(re.sub(r"<!--.*?-->|\|.*\|", "", TEXT.split("---", 2)[2], flags=re.DOTALL).split())
-    assert 250 <= words <= 1000
+    assert 750 <= words <= 1750
     for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", TEXT):
         assert (FOLDER / picture).is_file()
+
+
+def test_it_has_the_sections_that_the_journal_asks_for_in_their_order() -> None:
+    assert re.findall(r"^# (.*)$", TEXT, re.MULTILINE) == [
+        "Summary",
+        "Statement of need",
+        "State of the field",
+        "Software design",
+        "Research impact statement",
+        "AI usage disclosure",
+        "Acknowledgements",
+        "References",
+    ]
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from fnmatch import fnmatch
@@ -102,6 +103,23 @@ def test_the_shell_imports_the_protocol_and_itself_only() -> None:
         assert rooms_of(path) <= {"protocol", "runtime"}, name_of(path)
 
 
+def test_a_run_is_read_by_its_one_reader() -> None:
+    """A check compares files with each other, line by line; nobody else opens a trace."""
+    for path in inside("wyner"):
+        name = name_of(path)
+        if name != "wyner.runs.run" and not name.startswith("wyner.runs.check"):
+            text = path.read_text(encoding="utf-8")
+            for named in ("PLANT_TRACE", "CONTROLLER_TRACE", "TraceReader"):
+                assert not re.search(rf"\b{named}\b", text), (name, named)
+
+
+def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
+    """What a clause is to find wrong in the protocol, it may not ask the protocol."""
+    path = ROOT / "wyner" / "runs" / "check" / "paper.py"
+    assert not rooms_of(path)
+    assert {name.split(".")[0] for name in imports_of(path)} == {"collections", "typing"}
+
+
 SHELL = {
     *("asyncio", "ctypes", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib"),
     *("queue", "resource", "select", "selectors", "shutil", "signal", "socket", "sqlite3"),
@@ -196,7 +214,7 @@ def test_importing_the_protocol_loads_no_transport_and_no_screen() -> None:
 
 def test_the_message_types_load_no_numbers() -> None:
     core = [f"protocol.{m}" for m in ("messages", "link.session", "streams")]
-    core += ["runtime.journal", "runtime.trace"]
+    core += ["runtime.journal", "runtime.recording"]
     assert loaded_by(*core).isdisjoint({"zenoh", "numpy", "rich"})
 
 
@@ -220,7 +238,7 @@ SECRETS = {
     "protocol.scenario",  # D_c and alpha
     "protocol.link.records",  # keys and automata's states
     "protocol.link.session",
-    "protocol.link.sender",
+    "controller_service.core",
     "plant_service.core",
     "runtime.journal",  # both, and the message
     "runtime.journal_files",

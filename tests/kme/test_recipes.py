@@ -166,7 +166,7 @@ def test_wrong_use_is_one_line(
 
 
 def tls_with(server_key: bytes, client_key: bytes, identity: str) -> tuple[bytes, bytes]:
-    """What passes by the recipe of docs/key-delivery.md, and what the client says of it."""
+    """What passes by the recipe of docs/keys.md, and what the client says of it."""
     port = free_port()
     common = ["-tls1_3", "-psk_identity", identity, "-psk"]
     server = subprocess.Popen(

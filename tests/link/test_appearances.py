@@ -64,8 +64,7 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 
 def told(world: World, side: Side) -> str:
-    end = world.ends[side]
-    keyed: Any = getattr(end, "sender", end)
+    keyed: Any = world.ends[side]
     stopped: str = keyed.keying.told("")["keys_stopped"]
     return stopped
 

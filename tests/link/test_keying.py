@@ -5,17 +5,18 @@ from dataclasses import replace
 
 import pytest
 
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import Sender
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
 from protocol.secret.tasks import BlockVerdict, Broken, Judged
 from runtime.journal import ReceiverStep
+from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import ScriptedLine
 
@@ -302,26 +303,19 @@ ROWS = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
 RULES = replace(line_rules(alpha=4.0, largest_input=5.0), schedule=SCHEDULE)
 
 
-class Nothing:
-    def payload(self, number: int) -> bytes | None:
-        return None
-
-    def symbol(self, transition: int, size: int) -> int:
-        return 0
-
-
-def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) -> Sender:
+def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) -> ControllerCore:
     draws = iter(NONCES[2:])
-    return Sender(
+    return ControllerCore(
         RULES,
         lambda x: ((0.0,), (1.0,)),
-        Nothing(),
-        Nothing(),
-        OTHER,
-        record,
-        step,
-        ROWS,
-        lambda: next(draws),
+        OneMessage(),
+        Zeros(),
+        instance=OTHER,
+        period_s=PERIOD_S,
+        record=record,
+        step=step,
+        contributions=ROWS,
+        nonces=lambda: next(draws),
     )
 
 
@@ -360,7 +354,7 @@ AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=T
     ids=["sender", "sender with a step", "receiver", "receiver with a step"],
 )
 def test_an_end_goes_on_with_its_last_word_and_its_rows(
-    begun: Callable[[], Sender | PlantCore], word: tuple[int, str]
+    begun: Callable[[], ControllerCore | PlantCore], word: tuple[int, str]
 ) -> None:
     keying = begun().keying
     assert keying.word() == word

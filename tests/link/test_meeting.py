@@ -3,10 +3,10 @@
 import pytest
 from pydantic import ValidationError
 
+from controller_service.core import STALE
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import STALE, Sender
-from protocol.link.sender_session import SenderEffects
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
+from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done, OneMessage
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
@@ -16,26 +16,13 @@ A, B, P, Q = (letter * 16 for letter in "abcd")
 NEW = "2" * 16
 
 
-class Outbox:
-    def __init__(self, payload: bytes = b"hello") -> None:
-        self._payload = payload
-
-    def payload(self, number: int) -> bytes | None:
-        return self._payload if number == 0 else None
-
-
-class Zeros:
-    def symbol(self, transition: int, size: int) -> int:
-        return 0
-
-
 def controller(
     instance: str, record: SenderRecord | None = None, payload: bytes = b"hello"
-) -> Sender:
+) -> ControllerInHand:
     def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
         return ((1.5 - x[0],), (-1.5 - x[0],))
 
-    return Sender(RULES, propose, Outbox(payload), Zeros(), instance, record)
+    return ControllerInHand(RULES, propose, instance, record, messages=OneMessage(payload))
 
 
 def plant(instance: str, record: ReceiverRecord | None = None, chunks: str = "") -> PlantInHand:
@@ -43,7 +30,7 @@ def plant(instance: str, record: ReceiverRecord | None = None, chunks: str = "")
     return PlantInHand(RULES, instance, record or first, chunks)
 
 
-def meet(sender: Sender, receiver: PlantInHand) -> None:
+def meet(sender: ControllerInHand, receiver: PlantInHand) -> None:
     said: ControllerHello | None = sender.greeting()
     for _ in range(4):
         assert said is not None
@@ -53,7 +40,7 @@ def meet(sender: Sender, receiver: PlantInHand) -> None:
     raise AssertionError("they did not meet")
 
 
-def answer(sender: Sender, measurement: Measurement) -> Offer:
+def answer(sender: ControllerInHand, measurement: Measurement) -> Offer:
     effects = sender.measured(measurement)
     if effects.append:
         sender.finish_step()
@@ -61,7 +48,7 @@ def answer(sender: Sender, measurement: Measurement) -> Offer:
     return effects.offer
 
 
-def step(sender: Sender, receiver: PlantInHand, d: float = 0.5) -> Offer:
+def step(sender: ControllerInHand, receiver: PlantInHand, d: float = 0.5) -> Offer:
     """A step that agrees on a key where it is tested."""
     offer = answer(sender, receiver.measurement())
     assert receiver.check(offer) == "current"
@@ -70,7 +57,7 @@ def step(sender: Sender, receiver: PlantInHand, d: float = 0.5) -> Offer:
     return offer
 
 
-def met(steps: int = 0) -> tuple[Sender, PlantInHand]:
+def met(steps: int = 0) -> tuple[ControllerInHand, PlantInHand]:
     sender, receiver = controller(A), plant(P)
     meet(sender, receiver)
     for i in range(steps):
@@ -103,7 +90,7 @@ def test_a_controller_takes_up_no_session_that_is_not_offered_to_it() -> None:
     assert A in effects.refusal
     assert B in effects.refusal
     assert sender.record.session is None
-    assert sender.measured(receiver.measurement()) == SenderEffects()
+    assert sender.measured(receiver.measurement()) == NOTHING
 
 
 def test_a_session_is_handed_to_another_controller_only_with_its_journal() -> None:
@@ -162,7 +149,7 @@ def test_a_hello_to_a_former_life_of_the_controller_is_answered_and_ends_nothing
     again = controller(B, sender.record)
     meet(again, receiver)
     session = again.record.session
-    assert again.heard_plant(late) == SenderEffects(greet=True)
+    assert again.heard_plant(late) == Done(reply=again.greeting())
     assert again.record.session == session
     step(again, receiver)
     assert receiver.record.sessions == 1
@@ -221,7 +208,7 @@ def test_who_is_overtaken_offers_nothing_more_in_that_session() -> None:
     effects = sender.heard_plant(receiver.hello())
     assert effects.save
     assert sender.record.session is None
-    assert sender.measured(receiver.measurement()) == SenderEffects()
+    assert sender.measured(receiver.measurement()) == NOTHING
 
 
 def test_the_one_asked_answers_again_and_ends_the_search() -> None:
@@ -259,7 +246,7 @@ def test_a_hello_that_was_overtaken_ends_nothing(late: str) -> None:
         step(sender, receiver)
     answer(sender, receiver.measurement())
     session = sender.record.session
-    assert sender.heard_plant(repeat) == SenderEffects()
+    assert sender.heard_plant(repeat) == NOTHING
     step(sender, receiver)
     assert sender.record.session == session
 
@@ -286,7 +273,7 @@ def test_a_hello_of_its_own_ended_session_is_answered_and_changes_nothing() -> N
     sender, receiver = met()
     old = receiver.hello()
     forged = receiver.measurement().model_copy(update={"applied_k": 7, "x_after": (0.0,)})
-    assert sender.measured(forged).greet
+    assert sender.measured(forged).reply
     meet(sender, receiver)
     step(sender, receiver)
     record = sender.record
@@ -431,7 +418,7 @@ def test_a_vector_of_a_wrong_length_is_named(
 # --- journals that do not fit ---------------------------------------------------------------------
 
 
-def back_in_session(sender: Sender, receiver: PlantInHand, sessions: int) -> None:
+def back_in_session(sender: ControllerInHand, receiver: PlantInHand, sessions: int) -> None:
     """The two find together again, in that many sessions in all, and the message arrives."""
     meet(sender, receiver)
     assert receiver.record.sessions == sessions
@@ -454,7 +441,7 @@ def test_a_plant_that_says_something_else_at_the_same_step_ends_the_session(
     answer(sender, measurement)
     effects = sender.measured(measurement.model_copy(update=change))
     assert effects.save
-    assert effects.greet
+    assert effects.reply == sender.greeting()
     assert effects.offer is None
     assert sender.record.session is None
     back_in_session(sender, receiver, 2)
@@ -528,5 +515,5 @@ def test_repeats_from_before_end_nothing_while_newer_ones_come_between() -> None
         step(sender, receiver)
         answer(sender, receiver.measurement())
         for _ in range(STALE - 1):
-            assert sender.measured(old) == SenderEffects()
+            assert sender.measured(old) == NOTHING
     assert sender.record.session == receiver.record.session

@@ -6,20 +6,20 @@ from typing import Any
 
 import pytest
 
+from controller_service.core import REMEMBERED_SESSIONS, STALE
 from protocol.agreement import INSIDE, AgreementRule, Gauge
 from protocol.link.events import FrameRefused
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import STALE, Sender
-from protocol.link.sender_session import REMEMBERED_SESSIONS, SenderEffects
 from protocol.link.session import Rules
-from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
+from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import fresh_nonce
+from protocol.secret.nonces import Contribution, fresh_nonce
 from protocol.secret.tasks import BlockVerdict
 from protocol.vectors import Vector
+from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
@@ -30,26 +30,18 @@ A, B, P, Q = (letter * 16 for letter in "abcd")
 CANDIDATES = ((1.5,), (-1.5,))
 
 
-class Outbox:
-    def payload(self, number: int) -> bytes | None:
-        return None
-
-
-class Zeros:
-    def symbol(self, transition: int, size: int) -> int:
-        return 0
-
-
 def propose(x: Vector) -> tuple[Vector, ...]:
     if x[0] > 100:
         raise LookupError(f"no answer at {x[0]:g}")
     return CANDIDATES
 
 
-def controller(record: SenderRecord | None = None, rules: Rules = RULES, **more: Any) -> Sender:
+def controller(
+    record: SenderRecord | None = None, rules: Rules = RULES, **more: Any
+) -> ControllerInHand:
     """A process that is the life of its journal which ``record`` counts."""
     read = None if record is None else record._replace(incarnation=record.incarnation - 1)
-    return Sender(rules, propose, Outbox(), Zeros(), A, read, **more)
+    return ControllerInHand(rules, propose, A, read, **more)
 
 
 def hello(**fields: object) -> PlantHello:
@@ -82,6 +74,7 @@ def measurement(**fields: object) -> Measurement:
     return made.model_copy(update=fields)
 
 
+GREETING = reply("greeting", session=None, answers=None)
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 RECORD = SenderRecord(
     session=S,
@@ -102,7 +95,7 @@ OVER = SenderRecord(incarnation=1, ended=(T, S), state=Switched(2).initial, mess
 """What is left of :data:`RECORD` when its session is over: the message starts again."""
 
 
-def at_work() -> Sender:
+def at_work() -> ControllerInHand:
     sender = controller(RECORD)
     assert sender.heard_plant(hello(transitions=2, applied_k=1)).reply == reply("accepted")
     assert sender.plant == P
@@ -120,9 +113,7 @@ def test_the_first_word_names_the_session_of_the_journal() -> None:
 def test_another_model_is_named() -> None:
     sender = controller()
     said = sender.heard_plant(hello(fingerprint=OTHER))
-    assert said == SenderEffects(
-        reply=reply("other-model"), refusal=f"plant {P} shares another model"
-    )
+    assert said == Done(reply=reply("other-model"), refusal=f"plant {P} shares another model")
     assert sender.refused
     assert not sender.heard_plant(hello()).refusal
     for record in (RECORD, OVER):  # it has met a plant of its own
@@ -133,28 +124,27 @@ def test_another_model_is_named() -> None:
 
 def test_a_second_plant_is_named_while_the_first_runs() -> None:
     sender = at_work()
+    assert sender.measured(measurement(k=3, applied_k=1, x=(0.0,))).offer == OFFER
     why = f"plant {Q} speaks up while plant {P} runs: two plants on one loop?"
-    assert sender.heard_plant(hello(instance=Q, session=NEW), running=True) == SenderEffects(
-        refusal=why
-    )
+    assert sender.heard_plant(hello(instance=Q, session=NEW), running=True) == Done(refusal=why)
     assert sender.plant == P
     assert sender.record == RECORD
 
 
 def test_a_hello_to_anyone_is_greeted() -> None:
     said = at_work().heard_plant(hello(controller=None, session=NEW))
-    assert said == SenderEffects(reply=reply("greeting", answers=None))
+    assert said == Done(reply=reply("greeting", answers=None))
 
 
 def test_journals_that_do_not_fit_together() -> None:
     for applied_k in (1, 3):
         sender = controller(RECORD)
         said = sender.heard_plant(hello(transitions=2, applied_k=applied_k))
-        assert said == SenderEffects(reply=reply("accepted"))
+        assert said == Done(reply=reply("accepted"))
         assert sender.record == RECORD
     for applied_k in (0, 2, 4):
         said = controller(RECORD).heard_plant(hello(transitions=2, applied_k=applied_k))
-        assert said == SenderEffects(
+        assert said == Done(
             reply=reply("unknown-session"), refusal="the journals do not fit together"
         )
     unanswered = controller(RECORD._replace(offer=None))
@@ -165,7 +155,7 @@ def test_journals_that_do_not_fit_together() -> None:
 @pytest.mark.parametrize("fields", [{"session": NEW, "transitions": 1}, {"session": T}])
 def test_a_session_of_another_journal(fields: dict[str, object]) -> None:
     said = controller(RECORD).heard_plant(hello(**fields))
-    assert said == SenderEffects(
+    assert said == Done(
         reply=reply("unknown-session", session=fields["session"]),
         refusal="the plant is in a session this journal does not know",
     )
@@ -174,7 +164,7 @@ def test_a_session_of_another_journal(fields: dict[str, object]) -> None:
 def test_a_new_session_ends_the_one_before_and_begins_the_message_again() -> None:
     sender = controller(RECORD)
     said = sender.heard_plant(hello(session=NEW))
-    assert said == SenderEffects(save=True, reply=reply("accepted", session=NEW))
+    assert said == Done(save=True, reply=reply("accepted", session=NEW))
     assert sender.plant == P
     assert sender.record == OVER._replace(session=NEW)
 
@@ -192,19 +182,19 @@ def test_who_is_asked_for_another_steps_back() -> None:
     why = f"plant {P} is with controller {B}, and not with this one, {A}"
     sender = at_work()
     overtaken = sender.heard_plant(hello(controller=B, transitions=2, applied_k=1))
-    assert overtaken == SenderEffects(save=True, refusal=why)
+    assert overtaken == Done(save=True, refusal=why)
     assert sender.plant is None
     assert sender.record == OVER
     sender = at_work()
-    assert sender.heard_plant(hello(controller=B, session=NEW)) == SenderEffects(refusal=why)
+    assert sender.heard_plant(hello(controller=B, session=NEW)) == Done(refusal=why)
     assert sender.plant is None
     assert sender.record == RECORD
     # it does not ask which session that is, as it knows; it asks of any other
-    assert sender.measured(measurement(session=NEW)) == SenderEffects()
-    assert sender.measured(measurement(session=T)) == SenderEffects(greet=True)
+    assert sender.measured(measurement(session=NEW)) == NOTHING
+    assert sender.measured(measurement(session=T)) == Done(reply=sender.greeting())
     # asked again, or anyone being asked, it speaks up once more
     sender.heard_plant(hello(controller=None, session=NEW))
-    assert sender.measured(measurement(session=NEW)) == SenderEffects(greet=True)
+    assert sender.measured(measurement(session=NEW)) == Done(reply=sender.greeting())
 
 
 def test_who_never_took_it_up_keeps_its_journal_when_it_steps_back() -> None:
@@ -254,9 +244,9 @@ def test_a_measurement_that_the_journal_rules_out_ends_the_session(
 ) -> None:
     sender = at_work()
     told = measurement(**fields)
-    assert sender.measured(told) == SenderEffects(
+    assert sender.measured(told) == Done(
         save=True,
-        greet=True,
+        reply=reply("greeting", session=None, answers=None),
         refusal=f"measurement {told.k} does not follow from the journal; session ended",
     )
     assert sender.record == OVER
@@ -268,10 +258,10 @@ def test_so_many_measurements_of_steps_gone_by_end_the_session() -> None:
     old = measurement(k=2, applied_k=1)
     for _ in range(2):
         for _ in range(STALE - 1):
-            assert sender.measured(old) == SenderEffects()
+            assert sender.measured(old) == NOTHING
         assert sender.measured(measurement(k=3, applied_k=1, x=(0.0,))).offer == OFFER
     for _ in range(STALE - 1):
-        assert sender.measured(old) == SenderEffects()
+        assert sender.measured(old) == NOTHING
     assert sender.measured(old).refusal == (
         "measurement 2 does not follow from the journal; session ended"
     )
@@ -291,21 +281,47 @@ def test_where_the_law_has_no_answer_the_transition_counts_all_the_same() -> Non
     assert (sender.record.x, sender.record.offer) == ((101.0,), None)
 
 
+def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> None:
+    """A process that dies there would make another key block than the plant."""
+    rules = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    row = Contribution(1, 1, b"n" * 32, None)
+    sender = ControllerInHand(rules, propose, A, RECORD._replace(incarnation=0), None, [row])
+    sender.heard_plant(hello(transitions=2, applied_k=1))
+    counted = sender.measured(measurement(x=(101.0,)))
+    assert counted.save
+    assert counted.contribution is not None
+    assert counted.contribution.j == 2
+
+
 def test_a_difference_of_key_blocks_ends_the_session() -> None:
     sender = at_work()
-    assert sender.unequal() == SenderEffects(
-        save=True, greet=True, refusal="a key block differs from the plant's; session ended"
+    told = BlockAnnouncement(side="plant", session=S, block=0, tag="c" * 32, waiting=1)
+    sender = ControllerInHand(
+        replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4)),
+        propose,
+        A,
+        RECORD._replace(incarnation=0, transitions=3),
+        contributions=[Contribution(j, 1, b"n" * 32, None) for j in (1, 2)],
+    )
+    sender.core.start(0.0)
+    sender.heard_plant(hello(transitions=3, applied_k=1))
+    sender.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0)
+    ended = sender.hear_of_blocks(told)
+    assert ended == Done(
+        save=True,
+        reply=GREETING,
+        refusal="a key block differs from the plant's; session ended",
     )
     assert sender.record == OVER
 
 
 def test_an_answer_is_settled_before_the_next_measurement() -> None:
     sender = at_work()
-    with pytest.raises(AssertionError, match=r"^there is no answer to settle"):
+    with pytest.raises(AssertionError, match=r"^nothing waits to be finished"):
         sender.finish_step()
     sender.measured(measurement())
     assert sender.unfinished
-    with pytest.raises(AssertionError, match=r"^the answer before has not been settled"):
+    with pytest.raises(AssertionError, match=r"^the step before has not been counted"):
         sender.measured(measurement(k=5))
 
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Outgoing, Save, Write
@@ -72,7 +72,7 @@ class Controller:
         self.shift = SHIFTS[number]
         self.journal = link.controller_journal(*PAYLOADS[number])
         self.ports = CrashingPorts(ToldPorts(self.journal, self.said, link.counted))
-        self.endpoint: ControllerPeer
+        self.endpoint: ControllerCore
         self.offered: list[Offer] = []
         self.link = link
 
@@ -175,7 +175,7 @@ class Link(RuleBasedStateMachine):
         except Crashed:
             self.start_controller(one)
             return
-        record = one.endpoint.sender.record
+        record = one.endpoint.record
         for offer in one.offered:
             if offer == record.offer:
                 at = (offer.session, record.transitions)

@@ -16,8 +16,6 @@ from plant_service.core import CHUNK_SYMBOLS
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import Sender
-from protocol.link.sender_session import SenderEffects
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import Scheme
@@ -28,6 +26,7 @@ from protocol.secret.blocks import NO_TAG, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes
 from protocol.vectors import Vector
+from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
@@ -38,8 +37,16 @@ APART = 4.0
 
 
 class Outbox:
+    queued = len(PAYLOADS)
+
     def payload(self, number: int) -> bytes | None:
         return PAYLOADS[number] if number < len(PAYLOADS) else None
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        return self.payload(int(identifier))
+
+    def identifier(self, number: int) -> str:
+        return str(number)
 
 
 class Draws:
@@ -85,11 +92,18 @@ class Ends:
 
     def controller(
         self, record: SenderRecord | None, step: tuple[Measurement, Offer] | None = None
-    ) -> Sender:
+    ) -> ControllerInHand:
         """A process of it, with the rows that its journal has."""
         counted = [row for row in self.rows if record is not None and row.j < record.transitions]
-        return Sender(
-            self.rules, self.propose, Outbox(), self.draws, CONTROLLER, record, step, counted
+        return ControllerInHand(
+            self.rules,
+            self.propose,
+            CONTROLLER,
+            record,
+            step,
+            counted,
+            messages=Outbox(),
+            fresh=self.draws,
         )
 
     def meet(self) -> None:
@@ -163,7 +177,7 @@ class Ends:
         effects = self.sender.measured(measurement)
         offer = effects.offer
         assert offer is not None
-        assert effects == SenderEffects(append=True, offer=offer)
+        assert effects == Done(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
             self.sender = self.controller(self.said, (measurement, offer))
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
@@ -223,7 +237,7 @@ class Ends:
                 message=message,
                 offset=within + framed,
             )
-        assert self.sender.finish_step() == SenderEffects(
+        assert self.sender.finish_step() == Done(
             save=delivered is not None,
             transition=counted,
             delivered=delivered,

@@ -15,11 +15,10 @@ import pytest
 
 from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import Sender
-from protocol.link.sender_session import SenderEffects
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from runtime.journal import ReceiverStep
+from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
@@ -49,8 +48,18 @@ class Queue:
     def __init__(self) -> None:
         self.payloads: list[bytes] = []
 
+    @property
+    def queued(self) -> int:
+        return len(self.payloads)
+
     def payload(self, number: int) -> bytes | None:
         return self.payloads[number] if number < len(self.payloads) else None
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        return self.payload(int(identifier))
+
+    def identifier(self, number: int) -> str:
+        return str(number)
 
 
 class Link:
@@ -84,8 +93,16 @@ class Link:
 
     def new_sender(
         self, record: SenderRecord | None, step: tuple[Measurement, Offer] | None = None
-    ) -> Sender:
-        return Sender(RULES, propose, self.queue, self.draws, self.instance(), record, step)
+    ) -> ControllerInHand:
+        return ControllerInHand(
+            RULES,
+            propose,
+            self.instance(),
+            record,
+            step,
+            messages=self.queue,
+            fresh=self.draws,
+        )
 
     def new_receiver(self, record: ReceiverRecord, step: ReceiverStep | None = None) -> PlantInHand:
         return PlantInHand(RULES, self.instance(), record, step=step)
@@ -156,7 +173,7 @@ class Link:
             return
         self.carry_out(effects)
 
-    def carry_out(self, effects: SenderEffects) -> None:
+    def carry_out(self, effects: Done) -> None:
         settled = self.sender.finish_step() if effects.append else effects
         if effects.offer is not None:
             record = self.sender.record
@@ -168,12 +185,12 @@ class Link:
         self.settled(settled)
         if effects.refusal:
             self.say("controller", effects.refusal)
-        if effects.reply is not None:
-            self.say("controller", f"says {effects.reply.verdict}")
-        if effects.greet:
+        if effects.reply is not None and effects.reply.verdict == "greeting":
             self.say("controller", "greets: which session is this?")
+        elif effects.reply is not None:
+            self.say("controller", f"says {effects.reply.verdict}")
 
-    def settled(self, effects: SenderEffects) -> None:
+    def settled(self, effects: Done) -> None:
         if effects.transition is not None:
             self.tell("controller", effects.transition)
         if effects.save:
@@ -235,7 +252,7 @@ class Link:
                 late = next(m for m in self.measured if m.k == int(values["k"]))
                 effects = self.sender.measured(late)
                 self.carry_out(effects)
-                if effects.offer is None and not effects.greet:
+                if effects.offer is None and effects.reply is None:
                     self.say("controller", f"ignores measurement {late.k}")
             case ["answer", *how]:
                 self.answer(" ".join(how))

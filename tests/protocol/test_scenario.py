@@ -376,33 +376,12 @@ def test_keys_are_made_under_a_claim_that_is_stated() -> None:
     assert (schedule.first, schedule.largest) == (44, 256)
 
 
-def test_bursts_take_the_place_of_the_claim() -> None:
-    bursts = {"loss_good": 0.1, "loss_bad": 0.9, "to_bad": 0.067, "to_good": 0.2}
-    data = with_value("keys", {"bursts": bursts})
-    keys = parse_scenario(data, "paper").keys
-    assert keys is not None
-    assert keys.assumption().eps_E == pytest.approx(0.1536)
-    assert keys.assumption().misses(512) == 40
-    data["keys"]["eps_E"] = 0.3
-    with pytest.raises(ScenarioError, match="expected eps_E, or a table bursts"):
-        parse_scenario(data, "paper")
-
-
-@pytest.mark.parametrize(
-    ("beside", "value"),
-    [
-        ("unheard_bits", 128),
-        ("bursts", {"loss_good": 0.1, "loss_bad": 0.9, "to_bad": 0.067, "to_good": 0.2}),
-    ],
-)
-def test_parts_of_a_message_that_leaves_twice_are_not_claimed(beside: str, value: object) -> None:
+def test_parts_of_a_message_that_leaves_twice_are_not_claimed() -> None:
     """The half that she did not hear of one appearance she may hear of the other."""
     data = with_value("keys", {"eps_E": 0.3, "appearances": 2})
     assert parse_scenario(data, "paper").keys is not None
-    data["keys"][beside] = value
-    if beside == "bursts":
-        data["keys"]["eps_E"] = 0.0
-    with pytest.raises(ScenarioError, match=f"appearances = 2 beside {beside}, expected 1"):
+    data["keys"]["unheard_bits"] = 128
+    with pytest.raises(ScenarioError, match="appearances = 2 beside unheard_bits, expected 1"):
         parse_scenario(data, "paper")
 
 

@@ -26,9 +26,9 @@ from runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.options import add_fleet_arguments, add_message_arguments, message_of
 from runtime.pace import Pace
-from runtime.parts import Bounds
+from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
-from runtime.trace import read_trace
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 
 ONE = '[[loop]]\nid = "one"\nmessage = "m"\nseed = 1\n'
@@ -366,7 +366,7 @@ def test_twice_too_much_is_missed_evenly_and_nothing_is_missed_afterwards(
         law.seconds = 0.01
         time.sleep(1.0)
         before = counts()
-        time.sleep(6.0)  # a status is written once a second: a short window would count its lateness
+        time.sleep(6.0)  # a status is written once a second; a short window counts its lateness
         after = counts()
         made = [b[0] - a[0] for a, b in zip(before, after, strict=True)]
         missed = [b[1] - a[1] for a, b in zip(before, after, strict=True)]

@@ -15,8 +15,7 @@ from runtime.files import (
     write_atomically,
 )
 from runtime.journal import PlantJournal
-from runtime.jsonl import LONGEST, LineWriter, decode, read_lines
-from runtime.trace import TraceWriter
+from runtime.recording import LONGEST, LineWriter, TraceWriter, decode, read_lines
 
 
 def mode(path: Path) -> int:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from runtime.trace import TRACE_VERSION, TraceError, TraceWriter, read_trace
+from runtime.recording import TRACE_VERSION, TraceError, TraceWriter
 from tests.support.lines import unmark
+from tests.support.traces import read_trace
 
 
 def write(path: Path, *events: dict[str, object], header: dict[str, object] | None = None) -> None:
@@ -20,7 +21,7 @@ def write(path: Path, *events: dict[str, object], header: dict[str, object] | No
 
 def test_events_come_back_in_order_after_the_header(tmp_path: Path) -> None:
     path = tmp_path / "plant" / "trace.jsonl"
-    events = [{"event": "transition", "j": j, "x": [0.1 * j, -3e-17]} for j in range(5)]
+    events = [{"event": "measured", "j": j, "x": [0.1 * j, -3e-17]} for j in range(5)]
     write(path, *events)
     trace = read_trace(path)
     assert trace.header["vantage"] == "plant"
@@ -38,8 +39,9 @@ def test_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
 
 def test_an_event_is_on_disk_when_write_returns(tmp_path: Path) -> None:
     writer = TraceWriter(tmp_path / "t", "plant", {})
-    writer.write({"event": "missed", "k": 3})
-    assert list(read_trace(tmp_path / "t").of("missed")) == [{"event": "missed", "k": 3}]
+    event = {"event": "missed", "session": "1", "k": 3}
+    writer.write(event)
+    assert list(read_trace(tmp_path / "t").of("missed")) == [event]
     writer.close()
 
 
@@ -117,7 +119,7 @@ def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
     script = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from runtime.trace import TraceWriter\n"
+        "from runtime.recording import TraceWriter\n"
         "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
         "size = Path(sys.argv[1]).stat().st_size\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
 from protocol.secret.blocks import schedule_of
-from protocol.secret.bound import Assumption, GilbertElliott, clopper_pearson, quantile
+from protocol.secret.bound import Assumption, quantile
+from protocol.statistics import clopper_pearson
 from tap_service.inference.key_solver import bits_held
+from wyner.studies.keys import GilbertElliott
 
 
 def exact_tail(n: int, e: Fraction, m: int) -> Fraction:
@@ -64,12 +66,6 @@ def test_rows_are_what_is_missed_less_what_was_lost() -> None:
     assert claim.rows(transitions=256, steps=400, counted=512) == 0
     one_way = Assumption(0.3, directions="offers")
     assert one_way.rows(transitions=512, steps=512, counted=512) == 85
-
-
-def test_independence_is_an_assumption_of_its_own() -> None:
-    free = Assumption(0.3, independent=True)
-    assert free.rows(transitions=256, steps=260, counted=515) == quantile(515, 0.3, 1e-12)
-    assert "whatever the link itself loses" in free.sentence()
 
 
 CHAINS = {  # e_G, e_B, mean burst: Q by the chain and by eps_inf, for 512 and 8192 copies

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Append, Peer
-from protocol.link.sender import Sender
-from protocol.messages import Measurement
+from protocol.messages import Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of
@@ -146,20 +146,14 @@ def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
 
 
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:
-    measured = Sender.measured
+    offers = ControllerCore._offers
 
-    def wrong(self: Sender, measurement: Measurement) -> object:
-        known = self.record.k
-        effects = measured(self, measurement)
-        if effects.append and measurement.k > known and self._answer is not None:
-            offer = self._answer.offer
-            assert offer is not None
-            offer = offer.model_copy(update={"heard": 0})
-            self._answer = self._answer._replace(offer=offer)
-            return effects._replace(offer=offer)
-        return effects
+    def wrong(self: ControllerCore, offer: Offer, answers: bytes = b"") -> Actions:
+        if answers and self._step is not None:
+            offer = self._step.offer = offer.model_copy(update={"heard": 0})
+        return offers(self, offer, answers)
 
-    patch.setattr(Sender, "measured", wrong)
+    patch.setattr(ControllerCore, "_offers", wrong)
 
 
 def nonces_swapped(patch: pytest.MonkeyPatch) -> None:

@@ -22,11 +22,12 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
 from protocol.schemes.switched import MESSAGE, TEST
+from runtime.recording import TraceReader, TraceWriter
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
-from runtime.trace import TraceReader, TraceWriter
-from wyner.scoring.replay import Replay
-from wyner.scoring.score import read_truth, score
+from wyner.runs.run import Run
+from wyner.runs.score.replay import Replay
+from wyner.runs.score.score import read_truth, score
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
@@ -206,7 +207,7 @@ def compare_all(case: Case, folder: Path) -> None:
     replay = Replay(folder / "live", ("nearest-centre",))
     replay.run()
     (said,) = replay.said()
-    share = score(read_truth(folder / "live"), said).keys.share
+    share = score(read_truth(Run.load(folder / "live")), said).keys.share
     assert share is not None
     assert share > 0.99
 

@@ -16,7 +16,7 @@ from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother
 from tests.support.safety import violations
-from wyner.scoring.score import score
+from wyner.runs.score.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.faults import Faults

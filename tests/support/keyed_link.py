@@ -7,7 +7,7 @@ and over what, and what must hold is checked as it goes.
 from collections.abc import Callable
 from typing import Literal
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Applied, Event
 from protocol.link.key_events import BlockJudged
@@ -128,7 +128,7 @@ class World:
         self.ends[side] = self.controller() if side == "controller" else self.plant()
         self.carry_out(side, self.ends[side].start(self.now))
 
-    def controller(self) -> ControllerPeer:
+    def controller(self) -> ControllerCore:
         journal = self.journals["controller"]
         assert isinstance(journal, MemoryControllerJournal)
         return line_controller(

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, Plant
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Append, Notice, Outgoing, Write
 from protocol.link.records import ReceiverRecord
-from protocol.link.sender import Sender
 from protocol.link.session import Rules
 from protocol.messages import Measurement, Message, Status
 from protocol.secret.nonces import NonceSource, fresh_nonce
@@ -124,12 +123,22 @@ def line_controller(
     instance: str,
     nonces: NonceSource = fresh_nonce,
     period_s: float = PERIOD_S,
-) -> ControllerPeer:
+) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
     record, step = journal.load(), journal.step()
     contributions = journal.contributions(None if record is None else record.session)
-    sender = Sender(rules, propose, journal, fresh, instance, record, step, contributions, nonces)
-    return ControllerPeer(sender, journal, period_s)
+    return ControllerCore(
+        rules,
+        propose,
+        journal,
+        fresh,
+        instance=instance,
+        period_s=period_s,
+        record=record,
+        step=step,
+        contributions=contributions,
+        nonces=nonces,
+    )
 
 
 def line_plant(

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+from controller_service.core import ControllerCore
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import Event
 from protocol.link.peer import Actions, Outgoing, Peer
-from protocol.link.sender import Sender
 from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
@@ -26,12 +26,13 @@ from runtime.keys.key_maker import KeyMaker, work
 from runtime.pace import Pace
 from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Files, LoopPorts
+from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
-from runtime.trace import TraceWriter, read_trace
 from tap_service.capture.recording import mirror_line
 from tests.support.small_run import SCENARIOS, kill, law_of
-from wyner.verify import check
-from wyner.verify.evidence import read_evidence
+from tests.support.traces import read_trace
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 Side = Literal["plant", "controller"]
 
@@ -181,17 +182,15 @@ class RecordedLoop:
             self._mail[partner].append(message)
 
     @property
-    def sender(self) -> Sender:
+    def controller(self) -> ControllerCore:
         """The controller's end of the link."""
-        found: Sender = self._ends["controller"].endpoint.sender  # type: ignore[attr-defined]
+        found = self._ends["controller"].endpoint
+        assert isinstance(found, ControllerCore)
         return found
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
-        sender = self.sender
-        answer = sender._answer
-        counts = answer is not None and answer.offer == offer and answer.counted is not None
-        at = offer.session, sender.record.transitions + counts
+        at = offer.session, self.controller.reported
         first = self.ciphers.setdefault(at, offer.cipher)
         assert first == offer.cipher, f"transition {at}: offered ciphers {first}, {offer.cipher}"
 
@@ -254,7 +253,7 @@ class RecordedLoop:
     @property
     def delivered(self) -> int:
         """Messages that the controller knows to be delivered."""
-        return self.sender.record.message
+        return self.controller.record.message
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""

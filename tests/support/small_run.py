@@ -18,15 +18,14 @@ from plant_service.plant import Coin, Disturbances, LinearModel
 from protocol.link.events import Applied, Recovered, SessionBegan
 from protocol.link.fallback import Fallback
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import Sender
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 from runtime.journal import ReceiverStep
-from runtime.parts import Bounds
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from runtime.trace import TraceWriter
+from tests.support.controller_in_hand import ControllerInHand
 from tests.support.plant_in_hand import PlantInHand
 
 SCENARIOS: Final = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
@@ -58,9 +57,16 @@ class Queue:
 
     def __init__(self, payloads: tuple[bytes, ...]) -> None:
         self.payloads = payloads
+        self.queued = len(payloads)
 
     def payload(self, number: int) -> bytes | None:
         return self.payloads[number] if number < len(self.payloads) else None
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        return self.payload(int(identifier))
+
+    def identifier(self, number: int) -> str:
+        return str(number)
 
 
 class SmallRun:
@@ -221,15 +227,15 @@ class SmallRun:
             said = effects.reply
         raise AssertionError("the two ends did not meet")
 
-    def _new_sender(self, record: SenderRecord | None) -> Sender:
+    def _new_sender(self, record: SenderRecord | None) -> ControllerInHand:
         self._lives += 1
-        return Sender(
+        return ControllerInHand(
             rules_of(self.scenario),
             self._law.candidates,
-            self._queue,
-            SeededSymbols(self._seed, CIPHER, run=self._lives),
             f"{self._lives:016x}",
             record,
+            messages=self._queue,
+            fresh=SeededSymbols(self._seed, CIPHER, run=self._lives),
         )
 
     def _new_plant(

@@ -16,9 +16,9 @@ from protocol.messages import Measurement, Offer, PlantHello, SendCommand
 from protocol.topics import key_of
 from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
-from runtime.trace import read_trace
 from runtime.zenoh_bus import ZenohBus
 from tests.support.matched import matched
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]

@@ -16,7 +16,6 @@ import pytest
 
 from runtime.errors import UsageError
 from runtime.options import message_of
-from runtime.private_arguments import without_message
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_KEYS,
@@ -24,7 +23,7 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_TRACE,
 )
-from runtime.trace import read_trace
+from tests.support.traces import read_trace
 
 SECRET = "q9"
 
@@ -39,21 +38,6 @@ def command_lines() -> list[bytes]:
             except OSError:
                 continue
     return found
-
-
-@pytest.mark.parametrize(
-    ("arguments", "kept", "text"),
-    [
-        (["up", "--message", "hi"], ["up", "--message-file", "F"], "hi"),
-        (["up", "--message=a=b", "--json"], ["up", "--message-file", "F", "--json"], "a=b"),
-        (["up", "--message"], ["up", "--message"], None),
-        (["up", "--message-file", "x"], ["up", "--message-file", "x"], None),
-    ],
-)
-def test_a_message_is_taken_off_the_arguments(
-    arguments: list[str], kept: list[str], text: str | None
-) -> None:
-    assert without_message(arguments, "F") == (kept, text)
 
 
 def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
@@ -77,7 +61,6 @@ def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None
     assert read_from_stdin(arguments, b"\n") is None
     assert read_from_stdin(arguments, bytes(65_535) + b"\n") == bytes(65_535)
     assert read_from_stdin(arguments, bytes(65_536)) is None
-    assert without_message(["up", "--message", "-"], "F")[1] == "-"
 
 
 @pytest.mark.slow
@@ -231,14 +214,18 @@ def test_a_runs_secrets_are_in_its_traces_and_journals_alone(tmp_path: Path) -> 
     message = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "wyner", "up", "--message", message, "--pace", "fast"),
+            *(sys.executable, "-m", "wyner", "up", "--message", "-", "--pace", "fast"),
             *("--headless", "--steps", "250", "--run-dir", str(run)),
         ],
+        stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         text=True,
     )
     seen: list[bytes] = []
+    assert process.stdin is not None
+    with process.stdin:
+        process.stdin.write(message)
     try:
         while process.poll() is None:
             if (run / MANIFEST).exists():

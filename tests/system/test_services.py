@@ -52,9 +52,9 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
-from runtime.trace import read_trace
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
+from tests.support.traces import read_trace
 from wyner.cli.main import main
 
 Service = TypeVar("Service", PlantService, ControllerService)
@@ -411,16 +411,16 @@ def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System
     with system.plant("x20") as plant, system.controller(b"one") as controller:
         system.wait(lambda: system.k > 10)
         true = plant.endpoint._measurement()
-        system.wait(lambda: controller.sender.record.k > true.k)
+        system.wait(lambda: controller.endpoint.record.k > true.k)
         put(far_ahead(controller, plant).wire())
-        system.wait(lambda: controller.sender.record.k == 10**18)
+        system.wait(lambda: controller.endpoint.record.k == 10**18)
         system.wait(lambda: system.recovered() == [b"one"])
-        assert 0 <= controller.sender.record.k < 10**6
+        assert 0 <= controller.endpoint.record.k < 10**6
 
 
 def far_ahead(controller: ControllerService, plant: PlantService) -> Measurement:
     """A measurement that the controller believes, of a step that is far away."""
-    record = controller.sender.record
+    record = controller.endpoint.record
     assert record.session is not None
     return Measurement(
         session=record.session,
@@ -471,12 +471,12 @@ def test_two_controllers_on_one_loop_take_turns(
         system.controller(b"one") as first,
         system.plant("x20") as plant,
     ):
-        names = {first.sender.instance: b"one", second.sender.instance: b"two"}
+        names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
         mine = plant.endpoint.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
-        running = first if mine == first.sender.instance else second
+        running = first if mine == first.endpoint.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
         assert plant.endpoint.controller == mine
@@ -513,11 +513,11 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
             with system.controller() as first:
                 system.wait(lambda: first.endpoint.status().detail != "")
         with system.controller(name="second") as again:
-            system.wait(lambda: plant.endpoint.controller == again.sender.instance)
+            system.wait(lambda: plant.endpoint.controller == again.endpoint.instance)
             k = system.k
             system.wait(lambda: plant.endpoint.record.applied_k > k)
-    assert second.sender.record.session == again.sender.record.session
-    assert first.sender.record.session is None
+    assert second.endpoint.record.session == again.endpoint.record.session
+    assert first.endpoint.record.session is None
 
 
 @pytest.mark.slow
@@ -548,7 +548,7 @@ def test_a_plant_without_its_journal_is_taken_up_by_a_controller_that_ran_on(
         lose(system.run_dir / PLANT_JOURNAL)
         with system.plant("x20"):
             system.wait(lambda: system.recovered() == [b"a message"])
-    assert len(controller.sender.record.ended) == 1
+    assert len(controller.endpoint.record.ended) == 1
 
 
 # --- files ----------------------------------------------------------------------------------------

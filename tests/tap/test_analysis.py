@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import TapStatus
-from runtime import jsonl
-from runtime.parts import parts_of
+from runtime import recording
+from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
@@ -104,7 +104,7 @@ def test_every_message_is_heard_or_counted_as_skipped(
     part_bytes: int,
 ) -> None:
     monkeypatch.setattr(analysis, "FAR_BEHIND", 20_000)
-    monkeypatch.setattr(jsonl, "READ_BYTES", 4000)
+    monkeypatch.setattr(recording, "READ_BYTES", 4000)
     record(run, tmp_path, part_bytes, View())
     lines = sum(p.read_bytes().count(b"\n") - 2 for p in parts_of(tmp_path / CAPTURE))
     readers: list[capture.CaptureReader] = []

@@ -15,13 +15,13 @@ import pytest
 from pydantic_core import from_json
 
 from protocol.messages import Measurement, Offer, Sealed
-from runtime import jsonl
-from runtime.parts import part_path, parts_of
+from runtime import recording
+from runtime.recording import part_path, parts_of
 from runtime.run_folder import CAPTURE
-from runtime.trace import read_trace
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tests.support.lines import unmark
+from tests.support.traces import read_trace
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"
@@ -342,7 +342,7 @@ def test_what_is_not_read_yet_is_told_in_steps_of_two_messages(tmp_path: Path) -
 def test_skipping_ahead_counts_every_line_that_it_leaves_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int, keep: int
 ) -> None:
-    monkeypatch.setattr(jsonl, "READ_BYTES", 1500)
+    monkeypatch.setattr(recording, "READ_BYTES", 1500)
     limits = Limits(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {}, limits, LOG)
@@ -380,7 +380,7 @@ def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
     record(path, 1000, Limits(part_bytes=180_000, free_bytes=0)).close()
     first, second = parts_of(path)
     assert first.stat().st_size > second.stat().st_size
-    monkeypatch.setattr(jsonl, "READ_BYTES", first.stat().st_size)
+    monkeypatch.setattr(recording, "READ_BYTES", first.stat().st_size)
     reader = CaptureReader(path)
     pending = [next(of_the_loop(reader)).k for _ in range(10)]
     first.unlink()

@@ -27,8 +27,8 @@ from tap_service.eavesdroppers import (
 )
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
-from wyner.scoring.replay import COUNTS
-from wyner.scoring.score import EavesdropperScore, Said, score
+from wyner.runs.score.replay import COUNTS
+from wyner.runs.score.score import EavesdropperScore, Said, score
 from wyner.studies.secrecy.runs import Run, simulate, text_of
 from wyner.studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 

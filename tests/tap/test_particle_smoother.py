@@ -15,7 +15,7 @@ from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.offers_reader import LEAST, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
-from wyner.scoring.score import EavesdropperScore, Said, score
+from wyner.runs.score.score import EavesdropperScore, Said, score
 from wyner.studies.secrecy.runs import Run, law_of, scenario_at, simulate
 from wyner.studies.secrecy.study import heard_by, said_about
 

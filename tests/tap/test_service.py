@@ -40,7 +40,7 @@ from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
 from tests.support.matched import matched
 from tests.support.told import log_of, told
-from wyner.scoring.replay import Replay
+from wyner.runs.score.replay import Replay
 from wyner.studies.secrecy.runs import Run, simulate
 
 LIGHT = ("set-membership", "nearest-centre")

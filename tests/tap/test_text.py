@@ -22,7 +22,7 @@ from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_reader import MessageReader, verdicts_of
-from wyner.scoring.score import score
+from wyner.runs.score.score import score
 from wyner.studies.secrecy.runs import SENTENCES as SHORT
 from wyner.studies.secrecy.runs import simulate
 from wyner.studies.secrecy.sentences import SENTENCES

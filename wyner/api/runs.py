@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wyner.verify.clause import Finding
+    from wyner.runs.check.clause import Finding
 
 
 def check(run_dir: str | Path) -> "list[Finding]":
@@ -15,8 +15,8 @@ def check(run_dir: str | Path) -> "list[Finding]":
     FileNotFoundError, ScenarioError, TraceError
         When there is no run, or it cannot be read.
     """
-    from wyner.verify import check as judge
-    from wyner.verify.evidence import read_evidence
+    from wyner.runs.check import check as judge
+    from wyner.runs.check.evidence import read_evidence
 
     return judge(read_evidence(Path(run_dir)))
 
@@ -29,6 +29,6 @@ def report(run_dir: str | Path, output: str | Path | None = None) -> Path:
     FileNotFoundError, ScenarioError, TraceError
         When there is no run, or it cannot be read.
     """
-    from wyner.run_report import write_report
+    from wyner.runs.page import write_report
 
     return write_report(Path(run_dir), None if output is None else Path(output))

@@ -123,6 +123,7 @@ def describe(
 
     import numpy as np
 
+    from protocol.statistics import normal
     from wyner.studies.noise.taps import block_left
 
     M = len(loop.offsets)
@@ -151,10 +152,10 @@ def describe(
             coins = max(1, int(math.log(MOST_BLOCKS, M) + 1e-9))
             widths = np.array(scenario.plant.disturbance.half_widths)
             left = block_left(loop, widths, noise, coins, DRAWS, SEED, told=False)
-            half = 1.96 * left.bits_error
+            interval = normal(left.bits, left.bits_error)
             row["measured"] = {
                 "bits_per_coin": left.bits,
-                "interval_95": [left.bits - half, left.bits + half],
+                "interval_95": [interval.low, interval.high],
                 "coins": coins,
                 "blocks": DRAWS,
                 "seed": SEED,

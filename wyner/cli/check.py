@@ -10,7 +10,7 @@ from protocol.text import printable
 from runtime.errors import DONE, FAILED, UsageError
 
 if TYPE_CHECKING:
-    from wyner.verify.clause import Finding
+    from wyner.runs.check.clause import Finding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _table() -> str:
     """Which files are evidence, for people."""
-    from wyner.verify.covered import KINDS
+    from wyner.runs.check.covered import KINDS
 
     wide = max(len(kind.pattern) for kind in KINDS)
     lines = ["evidence, and what holds it (the seal: that of a run that wyner up has ended):"]
@@ -82,8 +82,8 @@ def findings_of(folder: Path) -> "list[Finding]":
         When there is no run that can be read.
     """
     from protocol.scenario import ScenarioError
-    from wyner.verify import check
-    from wyner.verify.evidence import read_evidence
+    from wyner.runs.check import check
+    from wyner.runs.check.evidence import read_evidence
 
     try:
         return list(check(read_evidence(folder)))
@@ -95,9 +95,9 @@ def findings_of(folder: Path) -> "list[Finding]":
 
 def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
     """The findings of a run, for machines."""
-    from wyner.verify.covered import KINDS
-    from wyner.verify.evidence import read_manifest
-    from wyner.verify.seal import is_sealed
+    from wyner.runs.check.covered import KINDS
+    from wyner.runs.check.seal import is_sealed
+    from wyner.runs.run import Run
 
     failed = sum(f.result == "FAIL" for f in findings)
     return {
@@ -105,7 +105,7 @@ def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
         "passed": not failed,
         "failed": failed,
         "skipped": sum(f.result == "SKIP" for f in findings),
-        "sealed": is_sealed(read_manifest(folder)),
+        "sealed": is_sealed(Run.load(folder).manifest),
         "clauses": [f.as_json() for f in findings],
         "files": [kind._asdict() for kind in KINDS],
     }

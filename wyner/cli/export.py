@@ -82,9 +82,10 @@ def _steps(args: argparse.Namespace) -> int:
     from runtime.errors import DONE, Failure, UsageError, needs
     from runtime.files import PUBLIC_FILE, replacing
     from tap_service.capture.reading import CaptureError, CaptureReader
-    from wyner.scoring.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
-    from wyner.scoring.score import ScoreError
-    from wyner.scoring.step_table import step_rows, truth_by_step, write_csv, write_parquet
+    from wyner.runs.run import Run
+    from wyner.runs.score.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
+    from wyner.runs.score.score import ScoreError
+    from wyner.runs.score.step_table import step_rows, truth_by_step, write_csv, write_parquet
 
     if args.truth and not args.steps:
         raise UsageError("--truth: expected together with --steps")
@@ -96,10 +97,10 @@ def _steps(args: argparse.Namespace) -> int:
         reader = CaptureReader(Path(args.capture))
         views: list[LeakedKey] = []
         if args.leakage:
-            views = leaked_keys(reader, truth_by_step(Path(args.capture)))
+            views = leaked_keys(reader, truth_by_step(Run.load(args.capture)))
             rows = leakage_rows(views)
         else:
-            rows = step_rows(reader, truth_by_step(Path(args.capture)) if args.truth else None)
+            rows = step_rows(reader, truth_by_step(Run.load(args.capture)) if args.truth else None)
         if output is None:
             count = write_csv(rows, sys.stdout)
         else:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from wyner.dashboard.model import Arrival
-    from wyner.scoring.replay import Replay
+    from wyner.runs.score.replay import Replay
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,8 +87,9 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
-    from wyner.scoring.replay import Replay
-    from wyner.scoring.score import RunScore, ScoreError, read_truth, score, summary_of
+    from wyner.runs.run import Run
+    from wyner.runs.score.replay import Replay
+    from wyner.runs.score.score import RunScore, ScoreError, read_truth, score, summary_of
 
     at_least("--from", args.first, 0)
     at_least("--to", args.last, args.first or 0)
@@ -110,8 +111,8 @@ def run(args: argparse.Namespace) -> int:
     report = replay.report()
     if args.score is not None:
         try:
-            truth = read_truth(Path(args.score)).between(args.first, args.last)
-        except ScoreError as error:
+            truth = read_truth(Run.load(args.score)).between(args.first, args.last)
+        except (FileNotFoundError, ScoreError) as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())
         report["score"] = summary_of(RunScore(Path(args.score).name, truth, taps))
@@ -138,8 +139,8 @@ def _watch(replay: "Replay") -> None:
 def _print(report: dict[str, object]) -> None:
     from protocol.text import printable
     from tap_service.eavesdroppers.base import KeysHeld
-    from wyner.scoring.report import held_line
-    from wyner.scoring.summary import in_short
+    from wyner.runs.score.report import held_line
+    from wyner.runs.score.summary import in_short
 
     taps = report["taps"]
     assert isinstance(taps, dict)

@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from protocol.scenario import ScenarioError
-    from runtime.trace import TraceError
-    from wyner.run_report import StepError, write_report
+    from runtime.recording import TraceError
+    from wyner.runs.page import StepError, write_report
 
     try:
         with reading(str(args.run_dir)):

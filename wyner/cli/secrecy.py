@@ -4,10 +4,9 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from wyner.scoring.keys import KeyAudit
-    from wyner.scoring.score import RunScore
+    from wyner.runs.run import Run
+    from wyner.runs.score.keys import KeyAudit
+    from wyner.runs.score.score import RunScore
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,11 +47,11 @@ def _run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from runtime.errors import DONE, FAILED, Failure, UsageError, needs
-    from runtime.run_folder import PLANT_TRACE, loops_below
-    from runtime.trace import TraceReader
+    from runtime.run_folder import loops_below
     from tap_service.command import names_of
-    from wyner.scoring import report as reporting
-    from wyner.scoring.score import ScoreError, score_run
+    from wyner.runs.run import Run
+    from wyner.runs.score import report as reporting
+    from wyner.runs.score.score import ScoreError, score_run
 
     names = names_of(args.eavesdropper)
     if args.scenario is not None and not names:
@@ -65,17 +64,20 @@ def _run(args: argparse.Namespace) -> int:
     for folder, times in Counter(path.resolve() for path in run_dirs).items():
         if times > 1:
             raise UsageError(f"RUN_DIR: {folder}: given {times} times, expected each run once")
+    runs = []
     for run_dir in run_dirs:
         try:
+            run = Run.load(run_dir)
             if names:
-                scores.append(_replayed(run_dir, names, args.scenario))
+                scores.append(_replayed(run, names, args.scenario))
             else:
-                scores.append(score_run(run_dir))
-        except ScoreError as error:
+                scores.append(score_run(run))
+        except (FileNotFoundError, ScoreError) as error:
             raise UsageError(str(error)) from None
-        if gone := TraceReader(run_dir / PLANT_TRACE).parts_missing:
+        if gone := run.parts_missing("plant"):
             what = f"parts 0 to {gone - 1} of the plant's trace are gone"
             print(f"wyner: {run_dir}: {what}: only what came after is scored", file=sys.stderr)
+        runs.append(run)
     report = reporting.report(scores)
     if args.figure is not None:
         if Path(args.figure).suffix not in (".svg", ".png"):
@@ -88,7 +90,7 @@ def _run(args: argparse.Namespace) -> int:
             raise Failure(needs("--figure", "matplotlib")) from None
         except OSError as error:
             raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
-    audits = _audits(run_dirs)
+    audits = _audits(runs)
     ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
@@ -100,21 +102,19 @@ def _run(args: argparse.Namespace) -> int:
     return ending
 
 
-def _audits(run_dirs: "list[Path]") -> "dict[str, KeyAudit]":
+def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":
     """What the tap of each run that makes keys holds of them."""
     from protocol.scenario import ScenarioError
-    from runtime.run_folder import SCENARIO
-    from runtime.scenario_file import load_scenario
-    from wyner.scoring.keys import audit_keys
+    from wyner.runs.score.keys import audit_keys
 
     audits = {}
-    for run_dir in run_dirs:
+    for one in runs:
         try:
-            audit = audit_keys(run_dir, load_scenario(run_dir / SCENARIO))
+            audit = audit_keys(one, one.scenario)
         except ScenarioError:
             continue
         if audit is not None:
-            audits[run_dir.name] = audit
+            audits[one.name] = audit
     return audits
 
 
@@ -122,7 +122,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
     """A row for each key block, and what must be told in red."""
     from os import environ
 
-    from wyner.scoring.keys import key_lines
+    from wyner.runs.score.keys import key_lines
 
     print(f"\nkey blocks of {name}")
     if audit.blocks:
@@ -137,29 +137,29 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
         print(f"\x1b[31m{line}\x1b[0m" if red else line)
 
 
-def _replayed(run_dir: "Path", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
+def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
     from runtime.errors import UsageError
     from runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError
     from tap_service.eavesdroppers import KnowledgeError
-    from wyner.scoring.replay import Replay
-    from wyner.scoring.score import RunScore, read_truth, score
+    from wyner.runs.score.replay import Replay
+    from wyner.runs.score.score import RunScore, read_truth, score
 
-    truth = read_truth(run_dir)
+    truth = read_truth(run)
     scenario = None if scenario_name is None else scenario_of(scenario_name)
     try:
-        replay = Replay(run_dir, names, scenario=scenario)
+        replay = Replay(run.folder, names, scenario=scenario)
         replay.run()
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None
-    return RunScore(run_dir.name, truth, tuple(score(truth, said) for said in replay.said()))
+    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.said()))
 
 
 def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.scoring.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
+    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]

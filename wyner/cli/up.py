@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Start, watch, stop, sum up."""
-    from wyner.scoring.summary import render
+    from wyner.runs.score.summary import render
 
     outcome = conduct(args)
     summary = outcome.summary
@@ -137,8 +137,9 @@ def conduct(
     from wyner.dashboard.source import BusSource
     from wyner.deployment.one_machine import lay_out
     from wyner.deployment.running import announced
-    from wyner.scoring.summary import summarise, verdict_lines
-    from wyner.verify.seal import seal
+    from wyner.runs.check.seal import seal
+    from wyner.runs.run import Run
+    from wyner.runs.score.summary import summarise, verdict_lines
 
     at_least("--steps", args.steps, 1)
     at_least("--seed", args.seed, 0)
@@ -164,7 +165,7 @@ def conduct(
         if not summary:
             note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
-            summary.update(summarise(run_dir, payload))
+            summary.update(summarise(Run.load(run_dir), payload))
         return (closing or verdict_lines)(summary)
 
     watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)

@@ -54,7 +54,6 @@ def lay_out(
         "zenoh": version("eclipse-zenoh"),
         "numpy": version("numpy"),
         "python": sys.version.split()[0],
-        "command": sys.argv[1:],
         **scenario.identity(),
         "seed": args.seed,
         "pace": args.pace,

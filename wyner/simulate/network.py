@@ -14,7 +14,7 @@ from math import inf
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
-from controller_service.peer import ControllerPeer
+from controller_service.core import ControllerCore
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
@@ -22,7 +22,6 @@ from protocol.link.events import Applied, Event, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.sender import Sender
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Message, Offer, Status
 from protocol.scenario import Scenario
@@ -172,7 +171,7 @@ class Simulation:
         self._number = 0
         self._queue = MemoryControllerJournal(*payloads)
         self._plant_journal = plant_journal or MemoryPlantJournal()
-        self._sender: Sender
+        self._controller: ControllerCore
         self._plant: PlantCore
         self._offered: list[Offer] = []
         self._delivered = 0
@@ -303,20 +302,21 @@ class Simulation:
         end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
         self._perform(end, end.endpoint.start(self.now_s))
 
-    def _new_controller(self) -> ControllerPeer:
+    def _new_controller(self) -> ControllerCore:
         record = self._queue.load()
-        self._sender = Sender(
+        self._controller = ControllerCore(
             rules_of(self._scenario),
             self._law.candidates,
             self._queue,
             SeededSymbols(self._seed, CIPHER, run=self._run),
-            self._identifier(),
-            record,
-            self._queue.step(),
-            self._queue.contributions(None if record is None else record.session),
+            instance=self._identifier(),
+            period_s=self._scenario.plant.period_s,
+            record=record,
+            step=self._queue.step(),
+            contributions=self._queue.contributions(None if record is None else record.session),
             predict=self._predict,
         )
-        return ControllerPeer(self._sender, self._queue, self._scenario.plant.period_s)
+        return self._controller
 
     def _new_plant(self, lives: int) -> PlantCore:
         # A plant that died before it saved a step tosses its coin for that step again.
@@ -371,16 +371,16 @@ class Simulation:
         self._at(self._random.random() * self._faults.down_s, lambda: self._start(end.side))
 
     def _note_offers(self) -> None:
-        """Note for which transition an offer was meant, once the sender has counted so far.
+        """Note for which transition an offer was meant, once the controller has counted so far.
 
         Where it died in between, and lost its journal too, nobody ever offers that one again.
         """
-        record = self._sender.record
-        if self._sender.unfinished:
+        record = self._controller.record
+        if self._controller.unfinished:
             return
         for offer in self._offered:
             if record.offer == offer:
-                carries = self._sender.carries
+                carries = self._controller.carries
                 self.history.offered.append((record.transitions, carries, offer))
         self._offered.clear()
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from protocol.statistics import normal
 from wyner.studies.figures.style import COLOURS, MARKERS, plain_rows
 
 
@@ -57,7 +58,7 @@ def draw_bound(figure: Figure, data: Path) -> str:
         left.errorbar(
             x,
             y,
-            yerr=[1.96 * r["error"] for r in own],
+            yerr=[normal(r["bits"], r["error"]).width / 2 for r in own],
             fmt=MARKERS[place],
             color=COLOURS[place],
             mfc="none",

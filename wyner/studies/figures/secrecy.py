@@ -9,7 +9,7 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval
-from wyner.scoring.report import Report
+from wyner.runs.score.report import Report
 from wyner.studies.figures.style import COLOURS, MARKERS, FigureError, drawing, plain_rows, save
 from wyner.studies.secrecy.tables import Row, read_rows, share_of
 

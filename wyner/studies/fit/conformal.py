@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protocol.arrays import Array
+from protocol.statistics import clopper_pearson
 
 
 def template(residuals: ArrayLike) -> Array:
@@ -69,7 +70,7 @@ def conformal_scale(scores: Sequence[float], violation: float) -> float:
 def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
     """Upper bound of the probability that a session leaves D_c, after ``exceeded`` of N did.
 
-    Clopper and Pearson 1934, one-sided. With none exceeded it is 1 - (1 - confidence)^(1 / N).
+    That of Clopper and Pearson, one-sided. With none exceeded it is 1 - (1 - confidence)^(1 / N).
 
     Parameters
     ----------
@@ -79,13 +80,7 @@ def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
     """
     if not 0 <= exceeded <= sessions or sessions < 1:
         raise ValueError(f"got {exceeded} of {sessions} sessions, expected 0 to all of at least 1")
-    if exceeded == sessions:
-        return 1.0
-    if exceeded == 0:
-        return -math.expm1(math.log1p(-confidence) / sessions)
-    from scipy.stats import beta
-
-    return float(beta.ppf(confidence, exceeded + 1, sessions - exceeded))
+    return clopper_pearson(exceeded, sessions, 1 - confidence)[1]
 
 
 def sessions_needed(violation: float, confidence: float) -> int:

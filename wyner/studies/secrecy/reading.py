@@ -19,7 +19,7 @@ from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.english import AnyBytes
-from wyner.scoring.score import score
+from wyner.runs.score.score import score
 from wyner.shipped import DATA
 from wyner.studies.grid import code_version
 from wyner.studies.secrecy.runs import simulate, text_of

@@ -9,8 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from scipy.stats import binomtest
-
+from protocol.statistics import wilson
 from wyner.studies.secrecy.reading import FILE
 from wyner.studies.secrecy.tables import PAGE
 
@@ -41,8 +40,7 @@ def read_rows(path: Path = FILE) -> list[Row]:
 def _share(right: int, of: int) -> str:
     if not of:
         return "-"
-    low, high = binomtest(right, of).proportion_ci(method="wilson")
-    return f"{100 * right / of:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    return wilson(right, of).scaled(100.0).text(".1f", " %")
 
 
 def _median(values: Sequence[float]) -> float:

@@ -23,7 +23,7 @@ from protocol.schemes.framing import IDLE, encode_frame, frame_length
 from protocol.vectors import Vector
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.scoring.score import Truth
+from wyner.runs.score.score import Truth
 from wyner.simulate.single import closed_loop
 
 SENTENCES: Final = (

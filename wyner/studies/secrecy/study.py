@@ -19,7 +19,7 @@ from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Belief, Eavesdropper
 from tap_service.eavesdroppers.list_decoder import ListDecoder
-from wyner.scoring.score import Said, score
+from wyner.runs.score.score import Said, score
 from wyner.studies.grid import code_version
 from wyner.studies.secrecy.runs import Run, simulate, text_of
 

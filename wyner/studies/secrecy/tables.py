@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from protocol.statistics import Interval
-from wyner.scoring.report import over_runs, percent
-from wyner.scoring.score import Proportion
+from wyner.runs.score.report import over_runs, percent
+from wyner.runs.score.score import Proportion
 from wyner.shipped import DATA
 from wyner.studies.grid import ROOT
 from wyner.studies.secrecy.study import measure_study

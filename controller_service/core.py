@@ -1,0 +1,798 @@
+"""The controller's end of the link, sans I/O: one room for its steps, its session, its timers.
+
+A step goes as in Fig. 6 of the paper: a measurement comes, the transition that it reports is judged
+and moves the automaton, the next cipher symbol is decided, and the offer is saved and said
+(:meth:`ControllerCore._measured`). The rest of the counting waits until the offer is on its way
+(:meth:`ControllerCore._count`).
+
+The rules are those of :mod:`protocol.link.session`. Which plant's session is served stands in
+:mod:`protocol.link.controller_session`.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from math import inf
+from typing import Final, Literal, NamedTuple
+
+from pydantic import ValidationError
+
+from controller_service.telemetry import ControllerTelemetry, MessageQueue
+from protocol.agreement import NO_SYMBOL, AgreementResult
+from protocol.link.controller_session import TABLE, State, heard
+from protocol.link.events import Delivered, Queued, SessionBegan
+from protocol.link.key_events import appeared, key_actions, waiting_notice
+from protocol.link.keying import Keying
+from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
+from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
+from protocol.link.records import SenderRecord
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.messages import (
+    LARGEST_COUNT,
+    BlockAnnouncement,
+    ControllerHello,
+    ControllerStatus,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    SendCommand,
+    SendReply,
+    Status,
+)
+from protocol.schemes.base import Carry, encrypt
+from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
+from protocol.secret.blocks import BlockResult
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.tasks import Done
+from protocol.streams import SymbolSource
+from protocol.vectors import Vector
+from runtime.errors import USAGE
+
+GREETING_S: Final = 0.1
+"""Seconds between greetings while the plant speaks of a session that is not this process's."""
+
+SILENT_PERIODS: Final = 3
+"""A plant counts as away after so many of its periods at least, however long they are."""
+
+INITIAL_ID: Final = "initial"
+"""Identifier of the message that a controller is started with; no command may take it."""
+
+REMEMBERED_SESSIONS: Final = 16
+"""Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
+
+LARGEST_STATE: Final = 1e150
+"""No number of a state is larger: sums and quotients of larger ones need not be finite."""
+
+STALE: Final = 64
+"""Measurements of steps gone by, without a newer one between, after which the plant is believed and
+not the journal: a newest step that the plant never made was answered. A network that reorders holds
+back fewer."""
+
+Predict = Callable[[Vector, Vector], Vector]
+"""A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
+
+
+class Decision(NamedTuple):
+    """The decided symbol of the next transition; its fields are those of the record."""
+
+    cipher: int
+    message_symbol: int
+    framed: bool
+    message: int
+    offset: int
+
+
+class _Counted(NamedTuple):
+    """What a measurement makes of the transition that it reports: all that the next offer needs."""
+
+    verdict: AgreementResult
+    after: tuple[int, ...]
+    carry: Carry
+    following: Decision
+
+
+@dataclass(slots=True)
+class _Step:
+    """A measurement that moved the loop on, until the record has followed it.
+
+    ``counted`` is None where it reports no new transition, ``offer`` where the law has no answer.
+    """
+
+    measurement: Measurement
+    counted: _Counted | None
+    offer: Offer | None
+
+
+class ControllerCore:
+    """The controller's end of one loop.
+
+    Parameters
+    ----------
+    rules : Rules
+    propose : callable
+        x -> M candidate inputs; raises `LookupError` where the law has no answer.
+    messages : MessageQueue
+        To deliver, in order.
+    fresh : SymbolSource
+        Random cipher symbols.
+    instance : str
+        Random id of this process.
+    period_s : float
+        The plant's; one that has been silent for several of them is away.
+    record : SenderRecord, optional
+        As read back from the journal.
+    step : tuple of Measurement and Offer, optional
+        What was heard and said after that record, as read back: to be counted first.
+    contributions : iterable of Contribution
+        Rows of key blocks that may still be needed, as read back.
+    predict : callable, optional
+        f_c, where it is not linear.
+    message : bytes, optional
+        Queued under `INITIAL_ID` at the start, once in the queue's life.
+    telemetry : ControllerTelemetry, optional
+        What is told beside the record; without it no status is published.
+    status_s : float
+        Seconds between statuses.
+    nonces : NonceSource
+    """
+
+    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockAnnouncement)
+    says: tuple[type[Message], ...] = (
+        Offer,
+        ControllerHello,
+        SendReply,
+        ControllerStatus,
+        BlockAnnouncement,
+    )
+
+    def __init__(
+        self,
+        rules: Rules,
+        propose: Callable[[Vector], tuple[Vector, ...]],
+        messages: MessageQueue,
+        fresh: SymbolSource,
+        *,
+        instance: str,
+        period_s: float,
+        record: SenderRecord | None = None,
+        step: tuple[Measurement, Offer] | None = None,
+        contributions: Iterable[Contribution] = (),
+        predict: Predict | None = None,
+        message: bytes | None = None,
+        telemetry: ControllerTelemetry | None = None,
+        status_s: float = STATUS_S,
+        nonces: NonceSource = fresh_nonce,
+    ) -> None:
+        self.rules = rules
+        self.instance = instance
+        self.code: int | None = None
+        self.malformed = 0
+        self.messages = messages
+        read = record or SenderRecord()
+        self.record = read._replace(
+            state=rules.scheme.restore(read.state), incarnation=_after(read.incarnation)
+        )
+        # the step
+        self._propose = propose
+        self._predict = predict
+        self._step: _Step | None = None
+        self._stale = 0
+        # the frame under way
+        self._fresh = fresh
+        self._frame: tuple[int, bytes] = (-1, b"")
+        # keys
+        self.keying = Keying(rules.schedule, nonces)
+        if self.record.session is not None:
+            said = self.record if step is None else step[1]
+            self.keying.begin(self.record.session, said.block, said.tag, contributions)
+        # the session
+        self._state: State = "greeting"
+        self._plant: str | None = None
+        self._elsewhere: str | None = None
+        self._running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
+        self._plant_at = self._greeting_at = -inf
+        # what waits for `finish_step`
+        self._starting = False
+        self._first_message = message
+        self._blocks_differ = False
+        # the status
+        self._telemetry = telemetry
+        self._status_s = status_s
+        self._status_at = inf
+        self._health_at = self._now = -inf
+        self._aim()
+        if step is not None:
+            measurement, offer = step
+            self._step = _Step(measurement, self._report(measurement, offer.cipher), offer)
+
+    @property
+    def plant(self) -> str | None:
+        """The plant process whose session is taken up, if any."""
+        return self._plant
+
+    @property
+    def refused(self) -> bool:
+        """Whether the only plant shares another model: there is nothing to go on with."""
+        return self._state == "refused"
+
+    @property
+    def carries(self) -> bool:
+        """Whether the transition to come carries a message symbol."""
+        return self.rules.scheme.pad(self.record.state) != NO_SYMBOL
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether an offer, given now or read back from the journal, waits to be counted."""
+        return self._step is not None
+
+    @property
+    def reported(self) -> int:
+        """Transitions that the plant has reported, the one that waits to be counted included."""
+        counts = self._step is not None and self._step.counted is not None
+        return self.record.transitions + counts
+
+    # --- what the shell calls ---------------------------------------------------------------------
+
+    def start(self, now: float) -> Actions:
+        """Count what a journal left to be counted, queue the first message, and greet."""
+        self._now = now
+        if self._telemetry is not None:
+            self._status_at = now
+        if self.messages.queued_as(INITIAL_ID) is not None:
+            self._first_message = None
+        self._starting = True
+        return self.finish_step()
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        """A measurement, a word of the plant's, or the operator's command."""
+        self._now = now
+        try:
+            if kind is Measurement:
+                return self._measured(Measurement.model_validate_json(payload), payload)
+            if kind is PlantHello:
+                return self._heard_hello(PlantHello.model_validate_json(payload))
+            if kind is BlockAnnouncement:
+                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
+            return self._commanded(SendCommand.model_validate_json(payload))
+        except ValidationError as error:
+            names = {Measurement: "measurement", PlantHello: "hello", BlockAnnouncement: "word"}
+            what = names.get(kind, "command")
+            return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
+
+    def wake_at(self) -> float:
+        """When the next status is due."""
+        return self._status_at
+
+    def wake(self, now: float) -> Actions:
+        """A status, if it is due."""
+        self._now = now
+        if now < self._status_at:
+            return NOTHING_TO_DO
+        self._status_at = next_turn(now, self._status_s, phase_of(self.instance))
+        publish, health = self._status()
+        return Actions(publish=publish, health=health)
+
+    def finish_step(self) -> Actions:
+        """Count the step under way; what else waited for that comes after it, one at a time."""
+        if self._step is not None:
+            actions = self._count(self._step)
+        elif self._blocks_differ:
+            self._blocks_differ = False
+            actions = self._end_session(
+                "blocks differ", "a key block differs from the plant's; session ended"
+            )
+        elif self._first_message is not None:
+            actions = self._queue(INITIAL_ID, self._first_message)
+            self._first_message = None
+        else:
+            assert self._starting, "nothing waits to be finished"
+            self._starting = False
+            # Saved first: no other process may greet as this life of the journal.
+            actions = Actions(
+                write=Save(self.record), publish=(self._greeting(),), keys=self.keying.tasks()
+            )
+        return actions._replace(finish_step=self._starting or self._blocks_differ)
+
+    def key_task_done(self, done: Done, now: float) -> Actions:
+        """The key maker has done a task; rows that nobody needs any more go at once."""
+        self._now = now
+        return key_actions(self.keying, done)._replace(write=self._erase_rows())
+
+    def appear(self, count: int) -> Actions:
+        """From now on a message leaves ``count`` times."""
+        return appeared(self.keying, self.record.session, self.record.k, count)
+
+    def stop(self, now: float) -> Actions:
+        """The last status."""
+        self._now = now
+        if self._telemetry is not None and self._telemetry.phase != "refused":
+            self._telemetry.phase = "stopped"
+        publish, health = self._status(force=True)
+        return Actions(
+            write=self._erase_rows(),
+            publish=publish,
+            notices=waiting_notice(self.keying),
+            health=health,
+        )
+
+    # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
+
+    def _measured(self, measurement: Measurement, payload: bytes) -> Actions:
+        """Judge what it reports, decide, offer (rules 2 and 3); the counting is left for later."""
+        assert self._step is None, "the step before has not been counted"
+        record = self.record
+        if wrong := self._malformed_states(measurement):
+            return self._malformed(f"{wrong}; ignored")
+        if self._plant is None or measurement.session != record.session:
+            here = measurement.session != self._elsewhere
+            answer, self._state = TABLE[
+                self._state, "session not taken up" if here else "session elsewhere"
+            ]
+            return self._remind() if answer == "remind" else NOTHING_TO_DO
+        self._plant_at = self._now
+        if measurement.k < record.k:
+            self._stale += 1
+            return NOTHING_TO_DO if self._stale < STALE else self._diverged(measurement)
+        self._stale = 0
+        before = record.offer
+        if before is not None and measurement.k == before.k:
+            if measurement.applied_k == record.applied_k and measurement.x == record.x:
+                return self._offers(self.keying.again(before))
+            return self._diverged(measurement)
+        counted = None
+        if measurement.applied_k != record.applied_k:
+            if before is None or measurement.applied_k != before.k or not measurement.x_after:
+                return self._diverged(measurement)
+            counted = self._report(measurement)
+        try:
+            candidates = self._propose(measurement.x)
+            predictions = self._predictions(measurement.x, candidates)
+        except LookupError as error:
+            return self._without_offer(_Step(measurement, counted, None), str(error))
+        block, tag = self.keying.word()
+        offer = Offer(
+            session=measurement.session,
+            k=measurement.k,
+            candidates=candidates,
+            predictions=predictions,
+            cipher=record.cipher if counted is None else counted.following.cipher,
+            copy_number=self.keying.copy(),
+            nonce=self.keying.nonce(),
+            heard=measurement.copy_number,
+            block=block,
+            tag=tag,
+        )
+        self._step = _Step(measurement, counted, offer)
+        return self._offers(offer, payload)
+
+    def _malformed_states(self, measurement: Measurement) -> str:
+        """What is wrong with a measurement's vectors; nothing where they are the plant's."""
+        n = self.rules.states
+        if len(measurement.x) != n:
+            return f"measurement.x: got {len(measurement.x)} states, expected {n}"
+        if len(measurement.x_after) not in (0, n):
+            size = len(measurement.x_after)
+            return f"measurement.x_after: got {size} states, expected {n} or none"
+        if max(map(abs, measurement.x + measurement.x_after)) > LARGEST_STATE:
+            return f"measurement: got a state beyond {LARGEST_STATE:g}"
+        return ""
+
+    def _offers(self, offer: Offer, answers: bytes = b"") -> Actions:
+        """Say an offer; one that ``answers`` a measurement for the first time is saved before."""
+        if self._telemetry is not None:
+            self._telemetry.phase, self._telemetry.detail = "running", ""
+        wire = offer.wire()
+        write = Append(answers, wire) if answers else None
+        return Actions(write=write, publish=(Outgoing(Offer, wire),), finish_step=write is not None)
+
+    def _without_offer(self, step: _Step, why: str) -> Actions:
+        """The law has no answer: what the measurement reports counts all the same."""
+        if self._telemetry is not None:
+            self._telemetry.phase = "outside"
+        actions = self._count(step)
+        assert isinstance(actions.write, Save)
+        return actions._replace(
+            write=actions.write._replace(later=False),
+            notices=(self._refusal(why), *actions.notices),
+            finish_step=self._blocks_differ,
+        )
+
+    def _predictions(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        """f_c(x, u_i) where f_c is not linear; raises LookupError where it has no answer."""
+        if not self.rules.predicted:
+            return ()
+        assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
+        return tuple([self._predict(x, u) for u in candidates])
+
+    def _report(self, measurement: Measurement, decided: int | None = None) -> _Counted | None:
+        """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
+
+        None where it reports none that is new. ``decided`` is the cipher symbol of an answer that
+        was given before.
+        """
+        record = self.record
+        offer = record.offer
+        if offer is None or measurement.applied_k == record.applied_k:
+            return None
+        verdict = self.rules.judge(
+            record.x, offer.candidates, offer.predictions, measurement.x_after
+        )
+        after, carry = self._arrows[verdict.symbol]
+        message, offset = record.message, record.offset
+        # The frame is looked at in every state, as in `_decide`.
+        if offset == len(self._frame_of(message)) and record.framed:
+            message, offset = message + 1, 0
+        following = self._decide(after, record.transitions + 1, message, offset, decided)
+        return _Counted(verdict, after, carry, following)
+
+    def _decide(
+        self,
+        state: tuple[int, ...],
+        transitions: int,
+        message: int,
+        offset: int,
+        decided: int | None = None,
+    ) -> Decision:
+        """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
+
+        Both decisions are made in both states, and one is taken, so that neither takes longer.
+        """
+        size = self.rules.size
+        fresh = self._fresh.symbol(transitions, size) if decided is None else decided
+        symbols = self._frame_of(message)
+        framed = bool(symbols)
+        message_symbol = symbols[offset] if framed else IDLE
+        pad = self.rules.scheme.pad(state)
+        cipher = encrypt(message_symbol, pad, size)
+        carrying = Decision(cipher, message_symbol, framed, message, offset + framed)
+        cover = Decision(fresh, NO_SYMBOL, False, message, offset)
+        if pad == NO_SYMBOL:
+            return cover
+        return carrying
+
+    def _frame_of(self, message: int) -> bytes:
+        """The frame of a queued message, or nothing while there is none."""
+        number, symbols = self._frame
+        if number != message:
+            payload = self.messages.payload(message)
+            if payload is None:
+                return b""
+            symbols = encode_frame(payload, self.rules.size)
+            self._frame = (message, symbols)
+        return symbols
+
+    def _aim(self) -> None:
+        """Have the arrows from the present state at hand, once a message is on its way.
+
+        Those of a rare state would else be looked for, far from the processor, before the next one.
+        """
+        verdicts = (*range(self.rules.size), NO_SYMBOL)
+        self._arrows = [self.rules.scheme.follow(self.record.state, v) for v in verdicts]
+
+    # --- and then: count --------------------------------------------------------------------------
+
+    def _count(self, step: _Step) -> Actions:
+        """Bring the record up to the answer given: the transition that it reports, if any."""
+        self._step = None
+        before, measurement, offer = self.record, step.measurement, step.offer
+        said = before
+        if offer is not None:
+            nonce = "" if measurement.copy_number else measurement.nonce
+            said = before._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+        results = self.keying.heard(measurement)
+        self._blocks_differ = _unequal(results)
+        actions = NOTHING_TO_DO
+        contribution, delivered = None, False
+        if step.counted is None:  # no transition: the state, and the arrows from it, stay
+            self.record = said._replace(k=measurement.k, x=measurement.x, offer=offer)
+        else:
+            verdict, after, carry, following = step.counted
+            applied = before.offer
+            assert applied is not None
+            contribution = self.keying.count(
+                before.transitions,
+                applied.k - before.applied_k,
+                applied,
+                measurement.applied_copy,
+                before.nonce,
+            )
+            transition = CountedTransition.of(
+                self.rules.scheme,
+                before,
+                applied,
+                measurement.x_after,
+                verdict,
+                after,
+                carry,
+                before.message_symbol,
+                contribution,
+            )
+            self.record = said._replace(
+                state=after,
+                k=measurement.k,
+                applied_k=applied.k,
+                transitions=before.transitions + 1,
+                agreements=before.agreements + (1 if transition.symbol != NO_SYMBOL else 0),
+                p=transition.p,
+                cipher=following.cipher,
+                message_symbol=following.message_symbol,
+                framed=following.framed,
+                message=following.message,
+                offset=following.offset,
+                x=measurement.x,
+                offer=offer,
+            )
+            self._aim()
+            if self._telemetry is not None:
+                self._telemetry.unexplained += verdict.unexplained
+            delivered = following.message != before.message
+            actions = Actions((transition,))
+            if delivered:
+                actions = self._delivered(transition, before.message)
+        obsolete_rows = self.keying.obsolete_rows()
+        # Rows that go cost a rare write: now, and not when a step hangs on it.
+        later = not (delivered or obsolete_rows)
+        write = Save(
+            self.record, later=later, contribution=contribution, obsolete_rows=obsolete_rows
+        )
+        return actions._replace(write=write, keys=self.keying.tasks(results))
+
+    def _delivered(self, transition: CountedTransition, number: int) -> Actions:
+        """The last symbol of a message's frame has been counted."""
+        payload = self.messages.payload(number)
+        assert payload is not None
+        event = Delivered(number, self.messages.identifier(number), payload)
+        publish, health = self._status(force=True)
+        notice = Notice(f"message {event.identifier} delivered")
+        return Actions((transition, event), None, publish, (notice,), health)
+
+    # --- sessions ---------------------------------------------------------------------------------
+
+    def _heard_hello(self, hello: PlantHello) -> Actions:
+        """The plant spoke on ops: do as the table says."""
+        record = self.record
+        what = heard(
+            hello,
+            record,
+            instance=self.instance,
+            fingerprint=self.rules.fingerprint,
+            plant=self._plant,
+            running=self._now - self._plant_at < self._running_s,
+        )
+        answer, self._state = TABLE[self._state, what]
+        if self._state != "elsewhere":
+            self._elsewhere = None
+        if answer == "greet":
+            return Actions(publish=(self._greeting(),))
+        if answer == "catch up and greet":
+            self.record = record._replace(incarnation=_after(hello.incarnation))
+            return Actions(write=Save(self.record), publish=(self._greeting(),))
+        if answer == "remind":
+            return self._remind()
+        if answer in ("serve", "adopt and serve"):
+            return self._serve(hello)
+        if answer == "refuse":
+            # The session here is over once the plant begins another. Whoever asks may be gone for
+            # long: its hello may come late, and ends nothing.
+            why = "the plant is in a session this journal does not know"
+            if what == "asked, session does not fit":
+                why = "the journals do not fit together"
+            reply = self._hello("unknown-session", hello)
+            return Actions(publish=(reply,), notices=(self._refusal(why),))
+        if answer in ("step back", "end and step back"):
+            return self._step_back(hello, ends=answer == "end and step back")
+        if answer == "log":
+            text = f"plant {hello.instance} speaks up while plant {self._plant} runs: "
+            return Actions(notices=(self._refusal(f"{text}two plants on one loop?"),))
+        if answer in ("say model", "give up"):
+            return self._other_model(hello, gives_up=answer == "give up")
+        return NOTHING_TO_DO
+
+    def _serve(self, hello: PlantHello) -> Actions:
+        """Take up a session, the journal's or a new one; who asks again is told again."""
+        actions = NOTHING_TO_DO
+        known = (self._plant, self.record.session)
+        if hello.session != self.record.session:
+            self._adopt(hello.session)
+            began = SessionBegan(hello.session, "the plant began it")
+            actions = Actions(events=(began,), write=Save(self.record))
+        self._plant = hello.instance
+        if (hello.instance, hello.session) != known:
+            if self._telemetry is not None:
+                self._telemetry.phase, self._telemetry.detail = "running", ""
+            text = f"session {hello.session} taken up with plant {hello.instance}"
+            actions = actions._replace(notices=(Notice(text),))
+        return actions._replace(publish=(self._hello("accepted", hello),))
+
+    def _adopt(self, session: str) -> None:
+        """Begin a session; the frame under way starts again."""
+        fresh = self._no_session()._replace(session=session)
+        first = self._decide(fresh.state, 0, fresh.message, 0)
+        self.record = fresh._replace(cipher=first.cipher)
+        self._stale = 0
+        self._aim()
+        self.keying.begin(session)
+
+    def _no_session(self) -> SenderRecord:
+        """What is left of the record once its session is over: the message starts again."""
+        record = self.record
+        ended = record.ended
+        if record.session is not None:
+            ended = (*ended, record.session)[-REMEMBERED_SESSIONS:]
+        return SenderRecord(
+            ended=ended,
+            state=self.rules.scheme.initial,
+            message=record.message,
+            incarnation=record.incarnation,
+        )
+
+    def _drop_session(self) -> None:
+        """Forget the session and its half-agreed key."""
+        self._plant = None
+        self.record = self._no_session()
+        self._stale = 0
+        self._aim()
+        self.keying.end()
+        if self._telemetry is not None:
+            self._telemetry.phase = "greeting"
+
+    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+        """One of the two ends went back in time: end the session, and greet."""
+        _, self._state = TABLE[self._state, what]
+        self._drop_session()
+        events = (SessionBegan(None, why),)
+        return self._remind()._replace(
+            events=events, write=Save(self.record), notices=(self._refusal(why),)
+        )
+
+    def _diverged(self, measurement: Measurement) -> Actions:
+        """The plant reports what this journal rules out."""
+        text = f"measurement {measurement.k} does not follow from the journal; session ended"
+        return self._end_session("does not follow", text)
+
+    def _step_back(self, hello: PlantHello, *, ends: bool) -> Actions:
+        """The plant asks another controller, or is with one: offer nothing in that session."""
+        self._elsewhere = hello.session
+        why = f"plant {hello.instance} is with controller {hello.controller}, and not with "
+        why += f"this one, {self.instance}"
+        actions = Actions(notices=(self._refusal(why),))
+        if ends:
+            self._drop_session()
+            actions = actions._replace(events=(SessionBegan(None, why),), write=Save(self.record))
+        self._plant = None
+        if self._telemetry is not None:
+            self._telemetry.phase = "greeting"
+        return actions
+
+    def _other_model(self, hello: PlantHello, *, gives_up: bool) -> Actions:
+        """The two ends cannot work together."""
+        notices = [self._refusal(f"plant {hello.instance} shares another model")]
+        if gives_up:
+            self.code = USAGE
+            detail = (
+                f"the plant's model is {hello.fingerprint[:8]}, "
+                f"this controller's is {self.rules.fingerprint[:8]}"
+            )
+            if self._telemetry is not None:
+                self._telemetry.phase, self._telemetry.detail = "refused", detail
+            notices.append(Notice(f"{detail}: the two ends must share one scenario", "error"))
+        return Actions(publish=(self._hello("other-model", hello),), notices=tuple(notices))
+
+    def _remind(self) -> Actions:
+        """Greet, but not too often."""
+        if self._now < self._greeting_at:
+            return NOTHING_TO_DO
+        self._greeting_at = self._now + GREETING_S
+        return Actions(publish=(self._greeting(),))
+
+    def _greeting(self) -> Outgoing:
+        """Ask the plant to say which session it is in.
+
+        The record must have been saved before: no other process may greet as this life.
+        """
+        return self._hello("greeting")
+
+    def _hello(
+        self,
+        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
+        hello: PlantHello | None = None,
+    ) -> Outgoing:
+        said = ControllerHello(
+            instance=self.instance,
+            incarnation=self.record.incarnation,
+            fingerprint=self.rules.fingerprint,
+            verdict=verdict,
+            session=hello.session if hello else self.record.session,
+            answers=hello.instance if hello else None,
+        )
+        return Outgoing(ControllerHello, said.wire())
+
+    def _refusal(self, text: str) -> Notice:
+        if self._telemetry is not None:
+            self._telemetry.detail = text
+        return Notice(text, "warning", "refusals")
+
+    def _malformed(self, text: str) -> Actions:
+        self.malformed += 1
+        return Actions(notices=(Notice(text, "warning", "malformed"),))
+
+    # --- keys -------------------------------------------------------------------------------------
+
+    def _erase_rows(self) -> Save | None:
+        """What has the journal erase the rows of blocks that are confirmed, if there are any."""
+        obsolete_rows = self.keying.obsolete_rows()
+        return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
+
+    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
+        """The plant has made its last step, and waits for its last blocks."""
+        session, keying = self.record.session, self.keying
+        if word.side != "plant" or session is None or word.session != session or not keying.on:
+            return NOTHING_TO_DO
+        results = keying.heard(word)
+        if _unequal(results):
+            self._blocks_differ = True
+            return Actions(keys=keying.tasks(results), finish_step=True)
+        answer = keying.block_announcement("controller", session)
+        return Actions(
+            write=self._erase_rows(),
+            publish=(Outgoing(BlockAnnouncement, answer.wire()),),
+            keys=keying.tasks(results),
+        )
+
+    # --- commands ---------------------------------------------------------------------------------
+
+    def _commanded(self, command: SendCommand) -> Actions:
+        """The operator hands over a message; the same identifier is queued once."""
+        size, queued = len(command.payload), self.messages.queued_as(command.id)
+        waiting = self.messages.queued - self.record.message
+        accepted, detail, actions = False, "", NOTHING_TO_DO
+        if command.id == INITIAL_ID:
+            detail = f"id: {INITIAL_ID!r} is the message that the controller is started with"
+        elif size > MAX_PAYLOAD:
+            detail = f"message: got {size} bytes, expected at most {MAX_PAYLOAD}"
+        elif queued is None:
+            actions, accepted = self._queue(command.id, command.payload), True
+            waiting += 1
+        elif queued == command.payload:
+            accepted, detail = True, "already queued"
+        else:
+            detail = f"id: {command.id!r} is another message's"
+        reply = SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail)
+        return actions._replace(publish=(Outgoing(SendReply, reply.wire()),))
+
+    def _queue(self, identifier: str, payload: bytes) -> Actions:
+        """Traced first: what is queued in the journal must not be missing from the trace.
+
+        The record goes with it. The step under way was decided without this message: should it be
+        counted again, then so too.
+        """
+        write = Save(self.record, queued=(identifier, payload))
+        return Actions(events=(Queued(identifier, payload),), write=write)
+
+    # --- the status -------------------------------------------------------------------------------
+
+    def status(self) -> ControllerStatus:
+        """What the dashboard is told; a controller without telemetry has none."""
+        assert self._telemetry is not None
+        return self._telemetry.status(
+            self.record, self.rules.size, self.keying, self.messages, self.malformed
+        )
+
+    def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
+        """A status to publish, and once in :data:`HEALTH_S` to be kept."""
+        if self._telemetry is None:
+            return (), None
+        status = self.status()
+        keep = force or self._now >= self._health_at
+        if keep:
+            self._health_at = self._now + HEALTH_S
+        return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
+
+
+def _after(incarnation: int) -> int:
+    return min(incarnation + 1, LARGEST_COUNT)
+
+
+def _unequal(results: tuple[BlockResult, ...]) -> bool:
+    """Whether the partner's word says that the two ends hold different key blocks."""
+    return any(result.what == "unequal" for result in results)

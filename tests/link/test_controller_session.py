@@ -1,0 +1,137 @@
+"""The controller's table of a session is whole, and a hello's name follows from the record."""
+
+from itertools import product
+from typing import Any, get_args
+
+import pytest
+
+from protocol.link.controller_session import (
+    ANSWERS,
+    HEARD,
+    STATES,
+    TABLE,
+    Answer,
+    Heard,
+    State,
+    heard,
+)
+from protocol.link.records import SenderRecord
+from protocol.messages import Offer, PlantHello
+
+S, T, NEW = "1" * 16, "2" * 16, "9" * 16
+A, B, P, Q = (letter * 16 for letter in "abcd")
+OURS, OTHER = "e" * 64, "f" * 64
+OFFER = Offer(session=S, k=7, candidates=((0.0,), (1.0,)), cipher=0)
+RECORD = SenderRecord(session=S, ended=(T,), applied_k=5, offer=OFFER, incarnation=2)
+
+
+def test_every_state_and_everything_heard_has_one_row() -> None:
+    assert set(TABLE) == set(product(get_args(State), get_args(Heard)))
+
+
+def test_every_name_is_explained_and_used() -> None:
+    assert tuple(STATES) == get_args(State)
+    assert tuple(HEARD) == get_args(Heard)
+    assert tuple(ANSWERS) == get_args(Answer)
+    assert {row.answer for row in TABLE.values()} == set(ANSWERS)
+    assert {row.next for row in TABLE.values()} == set(STATES)
+
+
+def test_every_state_is_reached_from_the_first() -> None:
+    reached: set[State] = {"greeting"}
+    for _ in STATES:
+        reached |= {TABLE[state, name].next for state, name in TABLE if state in reached}
+    assert reached == set(STATES)
+
+
+def test_a_session_is_served_only_by_who_was_asked() -> None:
+    for (state, name), row in TABLE.items():
+        if row.next == "serving" and state != "serving":
+            assert name in ("asked, session fits", "asked, new session")
+        assert (row.answer in ("serve", "adopt and serve")) == (
+            name in ("asked, session fits", "asked, new session") and state != "refused"
+        )
+
+
+def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> None:
+    ends = {name for (_, name), row in TABLE.items() if row.answer.startswith("end and")}
+    assert ends == {"to another, in the session", "does not follow", "blocks differ"}
+    # Who never took it up keeps its journal: the plant may come back to it.
+    assert TABLE["greeting", "to another, in the session"].answer == "step back"
+
+
+@pytest.mark.parametrize(
+    ("fields", "name"),
+    [
+        ({}, "asked, session fits"),
+        ({"applied_k": 7}, "asked, session fits"),
+        ({"applied_k": 6}, "asked, session does not fit"),
+        ({"applied_k": 8}, "asked, session does not fit"),
+        ({"applied_k": 4}, "overtaken"),
+        ({"applied_k": 4, "instance": Q}, "asked, session does not fit"),
+        ({"applied_k": 4, "controller": B}, "overtaken"),
+        ({"session": NEW}, "asked, new session"),
+        ({"session": NEW, "transitions": 1}, "asked, session unknown"),
+        ({"session": T}, "asked, session unknown"),
+        ({"controller": None}, "to anyone"),
+        ({"controller": None, "incarnation": 3}, "to anyone, of a later life"),
+        ({"controller": None, "incarnation": 3, "session": NEW}, "to anyone"),
+        ({"controller": B}, "to another, in the session"),
+        ({"controller": B, "incarnation": 1}, "to a former life"),
+        ({"controller": B, "incarnation": 1, "session": NEW}, "to another"),
+        ({"instance": Q, "session": NEW}, "asked, new session"),
+        ({"fingerprint": OTHER}, "another model"),
+    ],
+)
+def test_a_hello_has_one_name(fields: dict[str, object], name: str) -> None:
+    hello = PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        incarnation=2,
+        fingerprint=OURS,
+        transitions=0,
+        applied_k=5,
+    ).model_copy(update=fields)
+    known: Any = {"instance": A, "fingerprint": OURS, "plant": P}
+    assert heard(hello, RECORD, running=False, **known) == name
+    if hello.instance == Q and hello.session == NEW:
+        assert heard(hello, RECORD, running=True, **known) == "second plant"
+    elif hello.instance == P:
+        assert heard(hello, RECORD, running=True, **known) == name
+
+
+def test_without_an_offer_only_the_last_applied_fits() -> None:
+    hello = PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        incarnation=2,
+        fingerprint=OURS,
+        transitions=1,
+        applied_k=7,
+    )
+    record = RECORD._replace(offer=None)
+    known: Any = {"instance": A, "fingerprint": OURS, "plant": None, "running": False}
+    assert heard(hello, record, **known) == "asked, session does not fit"
+    five = hello.model_copy(update={"applied_k": 5})
+    assert heard(five, record, **known) == "asked, session fits"
+
+
+def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
+    hello = PlantHello(
+        instance=P,
+        session=S,
+        controller=None,
+        incarnation=0,
+        fingerprint=OTHER,
+        transitions=0,
+        applied_k=-1,
+    )
+    known: Any = {"instance": A, "fingerprint": OURS, "plant": None, "running": False}
+    for record, name in (
+        (SenderRecord(), "another model, never met"),
+        (SenderRecord(ended=(T,)), "another model"),
+        (SenderRecord(session=S), "another model"),
+    ):
+        assert heard(hello, record, **known) == name

@@ -1,0 +1,54 @@
+"""A clause that judges parts made by hand."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
+from wyner.runs.check.capture import Seen
+from wyner.runs.check.clause import Judging, Tally
+from wyner.runs.check.evidence import Evidence, Part
+
+SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
+"""Blocks of 4, 8, 8, ... transitions; a weak claim, so that so few make keys."""
+
+Judge = Callable[[Evidence, Tally], Judging]
+
+
+def evidence(
+    folder: Path = Path(), /, *, schedule: Schedule | None = SCHEDULE, **other: Any
+) -> Evidence:
+    cut = other.pop("cut", None)
+    readers = [(side, SimpleNamespace(cut=cut)) for side in ("plant", "controller")]
+    there = {"wire": 1, "plant": 1, "controller": 1, "manifest": {}, "keys": 1, **other}
+    return cast(
+        Evidence,
+        SimpleNamespace(
+            run_dir=folder,
+            rules=SimpleNamespace(schedule=schedule),
+            scenario=SimpleNamespace(keys=there.pop("keys")),
+            readers=lambda: iter(readers),
+            before=lambda seen: seen.part == "too-old.jsonl",
+            **there,
+        ),
+    )
+
+
+def judge(clause: Judge, e: Evidence, *parts: Part) -> Tally:
+    """A clause that has begun to look goes on until there are no more parts."""
+    tally = Tally()
+    judging = clause(e, tally)
+    if next(judging, "over") == "over":
+        return tally
+    for part in parts:
+        judging.send(part)
+    with suppress(StopIteration):
+        judging.send(None)
+    return tally
+
+
+def heard(*seen: Seen) -> Part:
+    return Part([], [], [], list(seen))

@@ -1,0 +1,549 @@
+"""wyner check: a right run passes, and each thing that is wrong fails the clause that says so."""
+
+import base64
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.lines import unmark
+from tests.support.small_run import Lines, SmallRun, read_lines, write_lines
+from wyner.cli.main import main
+from wyner.runs.check import CLAUSES, OF_KEYS, check
+from wyner.runs.check.clause import Finding
+from wyner.runs.check.evidence import read_evidence
+
+Event = dict[str, Any]
+
+HERE = [clause.name for clause in CLAUSES if clause.name not in OF_KEYS]
+"""Clauses for a scenario that makes no keys."""
+
+
+def findings(folder: Path) -> dict[str, Finding]:
+    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+
+
+def failed(folder: Path) -> set[str]:
+    return {name for name, finding in findings(folder).items() if finding.result == "FAIL"}
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = SmallRun(tmp_path_factory.mktemp("runs") / "clean")
+    run.until_received(1)
+    run.steps(1)
+    run.close()
+    return run.folder
+
+
+@pytest.fixture(scope="module")
+def eventful(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Losses, repeats, either end killed between its trace and its journal, a lost journal."""
+    run = SmallRun(tmp_path_factory.mktemp("runs") / "eventful", (b"one", b"two"))
+    for number in range(6):
+        run.steps(
+            60,
+            {
+                5: "repeated",
+                9: "offer lost",
+                10: "offer lost",
+                20 + number: "plant dies",
+                30 + number: "controller dies",
+                41: "repeated",
+            },
+        )
+    run.step("controller forgets")
+    run.until_received(2)
+    run.steps(3, {1: "offer lost"})
+    run.close()
+    return run.folder
+
+
+@pytest.fixture
+def copied(clean: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(clean, tmp_path / "run"))
+
+
+@pytest.fixture
+def copied_eventful(eventful: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(eventful, tmp_path / "run"))
+
+
+# --- right runs -----------------------------------------------------------------------------------
+
+
+def test_a_clean_run_passes_every_clause(clean: Path) -> None:
+    results = findings(clean)
+    assert {f.result for f in results.values()} == {"PASS"}
+    assert all(f.tally.counted > 0 for f in results.values())
+    assert results["messages"].tally.note == "1 of 1 queued messages arrived"
+    assert results["prefix"].tally.counted == 65
+
+
+def test_a_run_with_faults_passes_every_clause(eventful: Path) -> None:
+    results = findings(eventful)
+    assert {name: f.tally.first for name, f in results.items() if f.result != "PASS"} == {}
+    assert "12 written again" in results["traces"].tally.note
+    assert results["switching"].tally.note.startswith("13 missed")
+    assert "13 offers that were not applied" in results["one-cipher"].tally.note
+    assert results["receiver"].tally.note == "sessions: 2"
+
+
+@pytest.mark.parametrize(
+    ("known", "received"), [(False, [b"one", b"one", b"two"]), (True, [b"one", b"two"])]
+)
+def test_a_message_that_was_whole_comes_again_if_the_controller_did_not_know(
+    known: bool, received: list[bytes], tmp_path: Path
+) -> None:
+    """The plant loses its journal right after the last symbol, or a step later."""
+    run = SmallRun(tmp_path / "run", (b"one", b"two"))
+    run.until_received(1)
+    run.steps(int(known))
+    run.step("plant forgets")
+    run.until_received(len(received))
+    run.close()
+    assert run.received == received
+    assert failed(run.folder) == set()
+    assert findings(run.folder)["messages"].tally.note == "2 of 2 queued messages arrived"
+
+
+def test_a_capture_may_have_parts(copied: Path) -> None:
+    header, *lines, _end = read_lines(copied / CAPTURE)
+    half = len(lines) // 2
+    write_lines(copied / CAPTURE, [header, *lines[:half]])
+    second = (copied / CAPTURE).with_name("capture.0001.jsonl")
+    write_lines(second, [header | {"part": 1}, *lines[half:]])
+    results = findings(copied)
+    assert {f.result for f in results.values()} == {"PASS"}
+    assert results["public-fields"].tally.counted == len(lines)
+
+
+def test_a_torn_end_is_no_failure(copied: Path) -> None:
+    for name in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE):
+        unmark(copied / name)
+        with (copied / name).open("ab") as file:
+            file.write(b'{"event":"transition","session":"00')
+    assert failed(copied) == set()
+    assert findings(copied)["traces"].tally.note.startswith("2 torn lines")
+
+
+@pytest.mark.parametrize(
+    ("missing", "skipped"),
+    [
+        (CAPTURE, {"same-answer", "wire", "public-fields", "same-shape", "one-cipher"}),
+        (CONTROLLER_TRACE, {"sender", "in-step", "prefix", "messages"}),
+    ],
+)
+def test_what_a_run_did_not_leave_is_skipped(
+    copied: Path, missing: Path, skipped: set[str]
+) -> None:
+    (copied / missing).unlink()
+    results = findings(copied)
+    assert {name for name, f in results.items() if f.result == "SKIP"} == skipped
+    assert failed(copied) == set()
+
+
+def test_a_disturbance_that_may_leave_is_counted_and_no_failure(tmp_path: Path) -> None:
+    run = SmallRun(
+        tmp_path / "run",
+        changes=(('kind = "uniform"\n', 'kind = "gaussian"\ndeviation = 0.7\n'),),
+    )
+    run.steps(400)
+    run.close()
+    assert failed(run.folder) == set()
+    note = findings(run.folder)["reachable"].tally.note
+    assert "the disturbance may leave D_c here, and did in " in note
+    assert int(note.split(" did in ")[1].split()[0]) > 5
+
+
+def test_the_papers_own_law_passes(tmp_path: Path) -> None:
+    run = SmallRun(tmp_path / "run", name="paper")
+    run.steps(60)
+    run.close()
+    assert failed(run.folder) == set()
+    assert "K x inside T_0" in findings(run.folder)["admissible"].tally.note
+
+
+# --- wrong runs -----------------------------------------------------------------------------------
+
+
+def first(lines: Lines, **fields: object) -> int:
+    """The number of the first line with these fields, some way into the run."""
+    return next(
+        i
+        for i, line in enumerate(lines)
+        if i > 40 and all(line.get(name) == value for name, value in fields.items())
+    )
+
+
+def agreement(lines: Lines) -> int:
+    return next(i for i, line in enumerate(lines) if i > 40 and line.get("symbol", -1) >= 0)
+
+
+def change(folder: Path, name: Path, edit: Callable[[Lines], None]) -> None:
+    lines = read_lines(folder / name)
+    edit(lines)
+    write_lines(folder / name, lines)
+
+
+def both(folder: Path, edit: Callable[[Lines], None]) -> None:
+    change(folder, PLANT_TRACE, edit)
+    change(folder, CONTROLLER_TRACE, edit)
+
+
+def flip_a_verdict(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        t = lines[agreement(lines)]
+        t["symbol"] = 1 - t["symbol"]
+
+    change(folder, CONTROLLER_TRACE, edit)
+
+
+def claim_a_gauge(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        t = lines[agreement(lines)]
+        t["gauges"] = [g + 1e-15 for g in t["gauges"]]
+
+    both(folder, edit)
+
+
+def swap_a_recovered_symbol(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        t = lines[first(lines, event="transition", role="message")]
+        t["message_symbol"] = 1 - t["message_symbol"]
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def use_a_key_twice(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        at = next(i for i, t in enumerate(lines) if i > 40 and t.get("role") == "message")
+        used, t = lines[at], lines[at + 1]
+        assert t["role"] == "test"
+        t |= {"role": "message", "symbol": -1, "key": used["key"], "s": 1}
+        t["message_symbol"] = (t["cipher"] - t["key"]) % 2
+
+    both(folder, edit)
+
+
+def skip_the_test(folder: Path) -> None:
+    """Both ends claim the same state that the automaton does not have."""
+
+    def edit(lines: Lines) -> None:
+        lines[agreement(lines)]["s"] = 1
+
+    both(folder, edit)
+
+
+def turn_the_coin(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        t = lines[agreement(lines)]
+        t["coin"] = 1 - t["coin"]
+        t["u"] = t["candidates"][t["coin"]]
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def apply_something_else(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        lines[first(lines, event="transition")]["u"] = [0.123]
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def jump(folder: Path) -> None:
+    """The state is elsewhere when the next step begins."""
+
+    def edit(lines: Lines) -> None:
+        lines[first(lines, event="transition")]["x"][0] += 1e-6
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def lose_a_transition(folder: Path) -> None:
+    both(folder, lambda lines: lines.__delitem__(first(lines, j=50)))
+
+
+def offer_too_much(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        lines[first(lines, j=50)]["candidates"][1] = [7.0]
+
+    both(folder, edit)
+
+
+def mangle_a_transition(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        lines[first(lines, j=50)]["secret"] = 1
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def forget_the_last_ten(folder: Path) -> None:
+    change(folder, CONTROLLER_TRACE, lambda lines: lines.__delitem__(slice(-10, None)))
+
+
+def invent_a_message(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        lines[first(lines, event="recovered")]["payload"] = base64.b64encode(b"ho").decode()
+
+    change(folder, PLANT_TRACE, edit)
+
+
+def queue_another_message(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        for line in lines:
+            if line["event"] == "sent":
+                line["payload"] = base64.b64encode(b"ho").decode()
+
+    change(folder, CONTROLLER_TRACE, edit)
+
+
+def in_the_capture(edit: Callable[[Event], None], topic: str, k: int) -> Callable[[Path], None]:
+    def corrupt(folder: Path) -> None:
+        def change_one(lines: Lines) -> None:
+            edit(
+                next(
+                    line["message"]
+                    for line in lines
+                    if line.get("topic") == topic and line["message"]["k"] == k
+                )
+            )
+
+        change(folder, CAPTURE, change_one)
+
+    return corrupt
+
+
+def shout_on_the_field_bus(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        malformed = {
+            "event": "malformed",
+            "t_ns": 1,
+            "key": "wyner/v1/loop/offer",
+            "base64": "aGk=",
+        }
+        lines.insert(50, malformed)
+
+    change(folder, CAPTURE, edit)
+
+
+def answer_differently(folder: Path) -> None:
+    def edit(lines: Lines) -> None:
+        at = first(lines, topic="offer")
+        again = json.loads(json.dumps(lines[at]))
+        again["message"]["candidates"][0][0] += 1e-9
+        lines.insert(at + 1, again)
+
+    change(folder, CAPTURE, edit)
+
+
+def look_different_in_state_2(folder: Path) -> None:
+    """Public fields only, and yet the automaton state shows."""
+    roles = {
+        line["k"]: line["role"]
+        for line in read_lines(folder / PLANT_TRACE)
+        if line["event"] == "transition"
+    }
+
+    def edit(lines: Lines) -> None:
+        for line in lines:
+            if line.get("topic") == "offer" and roles.get(line["message"]["k"]) == "message":
+                line["message"] = dict(reversed(line["message"].items()))
+
+    change(folder, CAPTURE, edit)
+
+
+@pytest.mark.parametrize(
+    ("corrupt", "expected"),
+    [
+        (flip_a_verdict, {"agreement", "sender", "in-step", "one-time-pad"}),
+        (claim_a_gauge, {"agreement"}),
+        (swap_a_recovered_symbol, {"receiver", "in-step", "prefix", "frames", "messages"}),
+        (use_a_key_twice, {"sender", "receiver", "one-time-pad"}),
+        (skip_the_test, {"sender", "receiver"}),
+        (turn_the_coin, {"coin", "reachable"}),
+        (apply_something_else, {"switching"}),
+        (jump, {"switching", "agreement", "in-step", "wire"}),
+        (lose_a_transition, {"traces", "switching"}),
+        (offer_too_much, {"admissible", "agreement", "wire"}),
+        (mangle_a_transition, {"traces", "switching", "in-step"}),
+        (forget_the_last_ten, {"in-step"}),
+        (invent_a_message, {"frames"}),
+        (queue_another_message, {"messages"}),
+        (in_the_capture(lambda m: m.update(key=0), "offer", 50), {"public-fields", "same-shape"}),
+        (in_the_capture(lambda m: m.pop("cipher"), "offer", 50), {"public-fields", "same-shape"}),
+        (in_the_capture(lambda m: m.update(x=[0.0]), "measurement", 50), {"public-fields", "wire"}),
+        (in_the_capture(lambda m: m.update(cipher=2), "offer", 50), {"public-fields", "wire"}),
+        (
+            in_the_capture(lambda m: m.update(cipher=1 - m["cipher"]), "offer", 50),
+            {"one-cipher", "wire"},
+        ),
+        (in_the_capture(lambda m: m["x"].reverse(), "measurement", 50), {"wire"}),
+        (shout_on_the_field_bus, {"public-fields"}),
+        (answer_differently, {"same-answer", "wire"}),
+        (look_different_in_state_2, {"same-shape"}),
+    ],
+)
+def test_what_is_wrong_fails_its_clause(
+    copied: Path, corrupt: Callable[[Path], None], expected: set[str]
+) -> None:
+    corrupt(copied)
+    found = findings(copied)
+    assert expected <= {name for name, f in found.items() if f.result == "FAIL"}
+    for finding in (f for f in found.values() if f.result == "FAIL"):
+        first = finding.tally.first
+        assert first is not None
+        assert [type(v) for v in (first.session, first.j, first.k)] == [str, int, int], finding
+        assert first.text, "a failure says what does not hold"
+
+
+def test_a_failure_says_where(copied: Path) -> None:
+    flip_a_verdict(copied)
+    lines = read_lines(copied / CONTROLLER_TRACE)
+    t = lines[agreement(lines)]
+    place = findings(copied)["agreement"].tally.first
+    assert place is not None
+    assert (place.session, place.j, place.k) == (t["session"], t["j"], t["k"])
+    assert "controller's verdict" in place.text
+
+
+def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
+    shout_on_the_field_bus(copied)
+    place = findings(copied)["public-fields"].tally.first
+    assert place is not None
+    assert place.text == (
+        "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v1/loop/offer: b'hi')"
+    )
+
+
+def test_a_key_reuse_says_where(copied: Path) -> None:
+    use_a_key_twice(copied)
+    lines = read_lines(copied / PLANT_TRACE)
+    at = next(i for i, t in enumerate(lines) if i > 40 and t.get("role") == "message") + 1
+    place = findings(copied)["one-time-pad"].tally.first
+    assert place is not None
+    assert place.j == lines[at]["j"]
+    assert "without a key of its own" in place.text
+
+
+def test_a_cipher_that_changed_before_it_was_applied_fails(copied_eventful: Path) -> None:
+    """The offer was lost on its way to the plant, but not to the tap: two ciphers, one key."""
+    lost = {e["k"] for e in read_lines(copied_eventful / PLANT_TRACE) if e["event"] == "missed"}
+    k = min(lost)
+    in_the_capture(lambda m: m.update(cipher=1 - m["cipher"]), "offer", k)(copied_eventful)
+    assert failed(copied_eventful) == {"one-cipher", "whole"}
+
+
+def test_a_transition_written_again_with_another_cipher_fails(copied_eventful: Path) -> None:
+    def edit(lines: Lines) -> None:
+        seen: dict[tuple[str, int], Event] = {}
+        for line in lines:
+            if line["event"] == "transition":
+                at = (line["session"], line["j"])
+                if at in seen:
+                    seen[at]["cipher"] = 1 - seen[at]["cipher"]
+                    return
+                seen[at] = line
+
+    change(copied_eventful, PLANT_TRACE, edit)
+    assert "one-cipher" in failed(copied_eventful)
+
+
+def test_a_wrong_fallback_fails(copied_eventful: Path) -> None:
+    def edit(lines: Lines) -> None:
+        lines[first(lines, event="missed")]["u"] = [1.0]
+
+    change(copied_eventful, PLANT_TRACE, edit)
+    assert "switching" in failed(copied_eventful)
+
+
+def test_messages_out_of_order_fail(copied_eventful: Path) -> None:
+    def edit(lines: Lines) -> None:
+        sent = [line for line in lines if line["event"] == "sent"]
+        for a, b in zip(sent[::2], sent[1::2], strict=True):
+            a["payload"], b["payload"] = b["payload"], a["payload"]
+
+    change(copied_eventful, CONTROLLER_TRACE, edit)
+    assert "messages" in failed(copied_eventful)
+
+
+def test_a_run_in_which_nothing_happened_fails(tmp_path: Path) -> None:
+    SmallRun(tmp_path / "run").close()
+    assert failed(tmp_path / "run") == {"traces"}
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_the_command_says_pass_or_fail_for_each_clause(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(copied)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines[:-1]] == [["PASS", name] for name in HERE]
+    assert lines[-1] == f"{len(HERE)} PASS, 0 FAIL, 0 SKIP"
+    flip_a_verdict(copied)
+    assert main(["check", str(copied)]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL  agreement" in out
+    assert "failures: 1, first: session 0000000000000001, transition " in out
+
+
+def test_the_command_gives_one_object(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(copied), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["passed"], summary["failed"], summary["skipped"]) == (True, 0, 0)
+    assert [clause["name"] for clause in summary["clauses"]] == HERE
+    turn_the_coin(copied)
+    assert main(["check", "--json", str(copied)]) == 1
+    summary = json.loads(capsys.readouterr().out)
+    coin = next(clause for clause in summary["clauses"] if clause["name"] == "coin")
+    assert coin["result"] == "FAIL"
+    assert coin["failures"] == 1
+    assert set(coin["first"]) == {"session", "j", "k", "text"}
+    assert summary["passed"] is False
+
+
+@pytest.mark.parametrize("leave", [(), ("scenario.toml",)])
+def test_no_run_is_one_line_and_2(
+    leave: tuple[str, ...], clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in leave:
+        shutil.copy(clean / name, tmp_path / name)
+    assert main(["check", str(tmp_path)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"wyner: {tmp_path}: no run here")
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("beginning", "said"),
+    [
+        (b"nothing of the kind\n", "line 1: not a JSON object"),
+        (b'{"event":"missed"}\n', "line 1: expected a header"),
+        (b'{"event":"continued"}\n', "line 1: expected a header"),
+        (b'{"event":"header","format":"wyner-trace","version":1}\n', "line 1: version"),
+        (b"[" * 100_000 + b"\n", "line 1: not a JSON object"),
+    ],
+)
+def test_a_trace_without_its_header_fails_and_the_line_is_named(
+    copied: Path, capsys: pytest.CaptureFixture[str], beginning: bytes, said: str
+) -> None:
+    (copied / PLANT_TRACE).write_bytes(beginning)
+    assert main(["check", str(copied)]) == 1
+    out, err = capsys.readouterr()
+    assert said in out
+    assert "PASS" in out
+    assert err == ""
+
+
+def test_a_service_that_was_killed_before_its_first_line_is_honest(copied: Path) -> None:
+    for trace in (PLANT_TRACE, CONTROLLER_TRACE):
+        (copied / trace).write_bytes(b"")
+    findings = {f.clause.name: f for f in check(read_evidence(copied))}
+    assert findings["whole"].result != "FAIL" or "journal" in str(findings["whole"].tally.first)
+    assert "header" not in str([f.tally.first for f in findings.values()])

@@ -1,0 +1,87 @@
+"""An honest run passes the check, wherever one of its ends was killed, and no report is lost."""
+
+from pathlib import Path
+
+import pytest
+
+from protocol.link.events import Delivered, Event, Queued, Recovered
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.recorded_loop import RecordedLoop, Side
+from tests.support.small_run import SmallRun, read_lines, write_lines
+from tests.support.traces import read_trace
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+
+MESSAGES = [b"a", b"b", b"b"]
+
+
+def killed_once(folder: Path, side: Side, since: type[Event], after: int) -> RecordedLoop:
+    """A run of three messages; the operator hands the second over again if he gets no answer."""
+    loop = RecordedLoop(folder, MESSAGES[0], "keys")
+    loop.run(lambda: loop.transitions >= 3)
+    loop.crash_at(side, after, since)
+    loop.queue("second", MESSAGES[1])
+    loop.run(lambda: loop.transitions >= 6)
+    loop.queue("second", MESSAGES[1])
+    loop.queue("third", MESSAGES[2])
+    loop.run(lambda: loop.delivered >= 3)
+    return loop
+
+
+@pytest.mark.parametrize("after", range(4))
+@pytest.mark.parametrize(
+    ("side", "since"), [("plant", Recovered), ("controller", Delivered), ("controller", Queued)]
+)
+def test_no_report_is_lost_where_an_end_is_killed_about_it(
+    tmp_path: Path, side: Side, since: type[Event], after: int
+) -> None:
+    loop = killed_once(tmp_path, side, since, after)
+    assert loop.lives[side] == 2
+    assert loop.received == MESSAGES
+    loop.stop()
+    assert loop.wrong() == []
+    for path, report in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
+        assert len(list(read_trace(tmp_path / path).of(report))) == 3
+
+
+def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
+    loop = RecordedLoop(tmp_path, MESSAGES[0], "keys")
+    loop.run(lambda: loop.transitions >= 3)
+    loop.crash_at("controller", 1, Queued)
+    loop.queue("given-up", b"b")
+    loop.run(lambda: loop.lives["controller"] == 2)
+    loop.queue("third", b"c")
+    loop.run(lambda: loop.delivered >= 2)
+    assert loop.received == [b"a", b"c"]
+    loop.stop()
+    assert loop.wrong() == []
+
+
+@pytest.mark.parametrize(("after", "reports"), [(1, 4), (2, 3)])
+def test_a_report_that_is_taken_from_a_killed_run_is_missed(
+    tmp_path: Path, after: int, reports: int
+) -> None:
+    """Where it was killed before it had saved, both were written again: the second counts."""
+    loop = killed_once(tmp_path, "plant", Recovered, after)
+    loop.stop()
+    whole = read_lines(tmp_path / PLANT_TRACE)
+    places = [i for i, line in enumerate(whole) if line["event"] == "recovered"]
+    assert len(places) == reports
+    gone = [line for i, line in enumerate(whole) if i != places[reports - 3]]
+    write_lines(tmp_path / PLANT_TRACE, [line for line in gone if line["event"] != "end"])
+    assert any("a whole frame, and nothing recovered" in line for line in loop.wrong())
+
+
+def test_a_missed_step_that_was_not_saved_is_made_again(tmp_path: Path) -> None:
+    """Killed after it was traced, the plant counts the transition before, and misses it again."""
+    run = SmallRun(tmp_path)
+    run.steps(40, {20: "offer lost"})
+    run.close()
+    lines = read_lines(tmp_path / PLANT_TRACE)
+    at = next(i for i, line in enumerate(lines) if line["event"] == "missed")
+    unsaved = {**lines[at], "x_next": [0.0, 0.0]}
+    back = [{"event": "continued"}, next(line for line in lines if line["event"] == "session")]
+    lines[at:at] = [unsaved, *back, lines[at - 1]]
+    write_lines(tmp_path / PLANT_TRACE, [line for line in lines if line["event"] != "end"])
+    findings = check(read_evidence(tmp_path))
+    assert [str(f.tally.first) for f in findings if f.result == "FAIL"] == []

@@ -1,0 +1,176 @@
+"""What is evidence cannot change unseen; what is none may. Both are said of every file of a run."""
+
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from runtime.run_folder import MANIFEST, SUMMARY
+from tests.support.checked_runs import one_law, run_with_keys
+from wyner.runs.check import check
+from wyner.runs.check.covered import KINDS, OTHER, evidence_below, kind_of
+from wyner.runs.check.evidence import read_evidence
+from wyner.runs.check.seal import broken
+
+pytestmark = [pytest.mark.slow, pytest.mark.integration]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_law() -> Iterator[None]:
+    with one_law():
+        yield
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of all three services with signed keys; one sealed message was delivered."""
+    folder = tmp_path_factory.mktemp("runs") / "keys"
+    run_with_keys(folder, b"At nine.", "smoother,key-solver")
+    return folder
+
+
+@pytest.fixture
+def copied(run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run, tmp_path / "run"))
+
+
+@pytest.fixture
+def unsealed(copied: Path) -> Path:
+    """As if everything had been killed before it was summed up."""
+    (copied / SUMMARY).unlink()
+    manifest = json.loads((copied / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    (copied / MANIFEST).write_text(json.dumps(manifest))
+    return copied
+
+
+def failed(folder: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+
+
+def passes(folder: Path) -> bool:
+    """A folder that is no run any more does not pass."""
+    try:
+        return not failed(folder)
+    except Exception as error:
+        assert type(error).__name__ in ("ScenarioError", "FileNotFoundError"), error
+        return False
+
+
+def seal_says(folder: Path) -> list[str]:
+    """Which files the seal finds otherwise; it is a quick part of the check."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return []
+    return [name for name, wrong in broken(folder, manifest) if wrong]
+
+
+def emptied(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def truncated(path: Path) -> None:
+    os.truncate(path, path.stat().st_size * 3 // 4)
+
+
+def one_record_changed(path: Path) -> None:
+    """A digit in the middle of a text; in a database the last row of its largest table."""
+    if path.suffix == ".sqlite3" and "keys" in path.name:
+        with sqlite3.connect(path) as db:
+            tables = [t for (t,) in db.execute("SELECT name FROM sqlite_master WHERE type='table'")]
+            count = {t: db.execute(f"SELECT COUNT(*) FROM {t}").fetchone()[0] for t in tables}
+            assert count["key"] == max(count.values())
+            db.execute("UPDATE key SET own = 1 - own WHERE place = (SELECT MAX(place) FROM key)")
+        return
+    raw = bytearray(path.read_bytes() or b"0")
+    digits = [i for i in range(len(raw)) if chr(raw[i]).isdigit()]
+    at = digits[len(digits) // 2] if digits else len(raw) // 2
+    raw[at] ^= 1
+    path.write_bytes(raw)
+
+
+CHANGES: tuple[Callable[[Path], None], ...] = (
+    Path.unlink,
+    emptied,
+    truncated,
+    one_record_changed,
+)
+
+
+def test_an_honest_run_passes_with_and_without_its_seal(copied: Path) -> None:
+    assert failed(copied) == set()
+
+
+def test_without_its_seal_too(unsealed: Path) -> None:
+    assert failed(unsealed) == set()
+
+
+def test_every_file_that_a_run_leaves_is_in_the_table(run: Path) -> None:
+    names = [str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()]
+    assert [name for name in names if kind_of(name) is OTHER] == []
+    assert {kind.pattern for kind in KINDS if kind.evidence} == {
+        kind_of(str(path.relative_to(run))).pattern for path in evidence_below(run)
+    }
+
+
+def same(before: Path, after: Path) -> bool:
+    """Whether a change left a file as it was, as where an empty one is emptied."""
+    return after.exists() and after.read_bytes() == before.read_bytes()
+
+
+@pytest.mark.parametrize("how", CHANGES)
+def test_no_evidence_changes_unseen(run: Path, tmp_path: Path, how: Callable[[Path], None]) -> None:
+    for path in evidence_below(run):
+        name = path.relative_to(run)
+        folder = Path(shutil.copytree(run, tmp_path / "copy"))
+        how(folder / name)
+        if not same(path, folder / name):  # an end that has stopped leaves an empty step log
+            assert seal_says(folder) or not passes(folder), f"{name}: {how.__name__}"
+        shutil.rmtree(folder)
+
+
+SAID = {"tap/guesses.jsonl", "tap/analysis.jsonl"}
+"""What she said: a writer that is killed leaves as little, and no end mark."""
+
+KEPT = {"plant/journal.sqlite3", "controller/journal.sqlite3"}
+
+UNSEEN: dict[Callable[[Path], None], set[str]] = {
+    Path.unlink: {*SAID, *KEPT, MANIFEST.name, "tap/status.json"},
+    emptied: SAID,
+    truncated: SAID,
+    one_record_changed: {*SAID, "tap/status.json"},  # a smaller count of the capture, her clock
+}
+"""What may be so where no seal holds it."""
+
+
+@pytest.mark.parametrize("how", CHANGES)
+def test_without_a_seal_the_clauses_see_what_they_are_said_to(
+    unsealed: Path, tmp_path: Path, how: Callable[[Path], None]
+) -> None:
+    unseen = set()
+    for path in evidence_below(unsealed):
+        name = path.relative_to(unsealed)
+        if kind_of(str(name)).held_by == "the seal":
+            continue
+        folder = Path(shutil.copytree(unsealed, tmp_path / "copy"))
+        how(folder / name)
+        if path.read_bytes() and not same(path, folder / name) and passes(folder):
+            unseen.add(str(name))
+        shutil.rmtree(folder)
+    assert unseen <= UNSEEN[how]
+
+
+@pytest.mark.parametrize("how", CHANGES)
+def test_what_is_no_evidence_is_free(
+    run: Path, tmp_path: Path, how: Callable[[Path], None]
+) -> None:
+    folder = Path(shutil.copytree(run, tmp_path / "copy"))
+    for path in folder.rglob("*"):
+        if path.is_file() and not kind_of(str(path.relative_to(folder))).evidence:
+            how(path)
+    assert failed(folder) == set()

@@ -1,0 +1,256 @@
+"""The clauses of keys: a right run passes, each thing that is wrong fails the one that says so."""
+
+import base64
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from runtime.run_folder import (
+    CAPTURE,
+    CONTROLLER_KEYS,
+    CONTROLLER_TRACE,
+    PLANT_KEYS,
+    PLANT_TRACE,
+)
+from tests.runs.check.mutants import Mutant, of_kind
+from tests.support.checked_runs import run_with_keys
+from wyner.cli.main import main
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+from wyner.runs.run import Run
+from wyner.runs.score.keys import audit_keys
+
+Line = dict[str, Any]
+
+TEXT = "The old mill, at nine."
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """It goes on until a sealed message was delivered: blocks are then confirmed at both ends.
+
+    The tap loses three messages of ten, the sealed one as well: runs are made until she has it.
+    """
+    for _ in range(30):
+        folder = tmp_path_factory.mktemp("runs") / "keys"
+        run_with_keys(folder, TEXT.encode(), "nearest-centre,key-solver")
+        if b'"topic":"sealed"' in (folder / CAPTURE).read_bytes():
+            return folder
+    pytest.fail("she lost the sealed message in every run")
+
+
+@pytest.fixture
+def copied(run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run, tmp_path / "run"))
+
+
+def failed(folder: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
+    evidence = read_evidence(run)
+    assert failed(run) == set()
+    audit = audit_keys(Run.load(run), evidence.scenario)
+    assert audit is not None
+    assert audit.made >= 2
+    assert audit.held_bits == 0
+    assert audit.same
+    assert audit.warnings == ()
+    summary = json.loads((run / "summary.json").read_text())["keys"]
+    assert summary["made"] == audit.made
+    assert summary["refused"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    audit = audit_keys(Run.load(run), read_evidence(run).scenario)
+    assert audit is not None
+    live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
+    assert main(["replay", str(run), "--score", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
+    exact = {(block.session, block.number): block for block in audit.blocks}
+    assert len(live["newest"]) >= 2
+    for hers in live["newest"]:
+        block = exact[hers["session"], hers["number"]]
+        # what she takes for counted where she missed the word on it
+        assert 0 <= hers["counted"] - block.counted <= 4
+        assert (hers["bits"], block.held_bits) == (0, 0)
+        assert hers["rows"] - hers["missed"] >= block.rows - block.missed
+    assert live["bits"] == 0
+    assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
+    assert main(["secrecy", str(run)]) == 0
+    out = capsys.readouterr().out
+    holds = f"key-solver: holds 0 bits of 0 of {live['blocks']} key blocks; reads 0 of 176 bits"
+    assert holds in out
+
+
+def rewrite(path: Path, change: Callable[[list[Line]], object]) -> None:
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    lines = [line for line in lines if line["event"] != "end"]
+    change(lines)
+    path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines))
+
+
+def of_the_loop(lines: list[Line]) -> list[Line]:
+    return [line["message"] for line in lines if line.get("topic") in ("measurement", "offer")]
+
+
+def repeat_a_nonce(lines: list[Line]) -> None:
+    first, second = of_the_loop(lines)[10:12]
+    second["nonce"] = first["nonce"]
+
+
+def send_copy_0_again(lines: list[Line]) -> None:
+    told = [(i, line["message"]) for i, line in enumerate(lines) if "message" in line]
+    place = next(i for i, message in told if i > 20 and message.get("copy_number") == 0)
+    again = json.loads(json.dumps(lines[place]))
+    again["message"]["nonce"] = "A" * 43 + "="
+    lines.insert(place + 1, again)
+
+
+def change_a_tag(lines: list[Line]) -> None:
+    """Of a message that is not the first to show it."""
+    told = [m for m in of_the_loop(lines) if m["block"] == 0 and "x" in m]
+    told[1]["tag"] = "0" * 32
+
+
+def count_otherwise(lines: list[Line]) -> None:
+    next(line for line in lines if line.get("j") == 30)["counts"] ^= 1
+
+
+def claim_more_keys(lines: list[Line]) -> None:
+    next(line for line in lines if line["event"] == "block")["keys"] += 1
+
+
+def seal_again(lines: list[Line]) -> None:
+    """Another message under the same keys."""
+    sealed = [line for line in lines if line.get("topic") == "sealed"][-1]
+    again = json.loads(json.dumps(sealed))
+    again["message"]["id"] = "another"
+    lines.append(again)
+
+
+def send_in_the_clear(lines: list[Line]) -> None:
+    for line in lines:
+        if line.get("topic") == "sealed":
+            line["message"]["cipher"] = base64.b64encode(TEXT.encode()).decode()
+
+
+def tell_a_key(lines: list[Line]) -> None:
+    next(line for line in lines if line.get("topic") == "sealed")["message"]["key"] = "A" * 44
+
+
+def send_the_text_beside(lines: list[Line]) -> None:
+    next(line for line in lines if line.get("topic") == "sealed")["message"]["text"] = TEXT
+
+
+WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
+    "a nonce twice": (CAPTURE, repeat_a_nonce, {"nonce-once"}),
+    "copy 0 twice": (CAPTURE, send_copy_0_again, {"copy-0-once"}),
+    "another tag": (CAPTURE, change_a_tag, {"tags"}),
+    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"counted"}),
+    "more keys": (CONTROLLER_TRACE, claim_more_keys, {"blocks"}),
+    "a key sealed twice": (CAPTURE, seal_again, {"sealed-once"}),
+    "a text in the clear": (CAPTURE, send_in_the_clear, {"sealed-once"}),
+    "a key beside the text": (CAPTURE, tell_a_key, {"public-fields"}),
+    "the text beside its cipher": (CAPTURE, send_the_text_beside, {"public-fields"}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_wrong_fails_its_clause(wrong: str, copied: Path) -> None:
+    path, change, clauses = WRONG[wrong]
+    rewrite(copied / path, change)
+    assert clauses <= failed(copied)
+
+
+def only_sealed(lines: list[Line]) -> None:
+    lines[1:] = [line for line in lines if line.get("topic") == "sealed"]
+
+
+def harmless(m: Mutant) -> bool:
+    """What the end marks alone protect; the message goes out again until it is acknowledged."""
+    return (
+        m.field == "t_ns" or m.how in ("repeated", "swapped") or (m.field, m.how) == ("", "deleted")
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_every_change_of_a_sealed_message_fails_a_clause_that_names_it(copied: Path) -> None:
+    rewrite(copied / PLANT_TRACE, lambda lines: lines.__delitem__(slice(3, None)))
+    rewrite(copied / CONTROLLER_TRACE, lambda lines: lines.__delitem__(slice(3, None)))
+    rewrite(copied / CAPTURE, only_sealed)
+    assert not failed(copied) & {"public-fields", "sealed-once"}
+    mutants = [m for m in of_kind(copied, CAPTURE, "sealed") if not harmless(m)]
+    assert {m.field for m in mutants} >= {"v", "id", "key_ids", "cipher", "tag", "topic"}
+    unnamed = {}
+    for m in mutants:
+        m.apply(copied)
+        found = failed(copied)
+        if not found & {"public-fields", "sealed-once"}:
+            unnamed[m.name] = found
+    assert unnamed == {}
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_stores_that_differ_fail(copied: Path) -> None:
+    with sqlite3.connect(copied / PLANT_KEYS) as db:
+        db.execute("UPDATE key SET own = 1")
+    db.close()
+    with sqlite3.connect(copied / CONTROLLER_KEYS) as db:
+        db.execute("UPDATE key SET id = 'another' || place WHERE place < 3")
+        db.execute("UPDATE key SET body = zeroblob(32) WHERE place = 5")
+    db.close()
+    assert "key-ids" in failed(copied)
+    audit = audit_keys(Run.load(copied), read_evidence(copied).scenario)
+    assert audit is not None
+    assert audit.same is False
+    assert "the two stores differ" in audit.warnings
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(copied: Path) -> None:
+    """The capture as if she had missed nothing: all copies 0 of the run."""
+
+    def hear_all(lines: list[Line]) -> None:
+        example = next(line for line in lines if line["event"] == "field")
+        trace = (copied / "plant" / "trace.jsonl").read_bytes().splitlines()
+        for event in map(json.loads, trace):
+            if event["event"] != "transition":
+                continue
+            base = {"session": event["session"], "k": event["k"], "nonce": "", "copy_number": 0}
+            common = {"v": 3, **base, "block": -1, "tag": ""}
+            offer = {**common, "candidates": event["candidates"], "cipher": 0, "heard": 0}
+            x = {"x": event["x"], "applied_k": event["k"] - 1, "x_after": event["x"]}
+            for topic, message in (
+                ("measurement", {**common, **x, "applied_copy": 0}),
+                ("offer", offer),
+            ):
+                lines.append({**example, "topic": topic, "message": message})
+
+    rewrite(copied / CAPTURE, hear_all)
+    audit = audit_keys(Run.load(copied), read_evidence(copied).scenario)
+    assert audit is not None
+    assert audit.held_bits >= 256 * 2  # all rows of each block, the public one included
+    assert {name: rate.refuted for name, rate in audit.rates.items()} == {
+        "measurements": True,
+        "offers": True,
+    }
+    assert len(audit.warnings) == 3

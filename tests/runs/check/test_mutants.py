@@ -1,0 +1,206 @@
+"""Nothing that a run recorded can be otherwise without a clause that says so, by its name."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
+from tests.runs.check.mutants import Mutant, mutants_of
+from tests.support.checked_runs import one_law
+from tests.support.ended_run import ended_run
+from tests.support.lines import unmark
+from tests.support.small_run import read_lines, write_lines
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+
+pytestmark = pytest.mark.slow
+
+STRIDE = 11
+"""One mutant in so many is tried; all of them with ``WYNER_MUTANTS=all``."""
+
+ALL = os.environ.get("WYNER_MUTANTS") == "all"
+TRACES = (PLANT_TRACE, CONTROLLER_TRACE)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_law() -> Iterator[None]:
+    with one_law():
+        yield
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with all that a run leaves: two messages, losses, repeats, deaths, a lost journal."""
+    return ended_run(tmp_path_factory.mktemp("runs") / "ended", (b"",)).folder
+
+
+@pytest.fixture(scope="module")
+def killed(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same, without the end marks that count its lines."""
+    folder = Path(shutil.copytree(ended, tmp_path_factory.mktemp("runs") / "killed"))
+    for name in (*TRACES, CAPTURE):
+        unmark(folder / name)
+    return folder
+
+
+def failed(folder: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+
+
+NAMED: dict[tuple[str, str], set[str]] = {
+    ("transition", "x"): {"switching", "in-step", "traces"},
+    ("transition", "candidates"): {"in-step", "wire", "traces"},
+    ("transition", "cipher"): {"in-step", "one-cipher", "traces"},
+    ("transition", "x_next"): {"in-step", "wire", "traces"},
+    ("transition", "role"): {"sender", "receiver", "traces"},
+    ("transition", "gauges"): {"agreement", "traces"},
+    ("transition", "symbol"): {"agreement", "traces"},
+    ("transition", "key"): {"sender", "receiver", "traces"},
+    ("transition", "message_symbol"): {"sender", "receiver", "traces"},
+    ("transition", "p"): {"sender", "receiver", "traces"},
+    ("transition", "s"): {"sender", "receiver", "traces"},
+    ("transition", "coin"): {"switching", "coin", "traces"},
+    ("transition", "u"): {"switching", "traces"},
+    ("missed", "x"): {"switching", "wire", "traces"},
+    ("missed", "u"): {"switching", "traces"},
+    ("missed", "x_next"): {"switching", "whole", "traces"},
+    ("sent", "id"): {"messages", "traces"},
+    ("sent", "payload"): {"messages", "traces"},
+    ("delivered", "id"): {"messages", "traces"},
+    ("delivered", "payload"): {"frames", "messages", "traces"},
+    ("recovered", "payload"): {"frames", "messages", "traces"},
+    ("header", "vantage"): {"scenario", "whole"},
+    ("header", "scenario"): {"scenario"},
+    ("header", "fingerprint"): {"scenario"},
+    ("header", "loop"): {"scenario"},
+    ("header", "event"): {"whole", "scenario", "public-fields"},
+    ("header", "part"): {"whole", "traces"},
+    ("header", "oldest"): {"whole", "traces"},
+    ("header", "format"): {"whole", "traces"},
+    ("header", "version"): {"whole", "traces"},
+    ("continued", "event"): {"traces", "whole"},
+    ("manifest", "scenario"): {"scenario"},
+    ("manifest", "fingerprint"): {"scenario"},
+    ("manifest", "loop"): {"scenario"},
+    ("measurement", "x"): {"wire", "public-fields"},
+    ("measurement", "x_after"): {"wire", "public-fields"},
+    ("measurement", "applied_k"): {"wire", "public-fields"},
+    ("offer", "candidates"): {"wire", "public-fields"},
+    ("offer", "cipher"): {"wire", "one-cipher", "public-fields"},
+}
+"""The clauses of which one must name the change; where none is given, those of `OTHERWISE`."""
+
+OTHERWISE: dict[Path, set[str]] = {
+    PLANT_TRACE: {"traces", "switching", "in-step", "frames", "whole"},
+    CONTROLLER_TRACE: {"traces", "in-step", "frames", "messages", "whole"},
+    CAPTURE: {"public-fields", "wire", "whole"},
+    MANIFEST: {"scenario"},
+}
+
+
+def only_marked(m: Mutant) -> bool:
+    """What nothing else recorded depends on: the end mark's digest alone protects it."""
+    if (m.kind, m.how) == ("sent", "swapped"):
+        return True  # with what came before anything was sent
+    if m.field == "reason":
+        return m.how in ("small", "large")
+    if m.kind == "header":
+        if m.file != CAPTURE and m.how == "deleted":
+            return m.field in ("part", "oldest")  # 0 without them
+        return m.field in ("view", "unheard_of") or (m.field == "oldest" and m.file == CAPTURE)
+    if m.kind == "continued":
+        return m.field == "unheard_of" or (m.field, m.how) == ("", "repeated")
+    if m.file == CAPTURE:
+        # a network repeats and reorders
+        return m.field == "t_ns" or m.how in ("repeated", "swapped")
+    return False
+
+
+def test_honest_runs_pass(ended: Path, killed: Path) -> None:
+    for folder in (ended, killed):
+        findings = check(read_evidence(folder))
+        assert {f.clause.name: f.tally for f in findings if f.result != "PASS"} == {}
+
+
+def test_every_change_of_meaning_fails_the_clause_that_names_it(
+    killed: Path, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(killed, tmp_path / "run"))
+    mutants = [m for m in mutants_of(killed) if not only_marked(m)]
+    assert len(mutants) > 500
+    if not ALL:
+        mutants = mutants[::STRIDE]
+    survivors, unnamed = [], []
+    for m in mutants:
+        before = (folder / m.file).read_bytes()
+        m.apply(folder)
+        found = failed(folder)
+        (folder / m.file).write_bytes(before)
+        kind = m.kind.split()[0] if m.kind else ""
+        expected = NAMED.get((kind, m.field), OTHERWISE[m.file])
+        if not found:
+            survivors.append(m.name)
+        elif not found & expected:
+            unnamed.append((m.name, found))
+    assert not survivors, "\n".join(survivors)
+    assert not unnamed, unnamed
+
+
+def test_an_end_mark_protects_the_rest(ended: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(ended, tmp_path / "run"))
+    mutants = [m for m in mutants_of(ended) if only_marked(m) and m.file == CAPTURE]
+    assert len(mutants) >= 20
+    for m in mutants if ALL else mutants[::STRIDE]:
+        before = (folder / m.file).read_bytes()
+        m.apply(folder)
+        assert "whole" in failed(folder), m.name
+        (folder / m.file).write_bytes(before)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("alpha = 8.0", "alpha = 7.9"),
+        ("period_s = 0.1", "period_s = 0.2"),
+        ('kind = "uniform"', 'kind = "corners"'),
+    ],
+)
+def test_a_scenario_changed_after_the_run_fails(
+    killed: Path, tmp_path: Path, old: str, new: str
+) -> None:
+    folder = Path(shutil.copytree(killed, tmp_path / "run"))
+    text = (folder / SCENARIO).read_text()
+    assert old in text
+    (folder / SCENARIO).write_text(text.replace(old, new))
+    assert "scenario" in failed(folder)
+
+
+def test_files_cut_together_fail(killed: Path, tmp_path: Path) -> None:
+    """All three recordings end at the same step, as if nothing had come after it."""
+    folder = Path(shutil.copytree(killed, tmp_path / "run"))
+    for name in (*TRACES, CAPTURE):
+        lines = read_lines(folder / name)
+        at = next(
+            i for i, line in enumerate(lines) if line.get("message", line).get("k", -1) == 100
+        )
+        write_lines(folder / name, lines[:at])
+    assert "whole" in failed(folder)
+
+
+def test_a_gauge_a_millionth_beyond_its_bound_fails(killed: Path, tmp_path: Path) -> None:
+    """The tolerance is rounding's, and no more."""
+    folder = Path(shutil.copytree(killed, tmp_path / "run"))
+    lines = read_lines(folder / PLANT_TRACE)
+    scenario = read_evidence(folder).scenario
+    widths = scenario.defender.disturbance.rows()[1][::2]
+    t = next(t for t in lines if t["event"] == "transition" and t["j"] == 40)
+    centre = [
+        sum(a * x for a, x in zip(row, t["x"], strict=True)) + b[0] * t["u"][0]
+        for row, b in zip(scenario.A, scenario.B, strict=True)
+    ]
+    t["x_next"] = [c + w * (1 + 1e-6) for c, w in zip(centre, widths, strict=True)]
+    write_lines(folder / PLANT_TRACE, lines)
+    assert "reachable" in failed(folder)

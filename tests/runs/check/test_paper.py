@@ -1,0 +1,129 @@
+"""The second opinion: it agrees with honest runs, and sees what a replay cannot."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule
+from protocol.schemes.base import Carry
+from protocol.schemes.switched import State, Switched
+from tests.support.checked_runs import one_law
+from tests.support.small_run import SmallRun
+from wyner.runs.check import check
+from wyner.runs.check.clause import Finding
+from wyner.runs.check.evidence import read_evidence
+from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, scale
+from wyner.runs.check.paper import key_symbols as keys_of_scales
+
+BOX = (((1.0, 0.0), 0.5), ((-1.0, 0.0), 0.5), ((0.0, 1.0), 0.5), ((0.0, -1.0), 0.5))
+LARGE = tuple((row, 8 * bound) for row, bound in BOX)
+
+
+def key_symbols(*centres: tuple[float, float], x_next: tuple[float, float]) -> set[int]:
+    return keys_of_scales(
+        [scale(BOX, x_next, c) for c in centres], [scale(LARGE, x_next, c) for c in centres]
+    )
+
+
+@pytest.fixture(autouse=True)
+def _one_law() -> Iterator[None]:
+    with one_law():
+        yield
+
+
+def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[str, Finding]:
+    run = SmallRun(folder, name=name)
+    run.steps(steps, {4: "plant dies", 9: "offer lost", 30: "plant forgets"})
+    run.close()
+    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+
+
+# --- by hand --------------------------------------------------------------------------------------
+
+
+def test_equation_5_by_hand() -> None:
+    A, B = [[1.0, 2.0], [3.0, 4.0]], [[5.0], [6.0]]
+    assert f_c(A, B, [1.0, 10.0], [100.0]) == [1 + 20 + 500, 3 + 40 + 600]
+
+
+def test_a_key_is_agreed_where_one_is_possible_for_the_defender_and_all_for_her() -> None:
+    near, far, out = (0.0, 0.0), (2.0, 0.0), (9.0, 0.0)
+    assert scale(BOX, (0.25, -0.5), near) == 1.0
+    assert key_symbols(near, far, x_next=(0.1, 0.2)) == {0}
+    assert key_symbols(far, near, x_next=(0.1, 0.2)) == {1}
+    assert key_symbols(near, near, x_next=(0.1, 0.2)) == {NO_KEY}  # both possible
+    assert key_symbols(near, out, x_next=(0.1, 0.2)) == {NO_KEY}  # one is none of hers
+    assert key_symbols(far, far, x_next=(0.1, 0.2)) == {NO_KEY}  # d has left D_c
+    assert key_symbols(near, far, far, x_next=(0.1, 0.2)) == {0}
+    assert key_symbols(near, near, far, x_next=(0.1, 0.2)) == {NO_KEY}
+    # to rounding either is right on the edge, and one alone a little beyond it
+    assert key_symbols(near, far, x_next=(0.5, 0.0)) == {0, NO_KEY}
+    assert key_symbols(near, far, x_next=(0.5 * (1 + 3 * ROUNDING), 0.0)) == {NO_KEY}
+
+
+def test_figure_6_by_hand() -> None:
+    """Test, agree on 1, carry 0 xor 1; then test again, whatever was seen meanwhile."""
+    a = Automata(2)
+    assert a.step(1, NO_KEY) == ("test", NO_KEY, NO_KEY, 0, 1, NO_KEY)
+    assert a.step(0, 1) == ("test", NO_KEY, NO_KEY, 0, 2, 1)
+    assert a.step(1, 0) == ("message", 1, 0, 1, 1, NO_KEY)
+    assert a.step(0, 0) == ("test", NO_KEY, NO_KEY, 1, 2, 0)
+    both = Automata(4, tests_always=True)
+    both.step(0, 3)
+    assert both.step(1, 2) == ("message", 3, 2, 1, 2, 2)
+    assert both.step(1, NO_KEY) == ("message", 2, 3, 2, 1, NO_KEY)
+
+
+# --- over runs ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank", "pendulum"])
+def test_it_agrees_with_honest_runs(tmp_path: Path, name: str) -> None:
+    found = recorded(tmp_path, name)["paper"]
+    assert (found.result, found.tally.first) == ("PASS", None)
+    assert found.tally.counted > 250  # both ends
+
+
+def test_ends_that_agree_where_the_paper_does_not_fail_it_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A replay asks the broken function itself, and finds that it was evaluated correctly."""
+    verdict_at = AgreementRule.verdict_at
+
+    def generous(self: AgreementRule, predictions: object, x_next: object) -> AgreementResult:
+        """The nearest candidate, also where two are possible."""
+        found = verdict_at(self, predictions, x_next)  # type: ignore[arg-type]
+        return found._replace(symbol=found.gauges.index(min(found.gauges)))
+
+    monkeypatch.setattr(AgreementRule, "verdict_at", generous)
+    monkeypatch.setattr(
+        AgreementRule,
+        "verdict",
+        lambda self, x, candidates, x_next: generous(
+            self, [f_c(self.A, self.B, x, u) for u in candidates], x_next
+        ),
+    )
+    findings = recorded(tmp_path)
+    assert findings["agreement"].result == "PASS"
+    assert findings["paper"].result == "FAIL"
+    assert findings["paper"].tally.first is not None
+    assert "Fig. 5 gives" in findings["paper"].tally.first.text
+
+
+def test_ends_whose_automata_are_not_the_papers_fail_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An automaton that stays in state 2 uses a key for more than one symbol."""
+
+    def stuck(self: Switched, state: State, verdict: int) -> tuple[State, Carry]:
+        if state.s == 2:
+            return state, Carry(NO_SYMBOL, state.key)
+        after = State(1, NO_SYMBOL) if verdict == NO_SYMBOL else State(2, verdict)
+        return after, Carry(verdict, NO_SYMBOL)
+
+    for name in ("advance", "follow"):  # what it remembers is of the whole process
+        monkeypatch.setattr(Switched, name, stuck)
+    findings = recorded(tmp_path)
+    assert findings["sender"].result == findings["receiver"].result == "PASS"
+    assert findings["paper"].result == "FAIL"

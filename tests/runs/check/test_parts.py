@@ -1,0 +1,178 @@
+"""Traces in parts: read in order, honest about parts that are gone, by the writer or another."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from runtime.recording import Bounds, TraceReader, parts_of
+from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.small_run import SmallRun, read_lines, write_lines
+from tests.support.traces import read_trace
+from wyner.cli.main import main
+from wyner.runs.check import check
+from wyner.runs.check.clause import Finding
+from wyner.runs.check.evidence import read_evidence
+
+PART = 40_000
+
+
+def findings(folder: Path) -> dict[str, Finding]:
+    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+
+
+def results(folder: Path, result: str) -> set[str]:
+    return {name for name, finding in findings(folder).items() if finding.result == result}
+
+
+def made(folder: Path, bounds: Bounds) -> Path:
+    """Two messages, kills, losses and a lost journal, whatever the bounds the same."""
+    run = SmallRun(folder, (b"one", b"two", b"three"), bounds=bounds)
+    for number in range(8):
+        faults = {5: "repeated", 9: "offer lost", 20 + number: "plant dies", 41: "controller dies"}
+        run.steps(60, faults)  # type: ignore[arg-type]
+    run.step("controller forgets")
+    run.until_received(3)
+    run.steps(200, {7: "offer lost", 150: "plant dies"})
+    run.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("runs") / "whole", Bounds())
+
+
+@pytest.fixture(scope="module")
+def parted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("runs") / "parted", Bounds(part_bytes=PART))
+
+
+@pytest.fixture(scope="module")
+def bounded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bounds = Bounds(part_bytes=PART, total_bytes=5 * PART)
+    return made(tmp_path_factory.mktemp("runs") / "bounded", bounds)
+
+
+@pytest.fixture
+def copied(parted: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(parted, tmp_path / "run"))
+
+
+@pytest.mark.slow
+def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
+    for path in (PLANT_TRACE, CONTROLLER_TRACE):
+        assert len(parts_of(parted / path)) > 5
+        assert read_trace(parted / path).events == read_trace(whole / path).events
+    one, many = findings(whole), findings(parted)
+    assert one.pop("whole").tally.counted < many.pop("whole").tally.counted  # recordings
+    assert {name: f.tally for name, f in one.items()} == {name: f.tally for name, f in many.items()}
+    assert not results(parted, "FAIL")
+
+
+def test_all_parts_together_keep_to_their_bound(bounded: Path) -> None:
+    for path in (PLANT_TRACE, CONTROLLER_TRACE):
+        parts = parts_of(bounded / path)
+        sizes = [p.stat().st_size for p in parts]
+        assert sum(sizes) <= 5 * PART
+        assert max(sizes) <= PART
+        assert len(parts) == 5
+        assert TraceReader(bounded / path).parts_missing > 0
+
+
+def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
+    whole: Path, bounded: Path
+) -> None:
+    all_of, left = findings(whole), findings(bounded)
+    assert not results(bounded, "FAIL"), left
+    assert left["messages"].result == "SKIP"
+    assert left["messages"].tally.skipped == (
+        "the beginning of the plant's trace and of the controller's trace is gone"
+    )
+    assert "of the plant's trace are gone, judged after transition" in left["traces"].tally.note
+    for name in ("traces", "switching", "agreement", "in-step", "receiver", "sender", "prefix"):
+        assert left[name].result == "PASS"
+        assert 0.1 < left[name].tally.counted / all_of[name].tally.counted < 0.7
+
+
+@pytest.mark.slow
+def test_a_side_that_begins_later_is_compared_from_there_on(parted: Path, copied: Path) -> None:
+    """One side cut, as its writer would have: its newest header says so."""
+    for path in (PLANT_TRACE, CONTROLLER_TRACE):
+        shutil.rmtree(copied)
+        shutil.copytree(parted, copied)
+        _cut_off(copied / path, 4)
+        assert not results(copied, "FAIL"), findings(copied)
+        assert findings(copied)["in-step"].tally.counted > 0
+
+
+def test_a_wrong_number_in_what_is_left_fails(bounded: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(bounded, tmp_path / "run"))
+    part = parts_of(folder / PLANT_TRACE)[-2]
+    lines = read_lines(part)
+    at = max(i for i, line in enumerate(lines) if line.get("role") == "message")
+    lines[at]["message_symbol"] ^= 1
+    write_lines(part, lines)
+    assert {"receiver", "prefix", "in-step", "whole"} <= results(folder, "FAIL")
+
+
+@pytest.mark.parametrize("number", [0, 1, 3, -1])
+def test_a_part_that_the_writer_did_not_drop_is_missed(copied: Path, number: int) -> None:
+    parts_of(copied / CONTROLLER_TRACE)[number].unlink()
+    failed = results(copied, "FAIL")
+    # what a deleted newest part leaves looks like a kill: the other side has gone on
+    assert ("in-step" if number == -1 else "whole") in failed
+
+
+def test_a_part_of_another_run_is_noticed(copied: Path) -> None:
+    part = parts_of(copied / PLANT_TRACE)[2]
+    lines = read_lines(part)
+    lines[0]["fingerprint"] = "0" * 16
+    write_lines(part, lines)
+    assert "traces" in results(copied, "FAIL")
+
+
+def test_a_trace_of_which_nothing_can_be_judged_passes_nothing(copied: Path) -> None:
+    for path in (PLANT_TRACE, CONTROLLER_TRACE):
+        _cut_off(copied / path, len(parts_of(copied / path)) - 1)
+        newest = parts_of(copied / path)[-1]
+        lines = read_lines(newest)
+        write_lines(newest, lines[:1])  # its header, and killed
+    assert not {"traces", "switching", "in-step", "receiver"} & results(copied, "PASS")
+    assert "traces" in results(copied, "SKIP")
+
+
+def test_check_says_what_is_gone(bounded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(bounded)]) == 0
+    out = capsys.readouterr().out
+    assert "of the controller's trace are gone, judged after transition" in out
+    assert "SKIP  messages" in out
+
+
+def _cut_off(path: Path, count: int) -> None:
+    parts = parts_of(path)
+    for part in parts[:count]:
+        part.unlink()
+    newest = parts[-1]
+    lines = newest.read_bytes().splitlines(keepends=True)
+    header = json.loads(lines[0])
+    header["oldest"] = count
+    ended = json.loads(lines[-1])["event"] == "end"
+    newest.write_bytes(
+        json.dumps(header, separators=(",", ":")).encode()
+        + b"\n"
+        + b"".join(lines[1 : -1 if ended else None])
+    )
+
+
+def test_a_score_says_what_it_leaves_out(
+    bounded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(bounded, tmp_path / "run"))
+    (run / BELIEFS).parent.mkdir(exist_ok=True)
+    (run / BELIEFS).write_text("{}")
+    assert main(["secrecy", str(run)]) == 0
+    assert (
+        "of the plant's trace are gone: only what came after is scored" in capsys.readouterr().err
+    )

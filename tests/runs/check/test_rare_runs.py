@@ -1,0 +1,141 @@
+"""Runs that seldom happen, and pass; and what is said where one of them is wrong."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from controller_service.laws import registry
+from controller_service.sets.design import SynthesisError
+from protocol.agreement import NO_SYMBOL
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.ended_run import ended_run
+from tests.support.small_run import SmallRun, law_of, read_lines, write_lines
+from wyner.runs.check import check, evidence
+from wyner.runs.check.clause import EDGE, Finding, Place
+from wyner.runs.check.evidence import read_evidence
+
+
+@pytest.fixture(autouse=True)
+def _ready_laws(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The design's law takes longer than a small run's check."""
+    monkeypatch.setattr(registry, "make_law", lambda scenario, _design: law_of(scenario.name)[1])
+    yield
+
+
+def findings(folder: Path) -> dict[str, Finding]:
+    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+
+
+def wrong(folder: Path) -> dict[str, str]:
+    tallies = {name: f.tally for name, f in findings(folder).items()}
+    return {name: t.first.text for name, t in tallies.items() if t.first is not None}
+
+
+def ended(run: SmallRun, steps: int = 0) -> Path:
+    run.steps(steps)
+    run.close()
+    return run.folder
+
+
+def change(folder: Path, number: int, **fields: object) -> None:
+    """Fields of a transition, at both ends."""
+    for name in (PLANT_TRACE, CONTROLLER_TRACE):
+        lines = read_lines(folder / name)
+        [line for line in lines if line["event"] == "transition"][number].update(fields)
+        write_lines(folder / name, [line for line in lines if line["event"] != "end"])
+
+
+def test_a_plant_whose_journal_was_put_back_begins_a_new_session(tmp_path: Path) -> None:
+    """The step that the copy holds is counted once more; a message comes after it."""
+    run = SmallRun(tmp_path / "run")
+    run.steps(40)
+    run.step("journal copied")
+    run.steps(20)
+    run.step("journal put back")
+    run.until_received(1)
+    folder = ended(run, 3)
+    assert wrong(folder) == {}
+    found = findings(folder)
+    behind = "1 by an end whose journal was put back from an older copy"
+    assert behind in found["traces"].tally.note
+    assert found["receiver"].tally.note == found["sender"].tally.note == "sessions: 2"
+
+
+def test_a_first_step_that_is_missed_holds_the_input_zero(tmp_path: Path) -> None:
+    held = (('fallback = "zero"', 'fallback = "hold"'),)
+    run = SmallRun(tmp_path / "run", changes=held)
+    run.step("offer lost")
+    folder = ended(run, 20)
+    assert wrong(folder) == {}
+    assert findings(folder)["switching"].tally.note == "1 missed, hold as the fallback"
+
+
+def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Path) -> None:
+    """A key is then unlike the coin now and then, and both clauses say how often."""
+    wide = (('kind = "uniform"\n', 'kind = "gaussian"\ndeviation = 0.7\n'),)
+    folder = ended(SmallRun(tmp_path / "run", changes=wide), 300)
+    made = [t for t in read_lines(folder / PLANT_TRACE) if t["event"] == "transition"]
+    left = [t for t in made if t["gauges"][t["coin"]] > 1 + EDGE]
+    unlike = [t for t in left if t["symbol"] not in (NO_SYMBOL, t["coin"])]
+    assert len(left) > len(unlike) > 0
+    found = findings(folder)
+    largest = max(t["gauges"][t["coin"]] for t in made)
+    assert found["reachable"].tally.note == (
+        f"largest gauge {largest:.6f}, alpha 8; "
+        f"the disturbance may leave D_c here, and did in {len(left)} steps"
+    )
+    assert found["coin"].tally.note == (
+        f"{len(unlike)} unlike the coin, each with a disturbance outside D_c"
+    )
+
+
+def test_the_papers_law_is_held_to_its_gain_inside_the_terminal_set(tmp_path: Path) -> None:
+    folder = ended(SmallRun(tmp_path / "run", name="paper"), 30)
+    assert wrong(folder) == {}
+    inside = [line for line in read_lines(folder / PLANT_TRACE) if line["event"] == "transition"]
+    ((u,), same) = inside[28]["candidates"]
+    assert same == [u]
+    change(folder, 28, candidates=[[u], [u + 0.5]])
+    assert wrong(folder)["admissible"] == "candidate 1 is 0.5 away from K x inside T_0"
+
+
+def test_a_scenario_for_which_there_are_no_sets_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(_scenario: object) -> None:
+        raise SynthesisError("no terminal set")
+
+    folder = ended(SmallRun(tmp_path / "run"), 5)
+    monkeypatch.setattr(registry, "cached_design", none)
+    assert wrong(folder) == {"admissible": "no terminal set"}
+    assert findings(folder)["admissible"].tally.first == Place("", -1, -1, "no terminal set")
+
+
+def test_a_run_is_judged_the_same_in_smaller_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = ended_run(tmp_path / "run", (b"a", b"b")).folder
+    whole, one = findings(folder), [part for part in read_evidence(folder).parts() if part.seen]
+    monkeypatch.setattr(evidence, "AT_ONCE", 20)
+    assert findings(folder) == whole
+    parts = list(read_evidence(folder).parts())
+    assert max(len(p) for part in parts for p in (part.plant, part.controller)) < 30
+    seen = [len(part.seen) for part in parts if part.seen]
+    assert set(seen[:-1]) == {20}
+    assert sum(seen) == len(one[0].seen)
+
+
+def test_sealed_messages_count_in_a_part_as_others_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part is full with both kinds together, and none is given twice."""
+    folder = ended_run(tmp_path / "run", (b"a",)).folder
+    lines = read_lines(folder / CAPTURE)
+    sealed = {"event": "field", "t_ns": 1, "topic": "sealed", "message": {"id": "m"}}
+    woven = [one for line in lines[1:50] for one in (line, sealed)]
+    write_lines(folder / CAPTURE, [lines[0], *woven])
+    monkeypatch.setattr(evidence, "AT_ONCE", 20)
+    parts = [part for part in read_evidence(folder).parts() if part.seen or part.sealed]
+    assert [(len(part.seen), len(part.sealed)) for part in parts] == [(10, 10)] * 4 + [(9, 9)]
+    assert len({seen.number for part in parts for seen in (*part.seen, *part.sealed)}) == 98

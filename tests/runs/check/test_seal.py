@@ -1,0 +1,282 @@
+"""Nothing in a run's folder changes after the run without the check naming the file."""
+
+import contextlib
+import json
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.check import make_run
+from protocol.secret.records import BlockRow
+from runtime.files import write_atomically
+from runtime.keys.store import KeyStore
+from runtime.recording import LineWriter
+from runtime.run_folder import (
+    BELIEFS,
+    CONTROLLER_JOURNAL,
+    CONTROLLER_KEYS,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_JOURNAL,
+    PLANT_STATUS,
+    PLANT_TRACE,
+    SCENARIO,
+    SUMMARY,
+    TAP_STATUS,
+)
+from runtime.scenario_file import load_scenario
+from tests.runs.check.mutants import ALTERATIONS
+from tests.support.giving import deliver
+from wyner.cli.main import main
+from wyner.runs.check import check
+from wyner.runs.check.covered import KINDS
+from wyner.runs.check.evidence import read_evidence
+from wyner.runs.check.seal import broken, seal
+
+OTHERS: dict[Path, dict[str, Any]] = {
+    CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
+    PLANT_STATUS: {"k": 60, "x": [0.5, 1e-3], "last_message": "", "tail_symbol": [-1, 1]},
+    TAP_STATUS: {"t_ns": 0, "first_part": 0, "captured": 120, "dropped": 0},
+    BELIEFS: {"smoother": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
+    SUMMARY: {"delivered": True, "bits_per_second": 1.5, "taps": {"oracle": {"solved_k": 7}}},
+    KNOWLEDGE: {"A": [[1.0, 0.0], [0.0, 1.0]], "alpha": None, "noise": 0.0},
+}
+
+
+def put(run: Path, name: Path, content: Any) -> None:
+    write_atomically(run / name, json.dumps(content).encode())
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "sealed"
+    make_run(run, 60)
+    for name, content in OTHERS.items():
+        put(run, name, content)
+    for name, text in ((MESSAGE, b"hi"), (Path("plant/log"), b"all is well\n")):
+        write_atomically(run / name, text)
+    identity = load_scenario(run / SCENARIO).identity()
+    put(run, MANIFEST, {"wyner": "0", "seed": None, "command": ["up"], **identity})
+    with KeyStore(run / CONTROLLER_KEYS, "controller", create=True) as store:
+        store.add(BlockRow("s", 0, 44, 44, 88, 4, 3, "stored", 1), [bytes(32)] * 3, tag="t")
+        store.confirm("s", 0)
+    seal(run)
+    return run
+
+
+@pytest.fixture
+def run(sealed: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sealed, tmp_path / "run"))
+
+
+def wrong(run: Path) -> dict[str, str]:
+    manifest = json.loads((run / MANIFEST).read_bytes()) if (run / MANIFEST).exists() else None
+    return {name: text for name, text in broken(run, manifest) if text}
+
+
+def failed(run: Path) -> set[str]:
+    return {f.clause.name for f in check(read_evidence(run)) if f.result == "FAIL"}
+
+
+def fields(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Every place in a JSON value: what holds it, and its name or number there."""
+    places = value.items() if isinstance(value, dict) else enumerate(value)
+    for name, inner in list(places):
+        yield value, name
+        if isinstance(inner, dict | list):
+            yield from fields(inner)
+
+
+def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(run: Path) -> None:
+    assert failed(run) == set()
+    with KeyStore(run / CONTROLLER_KEYS, "controller") as store:
+        assert len(deliver(store, 1, "alice")) == 1
+    (run / "plant" / "steps.csv").write_text("made later")
+    assert wrong(run) == {}
+    assert failed(run) == set()
+
+
+def test_what_goes_on_beside_a_run_that_is_over_is_none_of_it(run: Path) -> None:
+    """A key server writes its line there once a second, under a name that comes and goes."""
+    server = run / "kme-plant" / "health"
+    write_atomically(server, b"ok: 3 ready, 0 given")
+    (run / "plant" / "health").write_text("ok")
+    (run / "report.html").write_text("made meanwhile")
+    over, told = threading.Event(), 0
+
+    def serve() -> None:
+        nonlocal told
+        while not over.is_set():
+            write_atomically(server, f"ok: {told}".encode())
+            told += 1
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        for _ in range(40):
+            seal(run)
+    finally:
+        over.set()
+        thread.join()
+    write_atomically(server, b"stopped: 2 ready, 1 given")
+    (run / "plant" / "health").write_text("bad: no transition for 5 s")
+    (run / "report.html").write_text("made again")
+    assert told > 40
+    assert failed(run) == set()
+
+
+@pytest.mark.parametrize("name", [str(CONTROLLER_KEYS), str(PLANT_TRACE), "plant/log"])
+def test_looking_at_a_run_writes_nothing_in_its_folder(run: Path, name: str) -> None:
+    def listing() -> dict[str, tuple[int, bytes]]:
+        files = (path for path in run.rglob("*") if path.is_file())
+        return {str(p): (p.stat().st_mtime_ns, p.read_bytes()) for p in files}
+
+    before = listing()
+    check(read_evidence(run))
+    (run / name).unlink()
+    check(read_evidence(run))
+    kept = listing()
+    assert kept == {path: held for path, held in before.items() if path != str(run / name)}
+
+
+class Death(BaseException):
+    """The process is killed here."""
+
+
+@pytest.mark.parametrize("at", range(6))
+def test_a_run_that_is_killed_while_it_is_sealed_passes(
+    run: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    """Before or after any write or change of name: sealed, or as if killed altogether."""
+    (run / SUMMARY).unlink()
+    manifest = json.loads((run / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    put(run, MANIFEST, manifest)
+    calls = 0
+    replace = Path.replace
+
+    def mortal(path: Path, target: Path) -> Path:
+        nonlocal calls
+        if calls == at:
+            raise Death
+        replace(path, target)
+        calls += 2
+        if calls == at + 1:
+            raise Death
+        return target
+
+    monkeypatch.setattr(Path, "replace", mortal)
+    with contextlib.suppress(Death):
+        seal(run, b'{"delivered": true}')
+    monkeypatch.undo()
+    assert wrong(run) == {}
+    assert failed(run) == set()
+
+
+def test_a_summary_that_was_taken_away_is_missed(run: Path) -> None:
+    seal(run, b'{"delivered": true}')
+    (run / SUMMARY).unlink()
+    assert wrong(run) == {"summary.json": "it was there when the run was over"}
+
+
+def test_a_service_that_was_started_again_since_is_held_to_what_it_had_recorded(run: Path) -> None:
+    """Its journal and status are new; its recording still begins as it was sealed."""
+    lines = LineWriter(run / PLANT_TRACE, {})
+    lines.append(b'{"event":"session","session":null,"reason":"started"}')
+    lines.close()
+    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
+    assert wrong(run) == {}
+    put(run, CONTROLLER_STATUS, OTHERS[CONTROLLER_STATUS] | {"k": 61})
+    assert wrong(run) == {str(CONTROLLER_STATUS): "it is not as the run left it"}
+    raw = (run / PLANT_TRACE).read_bytes()
+    (run / PLANT_TRACE).write_bytes(raw.replace(b'"k":7,', b'"k":8,', 1))
+    assert str(PLANT_TRACE) in wrong(run)
+
+
+def test_a_run_that_went_on_can_be_sealed_again(run: Path) -> None:
+    """The new seal is for people too: a field a line."""
+    (run / "plant" / "log").write_text("all is well again\n")
+    assert wrong(run) == {"plant/log": "it is not as the run left it"}
+    seal(run)
+    assert wrong(run) == {}
+    assert '\n  "files": {\n' in (run / MANIFEST).read_text()
+
+
+@pytest.mark.parametrize("name", [*OTHERS, MANIFEST])
+def test_every_field_of_every_small_file(run: Path, name: Path) -> None:
+    before = (run / name).read_bytes()
+    count = sum(1 for _ in fields(json.loads(before)))
+    tried = 0
+    for number in range(count):
+        for alter in (*ALTERATIONS.values(), None):
+            content = json.loads(before)
+            holder, place = list(fields(content))[number]
+            if alter is None:
+                del holder[place]
+            elif alter(holder[place]) == holder[place]:
+                continue
+            else:
+                holder[place] = alter(holder[place])
+            put(run, name, content)
+            assert wrong(run), (name, place, alter)
+            tried += 1
+    assert tried > 2 * count
+    (run / name).write_bytes(before)
+    assert wrong(run) == {}
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 1)
+
+
+def flip(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+
+@pytest.mark.parametrize("how", [cut, flip, Path.unlink])
+@pytest.mark.parametrize(
+    "name", [CONTROLLER_JOURNAL, PLANT_JOURNAL, MESSAGE, Path("plant/log"), CONTROLLER_TRACE]
+)
+def test_every_other_file(run: Path, name: Path, how: Callable[[Path], None]) -> None:
+    how(run / name)
+    assert str(name) in wrong(run)
+
+
+def test_the_check_names_the_file(run: Path) -> None:
+    put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
+    found = {f.clause.name: f for f in check(read_evidence(run)) if f.result == "FAIL"}
+    assert set(found) == {"whole"}
+    first = found["whole"].tally.first
+    assert first is not None
+    assert first.text == "plant/status.json: it is not as the run left it"
+
+
+def test_a_seal_that_is_gone_is_missed(run: Path) -> None:
+    manifest = json.loads((run / MANIFEST).read_bytes())
+    del manifest["files"], manifest["manifest"]
+    put(run, MANIFEST, manifest)
+    assert wrong(run) == {"manifest.json": "the run was summed up, and its seal is gone"}
+    (run / MANIFEST).unlink()
+    assert "whole" in failed(run)
+    (run / SUMMARY).unlink()  # killed as a whole
+    assert wrong(run) == {}
+
+
+def test_check_says_which_files_are_evidence(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["sealed"]
+    assert [file["pattern"] for file in told["files"]] == [kind.pattern for kind in KINDS]
+    with pytest.raises(SystemExit):
+        main(["check", "--help"])
+    assert "controller/message           the seal" in capsys.readouterr().out

@@ -1,0 +1,167 @@
+"""What the audit of a run says of her: by direction, and of what she was there for alone."""
+
+import random
+import tracemalloc
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.messages import Measurement, Offer
+from protocol.scenario import Scenario
+from protocol.secret.nonces import fresh_nonce
+from runtime.logs import logger
+from runtime.recording import TraceWriter
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+from tap_service.capture.recording import Limits, RotatingLog, mirror_line
+from wyner.runs.run import Run
+from wyner.runs.score.keys import Copies, Heard, KeyAudit, audit_keys
+
+S = "1" * 16
+STEPS = 600
+HeardBy = Callable[[str, int], bool]
+"""Whether she heard the copy 0 of that message of that step."""
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario(SCENARIOS / "keys.toml")
+
+
+def message(topic: str, k: int) -> Offer | Measurement:
+    if topic == "offer":
+        return Offer(session=S, k=k, candidates=((0.0,),) * 4, cipher=0, nonce=fresh_nonce())
+    applied = {"applied_k": k - 1, "x_after": (0.0, 0.0)} if k else {"applied_k": -1, "x_after": ()}
+    return Measurement.model_validate(
+        {"session": S, "k": k, "x": (0.0, 0.0), "nonce": fresh_nonce(), **applied}
+    )
+
+
+def audited(
+    run_dir: Path,
+    scenario: Scenario,
+    heard: HeardBy,
+    lives: tuple[range, ...] = (range(STEPS),),
+    appearances: Mapping[int, int] | None = None,
+) -> KeyAudit:
+    """An audit of STEPS transitions, of which she recorded ``lives``.
+
+    ``appearances`` says from which steps on the plant's messages leave how often.
+    """
+    header: dict[str, Any] = scenario.identity()
+    plant = TraceWriter(run_dir / PLANT_TRACE, "plant", header)
+    controller = TraceWriter(run_dir / CONTROLLER_TRACE, "controller", header)
+    for trace in (plant, controller):
+        trace.write({"event": "session", "session": S, "reason": "new"})
+    for k in range(STEPS):
+        if k in (appearances or {}):
+            assert appearances is not None
+            plant.write({"event": "appearances", "session": S, "k": k, "times": appearances[k]})
+        plant.write({"event": "transition", "session": S, "j": k, "k": k, "counts": 3})
+    plant.close()
+    controller.close()
+    for life in lives:
+        tap = {"vantage": "tap", "appearances": 1}
+        capture = RotatingLog(run_dir / CAPTURE, tap, Limits(free_bytes=0), logger("tap"))
+        for k in life:
+            for topic in ("measurement", "offer"):
+                if heard(topic, k):
+                    capture.write(mirror_line(k, topic, message(topic, k).wire()))
+        capture.close()
+    audit = audit_keys(Run.load(run_dir), scenario)
+    assert audit is not None
+    return audit
+
+
+def losing(offers: float, measurements: float, seed: int = 1) -> HeardBy:
+    draw = random.Random(seed)
+    shares = {"offer": offers, "measurement": measurements}
+    return lambda topic, _k: draw.random() >= shares[topic]
+
+
+def test_a_tap_that_misses_offers_only_is_told_by_direction(
+    tmp_path: Path, scenario: Scenario
+) -> None:
+    """Pooled she misses 35 %, above the 30 % of the claim."""
+    audit = audited(tmp_path, scenario, losing(0.7, 0.0))
+    assert audit.missed is not None
+    assert audit.missed > 0.3
+    (warning,) = (text for text in audit.warnings if "refuted" in text)
+    assert " of the measurements at most, and eps_E = 0.3 was claimed" in warning
+    assert not audit.rates["offers"].refuted
+
+
+def test_a_tap_that_is_as_claimed_is_not_told_of(tmp_path: Path, scenario: Scenario) -> None:
+    audit = audited(tmp_path, scenario, losing(0.3, 0.3))
+    assert audit.warnings == ()
+    assert sum(rate.copies for rate in audit.rates.values()) > 2 * STEPS - 20
+
+
+def test_who_comes_late_and_hears_all_refutes_the_claim(tmp_path: Path, scenario: Scenario) -> None:
+    """Of all copies she missed 83 %."""
+    late = range(500, STEPS)
+    audit = audited(tmp_path, scenario, lambda _topic, _k: True, lives=(late,))
+    assert audit.missed == 0
+    assert sum("refuted" in text for text in audit.warnings) == 2
+    assert audit.rates["offers"].absent == 501
+
+
+def test_who_was_started_again_was_not_there_in_between(tmp_path: Path, scenario: Scenario) -> None:
+    lives = (range(200), range(400, 500))
+    audit = audited(tmp_path, scenario, losing(0.3, 0.3), lives=lives)
+    assert audit.warnings == ()
+    for rate in audit.rates.values():
+        assert 280 < rate.copies < 300
+        assert 0.2 < rate.missed / rate.copies < 0.4
+
+
+def test_who_was_never_there_is_said_not_to_have_been(tmp_path: Path, scenario: Scenario) -> None:
+    audit = audited(tmp_path, scenario, lambda _topic, _k: False)
+    assert audit.missed is None
+    assert [text.partition(":")[0] for text in audit.warnings] == ["she was not there"] * 2
+
+
+def test_what_left_too_often_is_no_copy_0_and_no_miss(tmp_path: Path, scenario: Scenario) -> None:
+    """The plant's messages left twice from step 100 to 399: all were copies 1."""
+
+    def heard(topic: str, k: int) -> bool:
+        return topic == "offer" or not 100 <= k < 400
+
+    audit = audited(tmp_path, scenario, heard, appearances={0: 1, 100: 2, 400: 1})
+    rate = audit.rates["measurements"]
+    assert (rate.missed, rate.refuted) == (0, True)
+    assert rate.copies < 310
+
+
+def test_messages_that_left_twice_are_judged_by_themselves(
+    tmp_path: Path, scenario: Scenario
+) -> None:
+    keys = scenario.keys
+    assert keys is not None
+    twice = scenario.model_copy(update={"keys": keys.model_copy(update={"appearances": 2})})
+    audit = audited(
+        tmp_path,
+        twice,
+        lambda topic, k: k >= 300 or topic == "offer" or k % 3 > 0,
+        appearances={0: 1, 300: 2},
+    )
+    assert set(audit.rates) == {"offers", "measurements", "measurements that left 2 times"}
+    assert not audit.rates["measurements"].refuted
+    assert audit.rates["measurements that left 2 times"].refuted
+
+
+def test_a_million_copies_take_a_few_bytes_each() -> None:
+    tracemalloc.start()
+    sent, heard = Copies(), Heard()
+    for k in range(100_000):
+        sent.add(("measurement", S, k), ("offer", S, k))
+        heard.add(("offer", S, k), 1)
+    taken, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert taken < 12 * len(sent)
+    assert list(sent)[-2:] == [("measurement", S, 99_999), ("offer", S, 99_999)]
+    assert heard.life(("offer", S, 7)) == 1
+    assert heard.life(("measurement", S, 7)) is None

@@ -1,0 +1,379 @@
+"""The scoring and the report: right numbers, honest intervals, words that match them."""
+
+import base64
+import json
+import math
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from runtime.recording import TraceWriter
+from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
+from tap_service.eavesdroppers.base import Belief
+from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+from wyner.runs.run import Run
+from wyner.runs.score import report as reporting
+from wyner.runs.score.report import over_runs, percent, report
+from wyner.runs.score.score import (
+    Proportion,
+    RunScore,
+    Said,
+    ScoreError,
+    Truth,
+    read_truth,
+    score,
+    score_run,
+    summary_of,
+)
+
+S = "0" * 16
+
+
+def truth(n: int = 10, *, whole: bool = True) -> Truth:
+    keys = {(S, 2 * k): k % 2 for k in range(n)}
+    symbols = {(S, 2 * k + 1): 1 - k % 2 for k in range(n)}
+    return Truth(2, keys, symbols, ((2 * n, b"word"),) if whole else (), 2 * n)
+
+
+def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> Said:
+    t = truth(n)
+    live = {at: v if i < right else 1 - v for i, (at, v) in enumerate(t.keys.items())}
+    symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
+    found = (b"word",) if whole else ()
+    solved_k = 20 if whole else -1
+    belief = Belief(b"word", found, len(found), 0.5, 7, solved_k, tuple(symbols.items()))
+    return Said(name, S, live, {}, belief)
+
+
+def believing(one: Said, symbols: dict[int, int]) -> Said:
+    return replace(one, belief=replace(one.belief, symbols=tuple(symbols.items())))
+
+
+def test_of_no_trials_nothing_is_said() -> None:
+    assert Proportion(0, 0).share is None
+    assert not Proportion(0, 0).every
+    assert percent(over_runs([])) == "-"
+
+
+def test_a_score_counts_keys_bits_and_messages() -> None:
+    s = score(truth(), said(7, whole=True))
+    assert (s.keys.right, s.keys.of) == (7, 10)
+    assert (s.bits.right, s.bits.of) == (7, 10)
+    assert (s.messages.right, s.messages.of) == (1, 1)
+    assert s.why_unscored == ""
+
+
+def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
+    first = said(5)
+    s = score(truth(), replace(first, reviewed=truth().keys))
+    assert s.keys.share == 0.5
+    assert s.keys_reviewed.share == 1.0
+
+
+def test_a_missed_bit_is_a_blind_guess() -> None:
+    t = truth()
+    ends = {at: t.keys[at] for at in ((S, 0), (S, 18))}  # she said something first and last
+    s = score(t, Said("tap", S, ends, {}, Belief()))
+    assert s.bits == Proportion(5, 10)
+    assert s.keys == Proportion(2 + 8 / 2, 10)
+    once = believing(said(10), {19: truth().symbols[S, 19]})
+    assert score(truth(), once).bits == Proportion(1 + 9 / 2, 10)
+
+
+def test_only_what_she_no_longer_keeps_is_left_out_of_the_bits() -> None:
+    n = KEPT_SYMBOLS + 5
+    t = truth(n)
+    kept = {k: v for (_, k), v in list(t.symbols.items())[5:]}
+    assert score(t, believing(said(0), kept)).bits == Proportion(KEPT_SYMBOLS, KEPT_SYMBOLS)
+    kept.pop(2 * n - 1)
+    assert score(t, believing(said(0), kept)).bits == Proportion(n - 6 + 6 / 2, n)
+
+
+def test_one_who_was_not_heard_to_the_end_has_no_bits_but_her_keys() -> None:
+    s = score(truth(), replace(said(7), heard_out=False))
+    assert s.bits.share is None
+    assert s.keys == Proportion(7, 10)
+    nothing = replace(said(7), live={}, heard_out=False)
+    assert score(truth(), nothing).keys.share is None
+
+
+def test_steps_that_are_not_on_record_are_left_out_and_said() -> None:
+    """A log that was cut at its front, and a hole in the middle, which counts as a blind guess."""
+    whole = said(10)
+    cut = {at: v for at, v in whole.live.items() if at[1] >= 8 and at[1] != 12}
+    s = score(truth(), replace(whole, live=cut))
+    assert s.keys == Proportion(5 + 1 / 2, 6)
+    r = report([RunScore("r", truth(), (s,))])
+    assert r.taps[0].not_on_record == 4
+    assert reporting.as_json(r)["taps"]["tap"]["not_on_record"] == 4
+    # the bits that she leaves are those of all the keys
+    assert r.taps[0].left is not None
+    assert r.taps[0].left.value == pytest.approx(10 * -math.log2(5.5 / 6))
+
+
+def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
+    recovered = tuple((k, b"%d" % k) for k in range(71))
+    t = Truth(2, {}, {}, recovered, 71)
+    whole = tuple(p for _, p in recovered[-KEPT_MESSAGES:])
+    s = Said("tap", S, {}, {}, Belief(whole=whole, whole_count=71, solved_k=5))
+    assert score(t, s).messages == Proportion(KEPT_MESSAGES, KEPT_MESSAGES)
+    few = replace(s, belief=replace(s.belief, whole_count=len(whole)))
+    assert score(t, few).messages == Proportion(KEPT_MESSAGES, 71)
+
+
+def test_a_stretch_is_compared_with_its_own_truth() -> None:
+    stretch = truth().between(5, 12)
+    assert list(stretch.keys) == [(S, k) for k in (6, 8, 10, 12)]
+    assert list(stretch.symbols) == [(S, k) for k in (5, 7, 9, 11)]
+    assert stretch.whole == ()
+    assert truth().between(None, None) == truth()
+    assert truth().between(20, None).whole == truth().whole
+
+
+def test_a_wrong_message_counts_for_nothing_and_one_twice_for_one() -> None:
+    t = Truth(2, {}, {}, ((5, b"a"), (9, b"a"), (12, b"b")), 20)
+    s = Said("tap", S, {}, {}, Belief(whole=(b"a", b"x", b"b"), whole_count=3, solved_k=5))
+    assert score(t, s).messages == Proportion(2, 3)
+
+
+def run_score(right: int, *, whole: bool = False, name: str = "tap", run: str = "r") -> RunScore:
+    return RunScore(run, truth(), (score(truth(), said(right, whole=whole, name=name)),))
+
+
+def test_the_report_pools_runs() -> None:
+    r = report([run_score(5), run_score(10, whole=True)])
+    (t,) = r.taps
+    assert r.claimed_bits == 20
+    assert t.symbol_errors.value == pytest.approx(0.25)
+    assert t.exact.value == 0.5
+    assert not t.exact.known  # two runs have no interval over runs, and say so
+    assert percent(t.exact) == "50.0 % (no interval)"
+    assert t.guessing.value == 0.75
+    assert t.left is not None
+    assert t.left.value == pytest.approx(10 * -math.log2(0.75))  # nothing of the broken run's
+    assert t.left.high == 10  # 15 of 20 may be chance, as often as one looks
+    assert t.broken_k == (-1, 20)
+    assert t.median_broken == 20
+    assert r.hidden_bits == pytest.approx(math.log2(41))
+
+
+def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> None:
+    broken = report([run_score(10, whole=True)])
+    assert broken.exceeds
+    assert (
+        "PAPER'S RULE EXCEEDS TRUE: by the paper's rule 10 bits count as secret; tap leaves at "
+        "most 0.0 of them" in broken.verdict()
+    )
+    blind = report([run_score(5)])
+    assert not blind.exceeds
+    assert "EXCEEDS" not in blind.verdict()
+    assert "tap leaves at most 10.0 of them, no better than chance" in blind.verdict()
+    nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
+    assert "No key was agreed" in report([nothing]).verdict()
+
+
+def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:
+    """A tap that raised at step 21 ended as "True: 77, measured"; one for keys left "3198.0"."""
+    t = truth()
+    failed = score(t, replace(said(10), failed="step 21: ValueError: no idea", heard_out=False))
+    keys = score(t, replace(said(0, name="key-solver"), live={}))
+    weak = score(t, said(5, name="weak"))
+    assert failed.keys.share is failed.bits.share is None
+    r = report([RunScore("r", t, (failed, keys))])
+    assert r.strongest is None
+    assert r.unscored == {
+        "tap": "she failed: step 21: ValueError: no idea",
+        "key-solver": "she guessed nothing",
+    }
+    assert "; tap: she failed: step 21: ValueError: no idea, so they" in r.verdict()
+    only_keys = report([RunScore("r", t, (keys,))])
+    assert "10 bits count as secret; nobody guessed, so they stand untested" in only_keys.verdict()
+    value = reporting.as_json(only_keys)["taps"]["key-solver"]
+    assert value["left_bits"] is None
+    assert value["symbol_error_rate"] == {"value": None, "low": None, "high": None}
+    assert reporting.rows(only_keys)[0][1:6] == ("-",) * 5
+    with_weak = report([RunScore("r", t, (failed, weak))])
+    assert with_weak.strongest is not None
+    assert with_weak.strongest.name == "weak"
+    # in one of two runs she failed: what she would have left of that one nobody knows
+    twice = report([RunScore("r", t, (failed,)), run_score(10)])
+    assert twice.strongest is None
+    assert twice.taps[0].why_unscored.endswith("(in 1 of 2 runs)")
+
+
+def test_what_she_had_before_she_failed_counts() -> None:
+    before = replace(said(10, whole=True), failed="step 25: ValueError: late", heard_out=False)
+    r = report([RunScore("r", truth(), (score(truth(), before),))])
+    assert r.exceeds
+    assert r.strongest is not None
+    assert r.strongest.left == (0.0, 0.0, 0.0)
+
+
+def test_one_who_did_not_finish_is_called_so_and_another_leads() -> None:
+    stopped = replace(said(10), heard_out=False, belief=replace(said(10).belief, bits_left=44.0))
+    weak = said(5, name="weak")
+    r = report([RunScore("r", truth(), (score(truth(), stopped), score(truth(), weak)))])
+    assert r.strongest is not None
+    assert r.strongest.name == "weak"
+    assert [t.why_unscored for t in r.taps if t.name == "tap"] == ["she did not finish"]
+
+
+def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
+    one = said(5)
+    told = score(truth(), replace(one, belief=replace(one.belief, bits_left=3.25)))
+    r = report([RunScore("r", truth(), (told, score(truth(), said(5, name="weak"))))])
+    assert r.strongest is not None
+    assert (r.strongest.name, r.strongest.left) == ("tap", (3.25, 3.25, 3.25))
+    assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance
+    more = score(truth(), replace(one, belief=replace(one.belief, bits_left=1651.9)))
+    r = report([RunScore("r", truth(), (more,))])
+    assert r.strongest is not None
+    assert r.strongest.left is not None
+    assert r.strongest.left.high == 10.0, "no more than the agreed keys are left"
+
+
+@pytest.mark.parametrize("keys", [50, 230])
+def test_a_blind_tap_leaves_all(keys: int) -> None:
+    """The share that was right by chance took 3.6 % of 230 keys off, 7.5 % of 50."""
+    draw = random.Random(3)
+    t = truth(keys)
+    for _ in range(40):
+        live = {at: draw.randrange(2) for at in t.keys}
+        r = report([RunScore("r", t, (score(t, Said("blind", S, live, {}, Belief())),))])
+        assert r.strongest is not None
+        assert r.strongest.left is not None
+        assert r.strongest.left.high == keys
+        assert not r.exceeds
+
+
+def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
+    keys = {(S, 2 * k): k % 4 for k in range(1000)}
+    t = Truth(4, keys, {}, (), 2000)
+    for right, exceeds in ((450, True), (250, False)):
+        live = {at: v if i < right else (v + 1) % 4 for i, (at, v) in enumerate(keys.items())}
+        s = Said("tap", S, live, {}, Belief())
+        assert report([RunScore("r", t, (score(t, s),))]).exceeds == exceeds
+
+
+def test_the_strongest_is_the_one_who_leaves_least() -> None:
+    scores = (score(truth(), said(10, whole=w, name=n)) for n, w in (("a", False), ("b", True)))
+    r = report([RunScore("r", truth(), tuple(scores))])
+    assert r.strongest is not None
+    assert r.strongest.name == "b"
+
+
+def test_json_and_rows_hold_every_figure() -> None:
+    r = report([run_score(7), run_score(9, whole=True)])
+    value = json.loads(json.dumps(reporting.as_json(r)))
+    tap = value["taps"]["tap"]
+    assert tap["agreed_steps"] == 20
+    assert tap["symbol_error_rate"] == {"value": pytest.approx(0.2), "low": None, "high": None}
+    assert tap["list_size_log2"] == pytest.approx(math.log2(7))
+    assert value["claimed_bits"] == 20
+    assert "H(model | transcript)" in value["bound"]
+    (row,) = reporting.rows(r)
+    assert len(row) == len(reporting.HEADINGS)
+
+
+# --- from files ----------------------------------------------------------------------------------
+
+
+def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, object]:
+    return {
+        "event": "transition", "session": S, "j": k, "k": k, "candidates": [[0.0], [1.0]],
+        "role": role, "symbol": symbol, "message_symbol": bit,
+    }  # fmt: skip
+
+
+def write_run(run_dir: Path) -> None:
+    trace = TraceWriter(run_dir / PLANT_TRACE, "plant", {})
+    trace.write(transition(0, "test", 1, -1))
+    trace.write(transition(0, "test", 0, -1))  # written again after a crash: the last counts
+    trace.write(transition(1, "message", -1, 1))
+    trace.write(transition(2, "test", 1, -1))  # the last one's result never travelled
+    trace.write({"event": "recovered", "payload": base64.b64encode(b"m").decode()})
+    trace.close()
+    (run_dir / "tap").mkdir()
+    guess = {"event": "guess", "name": "t", "session": S, "k": 0, "symbol": 0, "p": 1, "agreed": 1}
+    (run_dir / GUESSES).write_text(json.dumps(guess) + '\n{"torn')
+    record = {
+        "name": "t", "session": S, "failed": "", "message": "bQ==", "whole": ["bQ=="],
+        "whole_count": 1, "candidates_left": 1, "solved_k": 2, "confidence": 1.0,
+        "symbols": [[1, 1]],
+    }  # fmt: skip
+    (run_dir / BELIEFS).write_text(json.dumps({"t": record}))
+
+
+def test_a_run_is_scored_from_its_files(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    t = read_truth(Run.load(tmp_path))
+    assert t.keys == {(S, 0): 0}
+    assert t.symbols == {(S, 1): 1}
+    assert t.whole == ((2, b"m"),)
+    assert t.transitions == 3
+    summary = summary_of(score_run(Run.load(tmp_path)))["t"]
+    assert summary["symbol_accuracy"] == 1.0
+    assert summary["message_bit_accuracy"] == 1.0
+    assert summary["messages_exact"] == 1
+    assert summary["guessed_text"] == "m"
+
+
+def test_a_tap_that_was_killed_has_keys_and_no_bits(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    beliefs = json.loads((tmp_path / BELIEFS).read_text())
+    beliefs["t"]["symbols"] = None  # as they stand before the end
+    (tmp_path / BELIEFS).write_text(json.dumps(beliefs))
+    run = score_run(Run.load(tmp_path))
+    assert summary_of(run)["t"]["symbol_accuracy"] == 1.0
+    assert summary_of(run)["t"]["message_bit_accuracy"] is None
+    assert reporting.rows(report([run]))[0][2] == "-"
+
+
+def test_missing_files_are_one_line(tmp_path: Path) -> None:
+    for expected in ("plant/trace.jsonl: cannot be read", "beliefs.json: cannot be read"):
+        with pytest.raises(ScoreError, match=expected) as error:
+            score_run(Run.load(tmp_path))
+        assert "\n" not in str(error.value)
+        TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
+
+
+# --- the page ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("study", ["ladder", "learning", "view"])
+def test_the_page_shows_the_tables_of_its_data(study: str) -> None:
+    from wyner.studies.secrecy.tables import PAGE, in_markdown, read_rows
+
+    assert read_rows(study)
+    assert in_markdown(study) in PAGE.read_text(encoding="utf-8")
+
+
+def test_a_row_of_the_data_comes_out_again() -> None:
+    from wyner.studies.secrecy.study import measure, tasks
+    from wyner.studies.secrecy.tables import read_rows
+
+    rows = {row["task"]: row for study in ("ladder", "alpha") for row in read_rows(study)}
+    again = [t for t in tasks(100) if t.id in rows][7:240:40]
+    assert len(again) > 4
+    for task in again:
+        row = {name: str(value) for name, value in measure(task).items()}
+        assert row | {"version": ""} == rows[task.id] | {"version": ""}
+
+
+def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
+    from wyner.shipped import DATA
+    from wyner.studies.measurements import MEASUREMENTS
+
+    whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
+    path = tmp_path / "secrecy-alpha.csv"
+    torn = whole[-2][:30]  # as a kill leaves it
+    path.write_text("\n".join([*whole[:-2], torn]), encoding="utf-8")
+    for _ in range(2):
+        MEASUREMENTS["secrecy-alpha"](path)
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert lines[:-2] == whole[:-2]
+        for line, shipped in zip(lines[-2:], whole[-2:], strict=True):
+            task, _, *measured = line.split(",")
+            assert [task, *measured] == shipped.split(",")[:1] + shipped.split(",")[2:]

@@ -1,0 +1,153 @@
+"""The lines that end a run: they fit a terminal, and make its point."""
+
+import base64
+import json
+from pathlib import Path
+
+import pytest
+
+from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
+from tap_service.status import absent_record
+from tests.support.small_run import SmallRun
+from wyner.runs.run import Run
+from wyner.runs.score.summary import render, summarise
+
+PAYLOAD = b"two by two"
+
+
+def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -> None:
+    """A tap that had it all was told in 82 columns, and the last two stood in a line alone."""
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.until_received(1)
+    run.close()
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert summary["delivered"]
+    tap = {
+        "symbol_accuracy": 1.0,
+        "message_bit_accuracy": 1.0,
+        "solved_k": 2563,
+        "failed": "",
+        "unscored": "",
+        "stray_steps": 0,
+        "steps_not_looked_at": 0,
+    }
+    summary |= {
+        "run_dir": "runs/one",
+        "true_bits": 0.0,
+        "strongest": "set-membership",
+        "taps": {
+            "set-membership": {**tap, "messages_exact": 1},
+            "list-decoder": {**tap, "messages_exact": 0, "steps_not_looked_at": 17},
+            "nearest-centre": {**tap, "messages_exact": 0, "stray_steps": 1234},
+            "key-solver": {**tap, "messages_exact": 0, "unscored": "she guessed nothing"},
+        },
+    }
+    lines = render(summary).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any(line.endswith("100.0 % of bits, whole") for line in lines)
+    assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
+    # each symbol of the message is right, and others stand between them: no frame fits
+    assert any(line.endswith("100.0 % of bits, 1234 too many") for line in lines)
+    assert any(line.endswith("guesses at no symbol of the loop") for line in lines)
+    assert any(line.endswith("17 steps were not looked at: wyner replay") for line in lines)
+    early = render(summary | {"messages": 0}).splitlines()
+    assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
+    step = summary["delivered_k"]
+    assert lines[-3] == f"The plant  had the message at step {step}."
+    assert lines[-2].startswith("Eve        had it at step 2563, from what everyone can read")
+    assert "by the paper's rule" in lines[-1]
+    assert "the paper claims" not in "\n".join(lines)
+    assert lines[-1].endswith("True: at most 0 (set-membership).")
+
+
+def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.until_received(1)
+    run.close()
+    record = absent_record("mine") | {"failed": "step 21: ValueError: no idea", "steps": 21}
+    (tmp_path / BELIEFS).parent.mkdir(exist_ok=True)
+    (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert summary["true_bits"] is None
+    assert summary["failed"] == ["mine"]
+    lines = render(summary).splitlines()
+    assert "Eve        mine            FAILED: not scored" in lines
+    assert lines[-2].endswith("bits by the paper's rule. True: unknown, she failed.")
+    assert lines[-1] == "FAILED     mine: step 21: ValueError: no idea"
+    record |= {"failed": "", "steps": 0}
+    (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert summary["failed"] == []
+    assert render(summary).splitlines()[-1].endswith("True: unknown, nobody guessed.")
+
+
+def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
+    """On a full machine 12 % of the messages were left out, and counted as 2,199 bits kept."""
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.until_received(1)
+    run.close()
+    (tmp_path / TAP_STATUS).parent.mkdir(exist_ok=True)
+    (tmp_path / TAP_STATUS).write_text('{"unguessed":1234}')
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert summary["unguessed"] == 1234
+    summary |= {"true_bits": 9.0, "strongest": "nearest-centre"}
+    lines = render(summary).splitlines()
+    assert "Eve        1234 messages waited too long to be guessed at live: wyner replay" in lines
+    assert lines[-1].endswith("True: at most 9 (nearest-centre).")
+
+
+def test_each_message_is_told_beside_itself(tmp_path: Path) -> None:
+    """The first that was sent stood beside the last that was recovered."""
+    run = SmallRun(tmp_path, (PAYLOAD, b"second", b"third"))
+    run.until_received(2)
+    run.close()
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert (summary["sent"], summary["recovered"]) == ("two by two", "two by two")
+    assert summary["messages"] == 2
+    pairs = {base64.b64decode(p["sent_base64"]): p["recovered_k"] for p in summary["exchanged"]}
+    assert list(pairs) == [PAYLOAD, b"second", b"third"]
+    assert 0 <= pairs[PAYLOAD] == summary["delivered_k"] < pairs[b"second"]
+    assert pairs[b"third"] == -1
+    lines = render(summary).splitlines()
+    assert f"besides    'second', recovered at step {pairs[b'second']}" in lines
+    assert "besides    'third', not recovered" in lines
+
+
+def test_a_plant_that_lost_its_journal_has_made_the_steps_of_both_its_lives(tmp_path: Path) -> None:
+    """Steps were counted by their number, which begins again: the rate came out twice too large."""
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.steps(40)
+    run.step("plant forgets")
+    run.steps(40)
+    run.close()
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    lines = (tmp_path / "plant" / "trace.jsonl").read_text().splitlines()
+    made = sum('"event":"transition"' in line or '"event":"missed"' in line for line in lines)
+    assert summary["steps"] == made > 75
+    assert summary["bits_per_second"] == summary["bits"] / summary["seconds"]
+
+
+def test_a_plant_that_lost_its_journal_has_made_all_its_steps(tmp_path: Path) -> None:
+    """Its second life counts from 0 again: the rate was told up to twice too large."""
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.steps(200, {100: "plant forgets", 30: "plant dies", 150: "plant dies"})
+    run.close()
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert summary["steps"] == 200
+    assert summary["missed"] == 200 - summary["transitions"]
+    assert summary["bits_per_second"] == pytest.approx(summary["bits"] / 20.0)
+
+
+@pytest.mark.parametrize(("line", "steps"), [(0, 0), (3, None)])
+def test_a_trace_that_is_damaged_is_told(tmp_path: Path, line: int, steps: int | None) -> None:
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.steps(20)
+    run.close()
+    trace = tmp_path / PLANT_TRACE
+    lines = trace.read_bytes().splitlines(keepends=True)
+    lines[line] = b'{"event":"transition"}\n'
+    trace.write_bytes(b"".join(lines))
+    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    assert str(trace.name) in summary["trace_error"]
+    assert steps is None or summary["steps"] == steps
+    assert any(one.startswith("trace      damaged") for one in render(summary).splitlines())

@@ -1,0 +1,83 @@
+"""Who looks at a run holds some bytes a step of it, and never the run."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.check import make_run
+from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
+from runtime.run_folder import BELIEFS, GUESSES
+from wyner.runs.run import Run
+
+pytestmark = pytest.mark.slow
+
+SHORT, LONG = 6_000, 26_000
+GROWN = 10 * 2**20
+"""Bytes that 20,000 steps more may take: the lines of a trace, as Python has them, would be 50 MB.
+What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
+
+SUMMARY = """
+from wyner.runs.run import Run
+from wyner.runs.score.summary import summarise
+code = 0 if summarise(Run.load(sys.argv[1]), b"")["steps"] else 1
+"""
+COMMAND = """
+from wyner.cli.main import main
+code = main(["{0}", sys.argv[1]])
+"""
+HIGHEST = """
+with open("/proc/self/status") as status:
+    print(next(line for line in status if line.startswith("VmHWM")), file=sys.stderr)
+sys.exit(code)
+"""
+"""What a process took at most; what `wait4` says of a child begins with what its parent has."""
+
+READERS = {
+    "summary": SUMMARY,
+    "score": COMMAND.format("secrecy"),
+    "check": COMMAND.format("check"),
+    "report": COMMAND.format("report"),
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("runs")
+    return guessed(folder / "short", SHORT), guessed(folder / "long", LONG)
+
+
+def guessed(folder: Path, steps: int) -> Path:
+    """A run with an eavesdropper who guesses each step."""
+    make_run(folder, steps)
+    events: list[dict[str, object]] = []
+    Run.load(folder).feed("plant", events.append)
+    made = [e for e in events if e["event"] == "transition"]
+    writer = LineWriter(folder / GUESSES, {"format": TRACE_FORMAT, "version": TRACE_VERSION})
+    for e in made:
+        at = {"name": "t", "session": e["session"], "k": e["k"]}
+        writer.append(dumps({"event": "guess", **at, "symbol": 0, "p": 1, "agreed": 1}))
+    writer.close()
+    record = {
+        "name": "t", "session": made[-1]["session"], "failed": "", "message": "", "whole": [],
+        "whole_count": 0, "candidates_left": 0, "solved_k": -1, "confidence": 0.0, "symbols": [],
+    }  # fmt: skip
+    (folder / BELIEFS).write_text(json.dumps({"t": record}))
+    return folder
+
+
+def peak(name: str, folder: Path) -> int:
+    """Bytes that a process takes at most over a run."""
+    code = f"import sys{READERS[name]}{HIGHEST}"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
+    )
+    return 1024 * int(done.stderr.split()[-2])
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_who_looks_at_a_run_does_not_hold_its_steps(runs: tuple[Path, Path], name: str) -> None:
+    short, long = runs
+    assert peak(name, long) - peak(name, short) <= GROWN

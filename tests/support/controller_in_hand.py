@@ -1,0 +1,196 @@
+"""A controller's core that a test drives by what its shell calls, and by nothing else.
+
+Time moves on by a second with each thing that is heard, so that no greeting comes too soon.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from controller_service.core import ControllerCore, Predict
+from protocol.link.events import Delivered
+from protocol.link.keying import Keying
+from protocol.link.peer import Actions, Append, Save
+from protocol.link.records import SenderRecord
+from protocol.link.session import CountedTransition, Rules
+from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
+from protocol.secret.blocks import BlockResult
+from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.tasks import BlockVerdict
+from protocol.streams import SymbolSource
+from protocol.vectors import Vector
+from runtime.errors import USAGE
+
+PERIOD_S = 0.1
+
+
+class OneMessage:
+    """A queue of one message at most."""
+
+    def __init__(self, payload: bytes | None = None) -> None:
+        self._payload = payload
+        self.queued = 0 if payload is None else 1
+
+    def payload(self, number: int) -> bytes | None:
+        return self._payload if number == 0 else None
+
+    def queued_as(self, identifier: str) -> bytes | None:
+        return self._payload if identifier == "only" else None
+
+    def identifier(self, number: int) -> str:
+        return "only"
+
+
+class Zeros:
+    """Symbols that are no secret."""
+
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
+class Done(NamedTuple):
+    """What a core's actions come to, of one event.
+
+    ``append`` says that a step was saved before its offer, ``save`` that a record was at once.
+    """
+
+    save: bool = False
+    append: bool = False
+    transition: CountedTransition | None = None
+    delivered: int | None = None
+    offer: Offer | None = None
+    reply: ControllerHello | None = None
+    refusal: str = ""
+    contribution: Contribution | None = None
+    judged: tuple[BlockResult, ...] = ()
+
+
+NOTHING = Done()
+
+
+def done(actions: Actions) -> Done:
+    """What ``actions`` come to."""
+    write = actions.write
+    said: dict[Any, Any] = {}
+    for kind, payload in actions.publish:
+        assert kind not in said
+        said[kind] = kind.model_validate_json(payload)
+    transitions = [event for event in actions.events if isinstance(event, CountedTransition)]
+    delivered = [event.number for event in actions.events if isinstance(event, Delivered)]
+    refusals = [notice.text for notice in actions.notices if notice.subject == "refusals"]
+    assert len(transitions) <= 1
+    assert len(delivered) <= 1
+    assert len(refusals) <= 1
+    return Done(
+        save=isinstance(write, Save) and not write.later,
+        append=isinstance(write, Append),
+        transition=transitions[0] if transitions else None,
+        delivered=delivered[0] if delivered else None,
+        offer=said.get(Offer),
+        reply=said.get(ControllerHello),
+        refusal=refusals[0] if refusals else "",
+        contribution=write.contribution if isinstance(write, Save) else None,
+        judged=tuple(t.judgement for t in actions.keys if isinstance(t, BlockVerdict)),
+    )
+
+
+class ControllerInHand:
+    """A controller process that has read ``record``, and what followed it.
+
+    Parameters
+    ----------
+    rules, propose, messages, fresh, instance, record, step, contributions, nonces, predict
+        As of :class:`controller_service.core.ControllerCore`.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        propose: Callable[[Vector], tuple[Vector, ...]],
+        instance: str,
+        record: SenderRecord | None = None,
+        step: tuple[Measurement, Offer] | None = None,
+        contributions: Iterable[Contribution] = (),
+        *,
+        messages: Any = None,
+        fresh: SymbolSource | None = None,
+        nonces: NonceSource = fresh_nonce,
+        predict: Predict | None = None,
+    ) -> None:
+        self._now = 0.0
+        self.core = ControllerCore(
+            rules,
+            propose,
+            OneMessage() if messages is None else messages,
+            fresh or Zeros(),
+            instance=instance,
+            period_s=PERIOD_S,
+            record=record,
+            step=step,
+            contributions=contributions,
+            predict=predict,
+            nonces=nonces,
+        )
+
+    @property
+    def record(self) -> SenderRecord:
+        return self.core.record
+
+    @property
+    def instance(self) -> str:
+        return self.core.instance
+
+    @property
+    def plant(self) -> str | None:
+        return self.core.plant
+
+    @property
+    def refused(self) -> bool:
+        assert self.core.refused == (self.core.code == USAGE)
+        return self.core.refused
+
+    @property
+    def carries(self) -> bool:
+        return self.core.carries
+
+    @property
+    def unfinished(self) -> bool:
+        return self.core.unfinished
+
+    @property
+    def keying(self) -> Keying:
+        return self.core.keying
+
+    def greeting(self) -> ControllerHello:
+        """Its greeting, as it was when it started."""
+        return ControllerHello.model_validate_json(self.core._greeting().payload)
+
+    def heard_plant(self, hello: PlantHello, *, running: bool = False) -> Done:
+        """The plant speaks; ``running`` says that the one served was heard just now."""
+        self._now += 1.0 if running else 1000.0
+        return done(self.core.receive(PlantHello, hello.wire(), self._now))
+
+    def measured(self, measurement: Measurement) -> Done:
+        """A measurement arrives.
+
+        Raises
+        ------
+        ValueError
+            When it says that the measurement is malformed.
+        """
+        self._now += 1.0
+        actions = self.core.receive(Measurement, measurement.wire(), self._now)
+        for notice in actions.notices:
+            if notice.subject == "malformed":
+                raise ValueError(notice.text.removesuffix("; ignored"))
+        made = done(actions)
+        assert actions.finish_step == made.append
+        return made
+
+    def finish_step(self) -> Done:
+        """Count the step under way."""
+        return done(self.core.finish_step())
+
+    def hear_of_blocks(self, word: BlockAnnouncement) -> Done:
+        """The plant's word on blocks, and all that comes of it."""
+        actions = self.core.receive(BlockAnnouncement, word.wire(), self._now)
+        return done(self.core.finish_step() if actions.finish_step else actions)

@@ -1,5 +1,0 @@
-"""``wyner report``: a run on one page of HTML that needs no network, no script, no library."""
-
-from wyner.run_report.page import StepError, write_report
-
-__all__ = ["StepError", "write_report"]

@@ -1,0 +1,277 @@
+"""The field bus's clauses: nothing secret, and nothing that tells the two states apart."""
+
+import re
+import struct
+from array import array
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from protocol.agreement import NO_SYMBOL
+from protocol.messages import FIELD, Measurement, Offer
+from wyner.runs.check.capture import Seen
+from wyner.runs.check.clause import Judging, Tally, need
+from wyner.runs.check.evidence import Evidence
+from wyner.runs.check.records import wrong
+from wyner.runs.check.steps import AppliedStep
+
+PUBLIC: Final = {
+    topic: frozenset(fields.split())
+    for topic, fields in {
+        "measurement": "v session k x applied_k x_after copy_number nonce applied_copy block tag",
+        "offer": "v session k candidates cipher predictions copy_number nonce heard block tag",
+        "sealed": "v id key_ids cipher tag",
+    }.items()
+}
+"""The field bus's messages and all their fields, written out here so that adding one to the message
+types is noticed."""
+
+WITHOUT_KEYS: Final = {
+    "copy_number": 0,
+    "nonce": "",
+    "applied_copy": 0,
+    "heard": 0,
+    "block": -1,
+    "tag": "",
+}
+"""What fields of keys hold where the scenario makes none."""
+
+_MODELS: Final = {kind.topic: kind for kind in FIELD}
+
+_ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
+"""What a repeated message has anew; where no keys are made it is the same as well."""
+
+_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]*"')
+_BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
+_AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
+
+BLURRED: Final = "the tap saw numbers blurred, by its own settings"
+
+
+class _First:
+    """The first message of each number, as a 64-bit hash of its bytes."""
+
+    def __init__(self) -> None:
+        self._dense: dict[tuple[str, str], array[int]] = {}
+        self._sparse: dict[tuple[str, str, int], int] = {}
+
+    def same(self, seen: Seen) -> bool | None:
+        """Whether it is the same as the first of its number; None where it is the first."""
+        mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
+        at = (seen.topic, seen.session)
+        found = self._dense.setdefault(at, array("q"))
+        k = seen.k
+        if 0 <= k < len(found) + 4096:
+            if k >= len(found):
+                found.extend([0] * (k + 1 - len(found)))
+            first, found[k] = found[k], found[k] or mine
+        else:  # far ahead of the others
+            first = self._sparse.setdefault((*at, k), 0)
+            self._sparse[(*at, k)] = first or mine
+        return None if not first else first == mine
+
+
+def same_answer(e: Evidence, tally: Tally) -> Judging:
+    """A measurement and an offer of one number never change (rules 1 and 2)."""
+    if not need(tally, capture=e.wire):
+        return
+    assert e.wire is not None
+    if e.wire.blurred:
+        tally.skipped = BLURRED
+        return
+    first = _First()
+    repeated = {"measurement": 0, "offer": 0}
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            same = first.same(seen)
+            if same is not None and seen.topic in repeated:
+                repeated[seen.topic] += 1
+            text = (
+                ""
+                if same is not False
+                else (f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number")
+            )
+            tally.count(same is not False, seen.session, -1, seen.k, text)
+    tally.note = f"{repeated['measurement']} measurements and {repeated['offer']} offers repeated"
+
+
+def wire(e: Evidence, tally: Tally) -> Judging:
+    """The captured numbers are the plant's own."""
+    if not need(tally, capture=e.wire, plant_trace=e.plant):
+        return
+    assert e.wire is not None
+    if e.wire.blurred:
+        tally.skipped = BLURRED
+        return
+    older = 0
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            if e.before(seen):
+                older += 1
+            else:
+                _compare(e, seen, tally)
+    if older:
+        tally.note = f"{older} older than what is left of the plant's trace"
+
+
+def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:
+    assert e.plant is not None
+    steps, session, k, m = e.steps, seen.session, seen.k, seen.message
+    if not steps.knows(session):
+        text = f"{seen.where}: of a session that the plant's trace does not have"
+        tally.count(session in e.plant.announced, session, -1, k, text)
+        return
+    first, end = steps.ends(session)
+    if not first <= k <= end:
+        text = f"{seen.where}: step {k}, the plant made steps {first} to {end - 1}"
+        tally.count(False, session, -1, k, text)
+        return
+    step = steps.find(session, k)
+    j = -1 if step is None else step.j
+    try:
+        unlike = _unlike_offer(e, m, step) if seen.topic == "offer" else _unlike(e, seen, step)
+    except (LookupError, TypeError, ValueError, struct.error):
+        unlike = ["its shape"]
+    text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace" if unlike else ""
+    tally.count(not unlike, session, j, k, text)
+
+
+def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None) -> list[str]:
+    if step is None or step.j == NO_SYMBOL:
+        return []  # it was not applied
+    unlike = []
+    if e.steps.of_candidates(m["candidates"], m["predictions"]) != step.candidates:
+        unlike.append("candidates")
+    if m["cipher"] != step.cipher:
+        unlike.append("cipher")
+    return unlike
+
+
+def _unlike(e: Evidence, seen: Seen, step: AppliedStep | None) -> list[str]:
+    """Fields of a measurement that the plant's trace has otherwise."""
+    steps, session, m = e.steps, seen.session, seen.message
+    unlike = []
+    here = step.x if step is not None else None
+    before = steps.find(session, seen.k - 1)
+    if here is None and before is not None:
+        here = before.x_next
+    if here is not None and steps.of_state(m["x"]) != here:
+        unlike.append("x")
+    last = step.last_applied if step is not None else steps.newest(session)
+    if m["applied_k"] != last:
+        unlike.append("applied_k")
+        return unlike
+    applied = steps.find(session, last)
+    after = m["x_after"]
+    if (applied is None) != (after == []) or (
+        applied is not None and steps.of_state(after) != applied.x_next
+    ):
+        unlike.append("x_after")
+    return unlike
+
+
+def public_fields(e: Evidence, tally: Tally) -> Judging:
+    """Only the three public messages, with exactly their public fields."""
+    if not need(tally, capture=e.wire):
+        return
+    assert e.wire is not None
+    size, m, n = e.rules.size, e.rules.inputs, e.rules.states
+    while (part := (yield)) is not None:
+        for seen in (*part.seen, *part.sealed):
+            where = (seen.session, -1, seen.k)
+            allowed = PUBLIC.get(seen.topic)
+            if allowed is None:
+                tally.count(False, *where, f"{seen.where}: on {seen.topic!r}")
+                continue
+            if seen.message.keys() != allowed:
+                unlike = _extra(frozenset(seen.message), allowed)
+                tally.count(False, *where, f"{seen.where}: {seen.topic} with {unlike}")
+                continue
+            try:
+                message = _MODELS[seen.topic].model_validate_json(seen.raw, strict=True)
+            except ValidationError as error:
+                text = f"{seen.where}: {seen.topic}.{wrong(error)}"
+                tally.count(False, *where, text)
+                continue
+            if isinstance(message, Measurement):
+                fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
+            elif isinstance(message, Offer):
+                fits = len(message.candidates) == size and message.cipher < size
+                fits = fits and all(len(u) == m for u in message.candidates)
+                fits = fits and not e.rules.malformed_predictions(message.predictions)
+            else:
+                text = f"{seen.where}: sealed, and no keys are made"
+                tally.count(e.rules.schedule is not None, *where, text)
+                continue
+            text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
+            if e.scenario.keys is None and fits:
+                idle = [
+                    f for f, value in WITHOUT_KEYS.items() if getattr(message, f, value) != value
+                ]
+                fits = not idle
+                text = f"{seen.where}: {', '.join(idle)}: not as where no keys are made"
+            tally.count(fits, *where, text)
+    for problem in e.wire.strange:
+        text = f"{problem.where}: neither Measurement, Offer nor Sealed ({problem.text})"
+        tally.count(False, "", -1, -1, text)
+    tally.note = f"{e.wire.torn} torn lines"
+
+
+def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
+    extra, lacking = sorted(fields - allowed), sorted(allowed - fields)
+    words = [f"the extra field {name}" for name in extra] + [f"no {name}" for name in lacking]
+    return ", ".join(words)
+
+
+@dataclass(slots=True)
+class _Looks:
+    """What messages of one kind looked like in one automaton state."""
+
+    shapes: dict[tuple[bytes, int], tuple[Seen, int]] = field(default_factory=dict)
+    bytes: int = 0
+    count: int = 0
+
+
+_DIGITS: Final = b"0123456789abcdef.+-"
+
+
+def _shape(raw: bytes) -> tuple[bytes, int]:
+    """A message's names, lengths and kinds of value: all that is left without digits.
+
+    Of a nonce and a tag that is their length; which block was stored last follows from what was
+    counted, and that is public.
+    """
+    keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
+    keyless = _BLOCK.sub(b"", keyless, 1)
+    return keyless.translate(None, _DIGITS), raw.count(b"[]")
+
+
+def same_shape(e: Evidence, tally: Tally) -> Judging:
+    """Fields, lengths and kinds of number do not depend on the automaton state."""
+    if not need(tally, capture=e.wire, plant_trace=e.plant):
+        return
+    looks: dict[tuple[str, bool], _Looks] = {}
+    while (part := (yield)) is not None:
+        for seen in part.seen:
+            step = e.steps.find(seen.session, seen.k)
+            if step is None or step.j == NO_SYMBOL or seen.message.get("applied_k") == -1:
+                continue  # a session's first measurement has no x_after yet, in state 1 always
+            look = looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
+            look.shapes.setdefault(_shape(seen.raw), (seen, step.j))
+            look.bytes += len(seen.raw)
+            look.count += 1
+            tally.counted += 1
+    notes = []
+    for topic in PUBLIC:
+        both = [looks.get((topic, carries)) for carries in (False, True)]
+        if both[0] is None or both[1] is None:
+            continue
+        for mine, other, state in ((both[1], both[0], 2), (both[0], both[1], 1)):
+            for shape, (seen, j) in mine.shapes.items():
+                if shape not in other.shapes:
+                    text = f"{seen.where}: {topic} looks like this in state {state} only"
+                    tally.fail(seen.session, j, seen.k, text)
+        means = [look.bytes / look.count for look in both if look is not None]
+        notes.append(f"{topic} {means[0]:.1f} and {means[1]:.1f} bytes")
+    tally.note = f"mean in states 1 and 2: {'; '.join(notes)}" if notes else ""

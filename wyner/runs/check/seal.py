@@ -1,0 +1,156 @@
+"""A run's seal: in its manifest, what every file of evidence held when the run was over.
+
+Recordings carry marks of their own, which also a lone service writes. The seal covers the rest:
+statuses, logs, journals, beliefs, the summary, and the manifest itself; of a key store what stays
+in it when keys are taken out. Nobody signs it: it tells what was changed by chance or by hand, and
+not by somebody who makes it anew.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from protocol.secret.records import Side, StoreError
+from runtime.files import write_atomically
+from runtime.recording import CONTINUED, decode
+from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
+from wyner.runs.check.covered import evidence_below
+from wyner.runs.check.stores import what_stays
+
+FILES: Final = "files"
+ITSELF: Final = "manifest"
+"""In the seal: what each file held, by its name; and a digest of the manifest without it."""
+
+COMING: Final = Path(".summary.json")
+"""The summary before its seal is written. Where a run is killed between the two, it is no lack."""
+
+NOT_SEALED: Final = (MANIFEST.name, CONTROLLER_KEYS.name + "-given")
+"""Evidence that goes on after the run: the seal's own file, the count beside a key store."""
+
+STORES: Final[dict[str, Side]] = {str(CONTROLLER_KEYS): "controller", str(PLANT_KEYS): "plant"}
+
+CHANGED: Final = "it is not as the run left it"
+
+Held = dict[str, Any]
+
+
+def seal(run_dir: Path, summary: bytes | None = None) -> None:
+    """Write the summary of a run that is over, and the seal into its manifest.
+
+    Wherever this is killed, the folder is one that was sealed, or one that never was.
+
+    Parameters
+    ----------
+    run_dir : Path
+    summary : bytes, optional
+        What the summary will hold; the one that is there if not given.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read, or the manifest not be written.
+    """
+    manifest = json.loads((run_dir / MANIFEST).read_bytes())
+    manifest[FILES] = _all_held(run_dir)
+    if summary is not None:
+        write_atomically(run_dir / COMING, summary)
+        manifest[FILES][str(SUMMARY)] = _held(run_dir / COMING)
+    manifest[ITSELF] = _digest_of(manifest)
+    write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
+    if summary is not None:
+        (run_dir / COMING).replace(run_dir / SUMMARY)
+
+
+def is_sealed(manifest: dict[str, Any] | None) -> bool:
+    """Whether a manifest has a seal."""
+    return isinstance((manifest or {}).get(FILES), dict) and ITSELF in (manifest or {})
+
+
+def broken(run_dir: Path, manifest: dict[str, Any] | None) -> Iterator[tuple[str, str]]:
+    """Each file that the seal names: its name, and what is wrong with it (empty: nothing).
+
+    A run that was killed as a whole has neither summary nor seal, and nothing is given. Of a
+    service that was started again since, only what it appends to can be held to the seal.
+    """
+    manifest = manifest or {}
+    if not is_sealed(manifest):
+        if (run_dir / SUMMARY).exists() or FILES in manifest or ITSELF in manifest:
+            yield MANIFEST.name, "the run was summed up, and its seal is gone"
+        return
+    same = manifest[ITSELF] == _digest_of(manifest)
+    yield MANIFEST.name, "" if same else CHANGED
+    files = {name: held for name, held in manifest[FILES].items() if isinstance(held, dict)}
+    went_on = went_on_in(run_dir, manifest)
+    for name, held in files.items():
+        path = run_dir / name
+        if name == str(SUMMARY) and not path.exists():
+            path = run_dir / COMING
+        if name.rpartition("/")[0] in went_on:
+            if name.endswith(".jsonl") and path.is_file():
+                begins = _digest(path, held.get("bytes"))
+                yield name, "" if begins == held.get("sha256") else CHANGED
+        elif not path.is_file():
+            yield name, "it was there when the run was over"
+        else:
+            yield name, "" if _held_by(name, path) == held else CHANGED
+
+
+def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
+    """The folders of services that were started again after the seal: their recordings say so."""
+    if not is_sealed(manifest):
+        return set()
+    assert manifest is not None
+    found = set()
+    for name, held in manifest[FILES].items():
+        path = run_dir / name
+        if not name.endswith(".jsonl") or not isinstance(held, dict) or not path.is_file():
+            continue
+        size = held.get("bytes")
+        if isinstance(size, int) and path.stat().st_size > size and _continues(path, size):
+            found.add(name.rpartition("/")[0])
+    return found
+
+
+def _continues(path: Path, size: int) -> bool:
+    """Whether another life of the recording begins behind its first ``size`` bytes."""
+    with path.open("rb") as file:
+        file.seek(size)
+        first = file.read(4096).lstrip(b"\n").split(b"\n")[0]
+    return (decode(first) or {}).get("event") == CONTINUED
+
+
+def _all_held(run_dir: Path) -> dict[str, Held]:
+    names = (str(path.relative_to(run_dir)) for path in evidence_below(run_dir))
+    return {name: _held_by(name, run_dir / name) for name in names if not name.endswith(NOT_SEALED)}
+
+
+def _held_by(name: str, path: Path) -> Held:
+    if name in STORES:
+        try:
+            return {"stays": what_stays(path, STORES[name])}
+        except StoreError as error:
+            return {"stays": str(error)}
+    return _held(path)
+
+
+def _held(path: Path) -> Held:
+    size = path.stat().st_size
+    return {"bytes": size, "sha256": _digest(path, size)}
+
+
+def _digest(path: Path, size: object) -> str:
+    """SHA-256 of a file's first ``size`` bytes."""
+    digest = hashlib.sha256()
+    left = size if isinstance(size, int) else 0
+    with path.open("rb") as file:
+        while left > 0 and (chunk := file.read(min(left, 1 << 20))):
+            digest.update(chunk)
+            left -= len(chunk)
+    return digest.hexdigest()
+
+
+def _digest_of(manifest: dict[str, Any]) -> str:
+    without = {name: value for name, value in manifest.items() if name != ITSELF}
+    return hashlib.sha256(json.dumps(without, sort_keys=True).encode()).hexdigest()

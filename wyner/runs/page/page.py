@@ -1,0 +1,379 @@
+"""The page of a run: read from its folder, judged by the same code as ``check`` and ``secrecy``."""
+
+import json
+from array import array
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from protocol.agreement import predict
+from protocol.convex import corners
+from protocol.scenario import ConvexSet, Scenario
+from protocol.text import readable
+from runtime.files import write_atomically
+from runtime.run_folder import MANIFEST
+from wyner.runs.check import check
+from wyner.runs.check.clause import Finding
+from wyner.runs.check.evidence import Evidence, Part, read_evidence
+from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
+from wyner.runs.check.seal import FILES, ITSELF
+from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
+from wyner.runs.page.windows import Windows
+from wyner.runs.run import Run
+from wyner.runs.score.report import HEADINGS, NOTE, rows
+from wyner.runs.score.report import report as report_of
+from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, read_truth, score
+from wyner.runs.score.summary import in_short
+
+PAGE: Final = Path("report.html")
+
+STYLE: Final = """
+:root { color-scheme: light dark; --ink: #1b1b1b; --faint: #8885; --paper: #fff; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --paper: #16181c; } }
+body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+  max-width: 800px; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
+svg { width: 100%; height: auto; } svg text { font-size: 11px; fill: var(--ink); }
+.grid { stroke: var(--faint); stroke-width: .5; fill: none; }
+.line { fill: none; stroke-width: 1.5; } .mark { stroke: var(--ink); stroke-width: .7; }
+.star { fill: var(--ink); } .sample { width: 28px; height: 8px; }
+.legend { display: flex; flex-wrap: wrap; gap: .2em 1.2em; margin: 0; font-size: .85em; }
+table { border-collapse: collapse; font-size: .85em; width: 100%; }
+td, th { text-align: left; vertical-align: top; padding: .2em .8em .2em 0;
+  border-bottom: 1px solid var(--faint); }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; border-left: 3px solid var(--faint);
+  padding-left: .8em; } .note { font-size: .85em; opacity: .8; }
+details { margin: .3em 0; } summary { cursor: pointer; font-size: .9em; }
+.band { stroke: none; fill-opacity: .35; } .FAIL { font-weight: bold; }
+"""
+
+SHOWN: Final = 5
+"""Messages that are shown, the last."""
+
+MOST_KEPT: Final = 1024
+"""Agreed steps of which one is drawn."""
+
+
+def write_report(run_dir: Path, output: Path | None = None, step: int | None = None) -> Path:
+    """Write a run's page; returns its path.
+
+    Parameters
+    ----------
+    run_dir : Path
+    output : Path, optional
+        ``report.html`` in the run's folder if not given.
+    step : int, optional
+        A step to be drawn, and its neighbours; one from the middle of the run if not given.
+
+    Raises
+    ------
+    StepError
+        When the run has no such step.
+    FileNotFoundError, ScenarioError, TraceError
+        When there is no run, or it cannot be read.
+    OSError
+        When the page cannot be written.
+    """
+    path = run_dir / PAGE if output is None else output
+    evidence = read_evidence(run_dir)
+    write_atomically(path, page(evidence, _said(evidence.run), step).encode())
+    return path
+
+
+class StepError(ValueError):
+    """A step that the run does not have; the message is one line."""
+
+
+def _said(run: Run) -> list[Said] | str:
+    """What the eavesdroppers said, or why that is not known."""
+    try:
+        return read_said(run)
+    except ScoreError as error:
+        return str(error)
+
+
+def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
+    """The whole page."""
+    recorded = _Recorded(e.scenario, step)
+    findings = check(e, recorded.take)
+    if step is not None and recorded.windows.step() is None:
+        raise StepError(f"--step: got {step}, expected one of the run's: 0 to {recorded.newest}")
+    s = e.scenario
+    if e.plant is None or isinstance(said, str):
+        why = escape(said if isinstance(said, str) else "no plant trace")
+        keys = secrecy = [f"<p>Not known: {why}.</p>"]
+    else:
+        truth = read_truth(e.run)
+        keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
+    parts = [
+        f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
+        f"<p>Clauses of the check, below: {_counts(findings)}.</p>",
+        *_section("What counts as secret by the paper's rule, and what is", secrecy),
+        *_section("What was sent and what arrived", _message(e, recorded)),
+        *_section("States and inputs", _loop(e, recorded)),
+        *_section("One step", _one_step(e, recorded)),
+        *_section("Keys against taps", keys),
+        *_section("Clauses of the check", _clauses(findings)),
+        *_section("The run", _about(e)),
+    ]
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width">'
+        f"<title>wyner: {escape(s.name)}</title><style>{STYLE}</style></head><body>"
+        f"{''.join(parts)}</body></html>\n"
+    )
+
+
+def _counts(findings: Sequence[Finding]) -> str:
+    results = [f.result for f in findings]
+    return ", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
+
+
+def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
+    yield f"<section><h2>{escape(title)}</h2>"
+    yield from parts
+    yield "</section>"
+
+
+class _Recorded:
+    """What the page shows of the traces: the plant's steps of its last life, and the messages.
+
+    Of each line it keeps what is drawn, so that a page of a million steps is made like any other.
+    """
+
+    def __init__(self, scenario: Scenario, chosen: int | None = None) -> None:
+        self._scenario = scenario
+        self._chosen = chosen
+        self.payloads = {name: deque[bytes](maxlen=SHOWN) for name in ("sent", "recovered")}
+        self.messages = dict.fromkeys(self.payloads, 0)
+        self.born_in = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        s = self._scenario
+        self.steps = self.missed = self.symbols = 0
+        self.states = [Series() for _ in range(s.n)]
+        self.inputs = [Series() for _ in range(s.m)]
+        self.agreed = array("q")
+        self.some: list[TracedTransition] = []
+        self._every = 1
+        self.newest = -1
+        self.windows = Windows(self._chosen)
+
+    def take(self, part: Part) -> None:
+        """Take a part of the run."""
+        for item in (*part.plant, *part.controller):
+            if isinstance(item, Told) and not item.again and item.line.event in self.payloads:
+                self.payloads[item.line.event].append(item.payload)
+                self.messages[item.line.event] += 1
+        for item in part.plant:
+            if isinstance(item, Walked):
+                self._step(item.t)
+            elif isinstance(item, MissedLine):
+                self._step(item)
+
+    def _step(self, step: TracedTransition | MissedLine) -> None:
+        if step.k == 0 and step.session != self.born_in:
+            self._begin()
+            self.born_in = step.session
+        self.steps += 1
+        self.newest = step.k
+        self.windows.add(step)
+        at = step.k * self._scenario.plant.period_s
+        for lines, values in ((self.states, step.x), (self.inputs, step.u or ())):
+            for line, value in zip(lines, values, strict=False):
+                line.add(at, value)
+        if isinstance(step, MissedLine):
+            self.missed += 1
+            return
+        self.symbols += step.message_symbol >= 0
+        if step.symbol >= 0:
+            if len(self.agreed) % self._every == 0:
+                self.some.append(step)
+            self.agreed.append(step.k)
+            if len(self.some) > MOST_KEPT:
+                self.some, self._every = self.some[::2], 2 * self._every
+
+    @property
+    def example(self) -> TracedTransition | MissedLine | None:
+        """The step that was asked for, else an agreed one from the middle of the run."""
+        if self._chosen is not None:
+            return self.windows.step()
+        return self.some[len(self.some) // 2] if self.some else None
+
+
+def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    seconds = recorded.steps * e.scenario.plant.period_s
+    for title, name in (("Sent", "sent"), ("Recovered", "recovered")):
+        yield f"<p>{title}, {recorded.messages[name]}:</p>"
+        yield from (f"<pre>{escape(readable(p))}</pre>" for p in recorded.payloads[name])
+    rate = recorded.symbols * float(np.log2(e.rules.size)) / seconds if seconds else 0.0
+    yield (
+        f"<p>{recorded.steps} steps ({recorded.missed} missed) in {seconds:g} s of plant time; "
+        f"{len(recorded.agreed)} key symbols agreed, {recorded.symbols} message symbols carried, "
+        f"{rate:.3g} bits a second. That is what was sent; what stayed secret is above.</p>"
+    )
+
+
+def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    if not recorded.steps:
+        yield "<p>The plant left no trace.</p>"
+        return
+    T = e.scenario.plant.period_s
+    states = [
+        Curve(f"x{i + 1}", line.points(), i, banded=True) for i, line in enumerate(recorded.states)
+    ]
+    inputs = [
+        Curve(f"u{i + 1}", line.points(), i, steps=True, banded=True)
+        for i, line in enumerate(recorded.inputs)
+    ]
+    for title, lines, what in (
+        ("States over time", states, "state"),
+        ("Inputs over time", inputs, "input"),
+    ):
+        marks = (Mark(k * T) for k in recorded.agreed)
+        yield chart(title, lines, "plant time (s)", what, marks=marks)
+    yield (
+        '<p class="note">Ticks at the foot: steps on which a key symbol was agreed. Of a long run '
+        "a band shows the range in each stretch. Here it is step by step:</p>"
+    )
+    stretches = recorded.windows.stretches()
+    yield from recorded.windows.drawn(e.scenario.n, e.scenario.m)
+    if sum(len(steps) for steps in stretches) < recorded.steps:
+        yield (
+            f'<p class="note">{len(stretches)} stretches of {recorded.steps} steps; '
+            "<code>wyner report RUN_DIR --step K</code> shows the one about step K.</p>"
+        )
+
+
+def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+    t, s = recorded.example, e.scenario
+    if t is None:
+        yield "<p>No key symbol was agreed.</p>"
+        return
+    if isinstance(t, MissedLine):
+        yield f"<p>Step {t.k}: no offer came in time, so nothing was tested.</p>"
+        return
+    yield f"<p>{escape(_told_of(t, s))}</p>"
+    if s.n < 2:
+        return
+    reaches = (
+        (_outline(s.defender.disturbance), "defender"),
+        (_outline(s.eavesdropper_set), "eavesdropper"),
+    )
+    rings = []
+    for i, u in enumerate(t.candidates):
+        c = predict(e.rules.agreement.A, e.rules.agreement.B, t.x, u)
+        for ring, who in reaches:
+            points = [(c[0] + a, c[1] + b) for a, b in ring]
+            rings.append((f"reach of candidate {i}, {who}", points, 2 * i + (who != "defender")))
+    yield plane("One step", rings, (t.x_next[0], t.x_next[1]), ("x1", "x2"))
+    yield '<p class="note">Star: where the state came to.</p>'
+
+
+def _told_of(t: TracedTransition, s: Scenario) -> str:
+    """What the agreement test found in a step."""
+    if t.symbol < 0:
+        gauges = ", ".join(f"{g:.3g}" for g in t.gauges)
+        return (
+            f"Step {t.k}: no key symbol. The candidates' gauges are {gauges}; a key needs exactly "
+            f"one of at most 1, and all of them {_in_her_set(s)}."
+        )
+    others = ", ".join(f"{g:.3g}" for i, g in enumerate(t.gauges) if i != t.symbol)
+    return (
+        f"Step {t.k}: the gauge of candidate {t.symbol} is {t.gauges[t.symbol]:.3g}, at most 1; "
+        f"of the others {others}, above 1 and {_in_her_set(s)}. So both ends know that candidate "
+        f"{t.symbol} was applied, and an eavesdropper who knows no more than D_e finds every "
+        "candidate possible."
+    )
+
+
+def _in_her_set(s: Scenario) -> str:
+    if s.secrecy.disturbance is not None:
+        return "within D_e, which has a shape of its own"
+    return f"at most alpha = {s.secrecy.alpha:g}"
+
+
+def _outline(disturbance: ConvexSet) -> list[tuple[float, float]]:
+    """The outline of a set of disturbances in the first two states."""
+    points = corners(*(np.array(a) for a in disturbance.rows()))[:, :2]
+    if disturbance.dimension > 2:
+        from scipy.spatial import ConvexHull
+
+        points = points[ConvexHull(points).vertices]
+    order = np.arctan2(points[:, 1], points[:, 0]).argsort()
+    return [(float(a), float(b)) for a, b in points[order]]
+
+
+def _keys(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
+    if not truth.keys:
+        yield "<p>No key symbol was agreed.</p>"
+        return
+    steps = np.fromiter((k for _, k in truth.keys), np.int64, len(truth.keys))
+    order = steps.argsort(kind="stable")
+    times = steps[order] * e.scenario.plant.period_s
+
+    def grown(right: Iterable[bool]) -> Points:
+        series = Series([(0.0, 0.0)])
+        total = np.fromiter(right, np.int64, len(steps))[order].cumsum()
+        for at, count in zip(times, total, strict=True):
+            series.add(float(at), float(count))
+        return series.points()
+
+    lines = [Curve("agreed by both ends", grown(True for _ in steps), 6, steps=True)]
+    for place, tap in enumerate(said):
+        right = (tap.live.get(at) == key for at, key in truth.keys.items())
+        lines.append(Curve(f"right, {tap.name}", grown(right), place, steps=True))
+    yield chart("Key symbols over time", lines, "plant time (s)", "key symbols", floor=0.0)
+    yield (
+        f'<p class="note">Her first guess of each step; blind guessing has one in '
+        f"{e.rules.size} right.</p>"
+    )
+
+
+def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
+    scores = tuple(score(truth, one) for one in said)
+    run_score = RunScore(e.run_dir.name, truth, scores)
+    found = report_of([run_score])
+    yield f"<p>{escape(found.verdict())}</p>"
+    yield _table(HEADINGS, rows(found))
+    yield f'<p class="note">{escape(NOTE)}</p>'
+    for name, why in found.unscored.items():
+        yield f"<p>{escape(name)} is not scored: {escape(why)}.</p>"
+    for one in said:
+        text = in_short(one.belief.message.decode("utf-8", errors="replace"))
+        yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
+
+
+def _clauses(findings: Sequence[Finding]) -> Iterator[str]:
+    yield f"<p>{_counts(findings)}</p>"
+    body = []
+    for f in findings:
+        first = "" if f.tally.first is None else f"; first: {f.tally.first.text}"
+        note = f.tally.skipped or f"{f.tally.counted} {f.clause.of}"
+        note += f"; {f.tally.note}" if f.tally.note else ""
+        body.append((f.result, f.clause.name, f.clause.source, f.clause.says, note + first))
+    yield _table(("result", "clause", "source", "says", "looked at"), body)
+
+
+def _about(e: Evidence) -> Iterator[str]:
+    try:
+        manifest = json.loads((e.run_dir / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        manifest = {}
+    told = {name: value for name, value in manifest.items() if name not in (FILES, ITSELF)}
+    body = [(str(k), json.dumps(v, ensure_ascii=False)) for k, v in told.items()]
+    body.append(("fingerprint", e.rules.fingerprint))
+    yield _table(("field", "value"), body)
+
+
+def _table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
+    top = "".join(f"<th>{escape(v)}</th>" for v in head)
+    lines = "".join(
+        f"<tr>{''.join(f'<td>{escape(str(v))}</td>' for v in row)}</tr>" for row in body
+    )
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table>"

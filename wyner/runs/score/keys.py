@@ -1,0 +1,423 @@
+"""What the tap of a run holds of its keys, from the plant's trace, the capture and the stores.
+
+The claim is the operator's; a run can refute it, and never prove it. What she missed is exact here:
+her capture is all that she heard, and which copies counted stands in the plant's trace.
+"""
+
+from array import array
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from protocol.messages import Sealed
+from protocol.scenario import Scenario
+from protocol.secret.blocks import Schedule
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.records import StoreError
+from runtime.keys.store import KeyStore
+from runtime.recording import TraceError
+from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+from tap_service.capture.reading import CaptureError
+from tap_service.inference.key_solver import bits_held
+from tap_service.inference.miss_rate import AWAY, Audit, MissRate
+from wyner.runs.resolve import Event
+from wyner.runs.run import Run
+from wyner.runs.score.by_step import BySteps
+
+KEY_BITS: Final = 8 * NONCE_BYTES
+
+Copy = tuple[str, str, int]
+"""A copy 0: which message (``offer``, ``measurement``), session and step."""
+
+_TOPICS: Final = ("measurement", "offer")
+
+
+class AuditedBlock(NamedTuple):
+    """A key block beside what the tap heard of it.
+
+    ``missed`` counts copies that counted and that she did not hear; ``held_bits`` is what she can
+    compute of the block's rows. ``lost`` is L, the copies that did not count.
+    """
+
+    session: str
+    number: int
+    transitions: int
+    steps: int
+    counted: int
+    rows: int
+    keys: int
+    missed: int
+    held_bits: int
+    confirmed: bool
+    last_k: int
+    lost: int
+
+
+class Copies:
+    """Copies 0 in their order, in eight bytes each: a run has millions."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, int] = {}
+        self._codes = array("q")
+
+    def add(self, *copies: Copy) -> None:
+        """Append copies."""
+        for topic, session, k in copies:
+            place = self._sessions.setdefault(session, len(self._sessions))
+            self._codes.append(k << 24 | place << 1 | (topic == "offer"))
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    def __iter__(self) -> Iterator[Copy]:
+        sessions = list(self._sessions)
+        for code in self._codes:
+            yield _TOPICS[code & 1], sessions[code >> 1 & 0x7FFFFF], code >> 24
+
+
+class Heard:
+    """Copies 0 that a tap has heard, each with the number of her recording."""
+
+    def __init__(self) -> None:
+        self._lives = {topic: BySteps() for topic in _TOPICS}
+
+    def add(self, copy: Copy, life: int) -> None:
+        """Note a copy, the first time."""
+        topic, session, k = copy
+        if (lives := self._lives.get(topic)) is not None:
+            lives.setdefault((session, k), life)
+
+    def life(self, copy: Copy) -> int | None:
+        """In which of her recordings a copy is; None where she missed it."""
+        topic, session, k = copy
+        found: int | None = self._lives[topic].get((session, k))
+        return found
+
+
+@dataclass(slots=True)
+class _Block:
+    transitions: int = 0
+    steps: int = 0
+    last_k: int = -1
+    copies: Copies = field(default_factory=Copies)
+
+
+class _Leaving:
+    """How often the messages of one end left, from the events of its trace."""
+
+    def __init__(self) -> None:
+        self._at: dict[str | None, list[tuple[int, int]]] = {}
+        self._times = 1
+
+    def take(self, event: Event) -> None:
+        """Take the next event."""
+        if event["event"] in ("appearances", "session"):
+            self._times = event.get("times", self._times)
+            self._at.setdefault(event["session"], []).append((event.get("k", -1), self._times))
+
+    def times(self, session: str, k: int) -> int | None:
+        """Of the message of step k; None where that changed just then."""
+        times = None
+        for at, count in self._at.get(session, ()):
+            if abs(at - k) <= 1 and times not in (None, count):
+                return None
+            if at <= k:
+                times = count
+        return 1 if times is None else times
+
+
+@dataclass(slots=True)
+class _Walk:
+    """The blocks of a run, and every copy 0 that was sent, from the plant's trace."""
+
+    schedule: Schedule
+    blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
+    sent: Copies = field(default_factory=Copies)
+    keys: dict[tuple[str, int], int] = field(default_factory=dict)
+    confirmed: set[tuple[str, int]] = field(default_factory=set)
+    steps: int = 0
+    _last_k: dict[str, int] = field(default_factory=dict)
+
+    def take(self, event: Event) -> None:
+        """Take the next event of the trace."""
+        kind = event["event"]
+        if kind == "missed":
+            self.steps += 1
+            self.sent.add(("measurement", event["session"], event["k"]))
+        elif kind == "transition":
+            self._transition(event)
+        elif kind == "block":
+            self.keys[event["session"], event["number"]] = event["keys"]
+        elif kind == "judged" and event["what"] == "confirmed":
+            self.confirmed.add((event["session"], event["number"]))
+
+    def _transition(self, event: dict[str, Any]) -> None:
+        session, j, k = event["session"], event["j"], event["k"]
+        before = self._last_k.get(session, k)
+        self._last_k[session] = k
+        self.steps += 1
+        both: tuple[Copy, Copy] = (("measurement", session, k), ("offer", session, k))
+        self.sent.add(*both)
+        number = self.schedule.block_of(j)
+        if number < 0:
+            return
+        block = self.blocks.setdefault((session, number), _Block())
+        block.transitions += 1
+        block.steps += k - before
+        block.last_k = k
+        counts = self.schedule.assumption.counting(event["counts"])
+        block.copies.add(*[both[1]] * (counts & 1), *[both[0]] * (counts >> 1))
+
+
+@dataclass(frozen=True, slots=True)
+class KeyAudit:
+    """A run's keys, and what its tap holds of them.
+
+    Parameters
+    ----------
+    claim : float
+        eps_E.
+    sentence : str
+        Under which claim the keys are secret, in words.
+    refused : str or None
+        Why nobody gets them.
+    blocks : tuple of AuditedBlock
+    same : bool or None
+        Whether both stores hold the same keys under the same ids in the same order; None where one
+        of them is not there.
+    rates : mapping of str to MissRate
+        Her misses of copies 0 while she was there, each direction by itself, and in it each number
+        of times that messages left; empty where nothing was captured.
+    seconds : float
+        Plant time.
+    period_s : float
+    """
+
+    claim: float
+    sentence: str
+    refused: str | None
+    blocks: tuple[AuditedBlock, ...]
+    same: bool | None
+    rates: Mapping[str, MissRate]
+    seconds: float
+    period_s: float
+
+    @property
+    def made(self) -> int:
+        """Keys of blocks that the partner has confirmed."""
+        return sum(block.keys for block in self.blocks if block.confirmed)
+
+    @property
+    def held_bits(self) -> int:
+        """Bits that the tap holds of blocks that made keys."""
+        return sum(block.held_bits for block in self.blocks if block.keys)
+
+    @property
+    def waiting(self) -> int:
+        """Whole blocks with rows for a key that the partner has not confirmed."""
+        return sum(block.rows >= 2 and not block.confirmed for block in self.blocks)
+
+    @property
+    def missed(self) -> float | None:
+        """Share of copies 0 that she missed while she was there; None where she never was."""
+        copies = sum(rate.copies for rate in self.rates.values())
+        return sum(rate.missed for rate in self.rates.values()) / copies if copies else None
+
+    @property
+    def first_key_s(self) -> float | None:
+        """Plant time at which the first key's block was over."""
+        made = [block for block in self.blocks if block.keys]
+        return (made[0].last_k + 1) * self.period_s if made else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What must be told in red."""
+        found = []
+        if self.held_bits:
+            broken = sum(block.held_bits > 0 and block.keys > 0 for block in self.blocks)
+            found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
+        for name, rate in self.rates.items():
+            if rate.refuted:
+                found.append(
+                    f"she misses {rate.high:.3g} of the {name} at most, and eps_E = "
+                    f"{self.claim:g} was claimed: refuted"
+                )
+            if rate.bursts:
+                found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
+            if not rate.copies and rate.absent:
+                found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
+        if self.same is False:
+            found.append("the two stores differ")
+        return tuple(found)
+
+    def as_json(self, *, blocks: bool = False) -> dict[str, Any]:
+        """The object ``keys`` of ``wyner up --json``; with ``blocks``, each of them instead of how
+        many there are.
+        """
+        made = [block for block in self.blocks if block.keys and block.confirmed]
+        last = made[-1] if made else None
+        return {
+            "made": self.made,
+            "waiting": self.waiting,
+            "bits_per_second": KEY_BITS * self.made / self.seconds if self.seconds else 0.0,
+            "last_block_bits_per_second": 0.0
+            if last is None
+            else KEY_BITS * last.keys / (last.steps * self.period_s),
+            "first_key_s": self.first_key_s,
+            "same_at_both_ends": self.same,
+            "held_by_tap_bits": self.held_bits if self.rates else None,
+            "refused": self.refused,
+            "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
+            "missed_by_tap": self.missed,
+            "audited": {name: rate._asdict() for name, rate in self.rates.items()},
+            "assumption": self.sentence,
+            "warnings": list(self.warnings),
+        }
+
+
+def key_lines(keys: dict[str, Any]) -> list[str]:
+    """What :meth:`KeyAudit.as_json` says, for people; the first line is the verdict."""
+    refused = keys["refused"]
+    if refused is not None and not keys["blocks"]:
+        return [f"Keys       none: {refused}"]
+    held = "an unknown number of" if keys["held_by_tap_bits"] is None else keys["held_by_tap_bits"]
+    lines = [
+        f"Keys       {keys['made']} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s. "
+        f"Eve holds {held} bits of them.",
+        f"           {keys['assumption']}",
+    ]
+    if keys["waiting"]:
+        text = f"{keys['waiting']} blocks are whole, and wait to be confirmed at both ends"
+        lines.append(f"           {text}")
+    if refused is not None:
+        lines.append(f"           refused: {refused}")
+    return lines + [f"           WARNING: {text}" for text in keys["warnings"]]
+
+
+def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
+    """What the tap of a run holds of its keys; None where the scenario has no table ``keys``."""
+    if scenario.keys is None:
+        return None
+    claim = scenario.keys.assumption()
+    schedule = scenario.keys.schedule()
+    refused = _refused(run.folder) or scenario.keys.refusal()
+    if schedule is None:
+        rates: dict[str, MissRate] = {}
+        nothing = (claim.sentence(), refused, (), None, rates, 0.0, scenario.plant.period_s)
+        return KeyAudit(claim.eps_E, *nothing)
+    walk, behind = _Walk(schedule), 0
+    leaving = {"measurement": _Leaving(), "offer": _Leaving()}
+    with suppress(TraceError):
+        behind = run.feed("plant", walk.take, leaving["measurement"].take)
+    with suppress(TraceError):
+        run.feed("controller", leaving["offer"].take)
+    heard = _heard(run)
+    blocks = tuple(
+        _audited(walk, at, block, heard)
+        for at, block in walk.blocks.items()
+        if block.transitions == schedule.length(at[1])
+    )
+    rates = {} if heard is None else _rates(run, claim, walk.sent, heard, leaving)
+    return KeyAudit(
+        claim.eps_E,
+        claim.sentence(),
+        refused,
+        blocks,
+        _same(run.folder),
+        rates,
+        (walk.steps + behind) * scenario.plant.period_s,
+        scenario.plant.period_s,
+    )
+
+
+def _rates(
+    run: Run, claim: Assumption, sent: Copies, heard: Heard, leaving: Mapping[str, _Leaving]
+) -> dict[str, MissRate]:
+    """Her misses by class: direction, and how often the message left.
+
+    What left more often than the claim states was no copy 0, and what left just then may have been
+    none; neither is counted. She was not there before she heard anything, between two of her
+    recordings, and after the last copy that she heard, where :data:`AWAY` or more followed. Her
+    capture's header says how many of a message's appearances reach her: 1, by her own link.
+    """
+    hears = run.capture().header.get("appearances", 1)
+
+    def copies() -> Iterator[tuple[str, Copy]]:
+        for copy in sent:
+            name = f"{copy[0]}s"
+            times = leaving[copy[0]].times(*copy[1:])
+            if claim.directions not in ("both", name) or times is None or times > claim.appearances:
+                continue
+            yield (name if times == 1 else f"{name} that left {times} times"), copy
+
+    names: dict[str, None] = {}
+    last: dict[int, int] = {}  # of each of her recordings, the last copy in it
+    count = 0
+    for name, copy in copies():
+        names.setdefault(name)
+        if (life := heard.life(copy)) is not None:
+            last[life] = count
+        count += 1
+    ends = {i for i in last.values() if i < max(last.values()) or count - i > AWAY}
+    audit = Audit(claim.eps_E**hears, tuple(names))
+    for i, (name, copy) in enumerate(copies()):
+        audit.add(name, missed=heard.life(copy) is None)
+        if i in ends:
+            audit.gone()
+    return audit.judge()
+
+
+def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | None) -> AuditedBlock:
+    a = walk.schedule.assumption
+    rows = a.rows(block.transitions, block.steps, len(block.copies))
+    missed = 0 if heard is None else sum(heard.life(copy) is None for copy in block.copies)
+    return AuditedBlock(
+        *at,
+        transitions=block.transitions,
+        steps=block.steps,
+        counted=len(block.copies),
+        rows=rows,
+        keys=walk.keys.get(at, 0),
+        missed=missed,
+        held_bits=bits_held(rows, missed) if rows >= 2 else 0,
+        confirmed=at in walk.confirmed,
+        last_k=block.last_k,
+        lost=a.copies * block.steps - len(block.copies),
+    )
+
+
+def _heard(run: Run) -> Heard | None:
+    """Every copy 0 in the capture, with the number of her recording; None where there is none."""
+    heard = Heard()
+    try:
+        reader = run.capture()
+        for _, message in reader.records():
+            if not isinstance(message, Sealed) and not message.copy_number:
+                copy = (message.topic, message.session, message.k)
+                heard.add(copy, reader.lives)
+    except (CaptureError, OSError):
+        return None
+    return heard
+
+
+def _refused(run_dir: Path) -> str | None:
+    try:
+        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
+            return store.refused
+    except StoreError:
+        return None
+
+
+def _same(run_dir: Path) -> bool | None:
+    """Whether what both stores hold is the same: ids, order, and the bytes that are still there."""
+    try:
+        with (
+            KeyStore(run_dir / CONTROLLER_KEYS, "controller") as controller,
+            KeyStore(run_dir / PLANT_KEYS, "plant") as plant,
+        ):
+            return controller.same_as(plant)
+    except StoreError:
+        return None

@@ -1,0 +1,164 @@
+"""A recorded capture, decoded again: the same transcript, the same eavesdroppers, no network."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from protocol.knowledge import Knowledge
+from protocol.messages import TapStatus
+from protocol.scenario import Scenario
+from tap_service.capture.channel import View
+from tap_service.capture.reading import CaptureError, CaptureReader
+from tap_service.capture.transcript import Transcript
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
+from tap_service.sandboxed import guarded
+from tap_service.status import Listener, status_of
+from wyner.runs.score.by_step import BySteps
+from wyner.runs.score.score import Said
+
+COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "malformed")
+
+
+class Replay:
+    """Feeds a capture to eavesdroppers, some transitions at a time.
+
+    Parameters
+    ----------
+    path : Path
+        A capture, or the directory of a run.
+    names : sequence of str
+        Eavesdroppers, by name or as ``FILE.py:NAME``.
+    first, last : int, optional
+        Steps from and to which it is decoded, both included.
+    scenario : Scenario, optional
+        Whose model they are told; by default what the capture's header says was told live. What the
+        oracle is told no capture holds.
+
+    Raises
+    ------
+    CaptureError
+        When the capture cannot be read or its header lacks what they were told.
+    KnowledgeError
+        When an eavesdropper cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        names: Sequence[str],
+        *,
+        first: int | None = None,
+        last: int | None = None,
+        scenario: Scenario | None = None,
+    ) -> None:
+        self.reader = CaptureReader(path)
+        header = self.reader.header
+        try:
+            heard = Knowledge.model_validate(header["knowledge"])
+            self.view = View.model_validate(header["view"])
+        except (KeyError, ValueError):
+            raise CaptureError(
+                f"{self.reader.path}: line 1: expected knowledge and view in the header"
+            ) from None
+        self.knowledge = heard if scenario is None else scenario.knowledge()
+        self.listeners: list[Listener] = []
+        for name in names:
+            kind = guarded(name)
+            if name == ORACLE:
+                if scenario is None:
+                    raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")
+                mine = scenario.oracle_knowledge()
+            else:
+                mine = self.view.told(self.knowledge, model=kind.told_model)
+            self.listeners.append(Listener.of(kind, mine))
+        self.transcript = Transcript()
+        self.session = ""
+        self.transitions = 0
+        self.k = -1
+        self.finished = False
+        self._first, self._last = first, last
+        self._records = self.reader.records()
+        self._guesses: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
+        self._reviews: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
+
+    def advance(self, transitions: int) -> bool:
+        """Decode about ``transitions`` more; False when the capture is at its end."""
+        goal = self.transitions + transitions
+        for _t_ns, message in self._records:
+            for listener in self.listeners:
+                listener.hear(message)
+            self._feed(self.transcript.hear(message))
+            if self.transitions >= goal:
+                return True
+        if not self.finished:
+            self.reader.finish()
+            self._feed(self.transcript.flush())
+            for listener in self.listeners:
+                self._note(listener, listener.review())
+            self.finished = True
+        return False
+
+    def run(self) -> None:
+        """Decode all of it."""
+        while self.advance(10_000):
+            pass
+
+    def _feed(self, final_guesses: Iterable[Any]) -> None:
+        for t in final_guesses:
+            if (self._first is not None and t.k < self._first) or (
+                self._last is not None and t.k > self._last
+            ):
+                continue
+            self.session, self.k = t.session, t.k
+            self.transitions += 1
+            for listener in self.listeners:
+                guess = listener.observe(t)
+                if guess is not None:
+                    self._guesses[listener.name][t.session, t.k] = guess.best
+                self._note(listener, listener.final_guesses())
+
+    def _note(self, listener: Listener, thoughts: Sequence[Guess]) -> None:
+        reviews = self._reviews[listener.name]
+        for guess in thoughts:
+            reviews[guess.session or self.session, guess.k] = guess.best
+
+    def statuses(self) -> list[TapStatus]:
+        """The status of each eavesdropper now."""
+        counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
+        return [status_of(x, x.belief(), counts) for x in self.listeners]
+
+    def said(self) -> list[Said]:
+        """What each said, for scoring."""
+        out = []
+        for x in self.listeners:
+            guesses = self._guesses[x.name], self._reviews[x.name]
+            out.append(Said(x.name, self.session, *guesses, x.belief(), x.failed))
+        return out
+
+    def report(self) -> dict[str, Any]:
+        """The end of it as one object: per eavesdropper her messages and how sure she is."""
+        taps = {}
+        for s in self.said():
+            b = s.belief
+            taps[s.name] = {
+                "message": b.message.decode("utf-8", errors="replace"),
+                "whole": [base64.b64encode(w).decode("ascii") for w in b.whole],
+                "confidence": b.confidence,
+                "candidates_left": b.candidates_left,
+                "solved_k": b.solved_k,
+                "failed": s.failed,
+                "keys": None if b.keys is None else b.keys.model_dump(),
+            }
+        return {
+            "capture": str(self.reader.path),
+            "transitions": self.transitions,
+            "sessions": self.transcript.sessions,
+            "holes": self.transcript.holes,
+            "jumped": self.transcript.jumped,
+            "late": self.transcript.late,
+            "torn_lines": self.reader.torn,
+            "malformed": self.reader.malformed,
+            "parts_missing": self.reader.parts_missing,
+            "taps": taps,
+        }

@@ -1,0 +1,340 @@
+"""The secrecy report over runs: what the paper's rule counts, and what each eavesdropper leaves."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from protocol.statistics import (
+    CONFIDENCE,
+    FEWEST_RUNS,
+    Interval,
+    better_than,
+    bits_left,
+    confidence_sequence,
+    share_over_runs,
+)
+from tap_service.eavesdroppers.base import KeysHeld
+from wyner.runs.score.score import EavesdropperScore, Proportion, RunScore, Truth
+
+BOUND: Final = (
+    "The keys are a function of the public transcript and the secret part of the model, so that "
+    "H(keys | transcript) <= H(model | transcript): however many keys are agreed, what stays "
+    "hidden is at most what the eavesdropper does not yet know of the model. For one who knows "
+    "f_c and D_e that is f widths of D_c, worth at most f log2(2N + 1) bits after N steps of two "
+    "candidates: one width where D_e = alpha D_c, whatever M."
+)
+
+
+def over_runs(parts: Sequence[Proportion]) -> Interval:
+    """The share of all runs together, with its interval over runs."""
+    return share_over_runs([(p.right, p.of) for p in parts])
+
+
+def percent(share: Interval) -> str:
+    """As a table shows it."""
+    return share.scaled(100.0).text(".1f", " %")
+
+
+@dataclass(frozen=True, slots=True)
+class TapReport:
+    """One eavesdropper over all runs; rates are those of the runs in which she is scored.
+
+    Parameters
+    ----------
+    runs : int
+        Runs in which she listened.
+    symbol_errors : Interval
+        Of agreed steps, with second thoughts where she has any.
+    symbol_errors_live : Interval
+        The same right after each step.
+    bit_errors : Interval
+        Of message symbols.
+    exact : Interval
+        Messages had whole and exact, of those the plant recovered.
+    guessing : Interval
+        P_g per key symbol, never below 1/M. Its limits are a confidence sequence over keys.
+    left : Interval, optional
+        Bits that she leaves of all that the paper's rule counts; None where ``why_unscored``. Of a
+        run in which she had every message none, where she gives an account of her own that one,
+        else -log2 P_g of each key symbol. Whoever is not shown to be better than chance leaves all.
+    why_unscored : str
+        Why nobody knows what she leaves, with the runs of which it is so.
+    leads : bool
+        Whether she is shown to do better than chance, at a chance of 5 % shared by all of them.
+    list_size : float, optional
+        Median of the candidate messages that remained.
+    broken_k : tuple of int
+        Steps at which she first was sure of a whole message, run by run; -1 never.
+    not_on_record : int
+        Agreed steps for which there is no word of hers, because her log was cut or she was gone.
+    size : int
+        M.
+    keys : tuple of KeysHeld
+        What she holds of distilled keys, run by run, where she goes for them.
+    """
+
+    name: str
+    runs: int
+    symbol_errors: Interval
+    symbol_errors_live: Interval
+    bit_errors: Interval
+    exact: Interval
+    agreed_steps: int
+    guessing: Interval
+    left: Interval | None
+    why_unscored: str
+    leads: bool
+    list_size: float | None
+    broken_k: tuple[int, ...]
+    not_on_record: int
+    size: int
+    keys: tuple[KeysHeld, ...] = ()
+
+    @property
+    def min_entropy(self) -> Interval:
+        """-log2 P_g per key symbol, in bits."""
+        return bits_left(1, self.size, self.guessing)
+
+    @property
+    def median_broken(self) -> float | None:
+        """Median step at which she broke it, over the runs in which she did."""
+        broken = [k for k in self.broken_k if k >= 0]
+        return statistics.median(broken) if broken else None
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The secrecy report.
+
+    Parameters
+    ----------
+    claimed_bits : float
+        What the paper's rule counts over all runs, of whichever law: every agreement as log2 M
+        secret bits.
+    hidden_bits : float
+        Bound on what stays hidden of one run's keys from one who knows f_c and D_e: the widths of
+        D_c, each of which the steps cut into so many pieces.
+    """
+
+    runs: tuple[str, ...]
+    transitions: int
+    claimed_bits: float
+    hidden_bits: float
+    taps: tuple[TapReport, ...]
+
+    @property
+    def strongest(self) -> TapReport | None:
+        """The eavesdropper who leaves the least, of those that are scored."""
+
+        def left_at_most(t: TapReport) -> tuple[float, float, float]:
+            assert t.left is not None
+            exact = 0.0 if math.isnan(t.exact.value) else t.exact.value
+            return t.left.high, -exact, t.left.value
+
+        return min((t for t in self.taps if t.left is not None), key=left_at_most, default=None)
+
+    @property
+    def unscored(self) -> dict[str, str]:
+        """Who is not scored, and why."""
+        return {t.name: t.why_unscored for t in self.taps if t.why_unscored}
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the paper's rule is shown to count more than somebody leaves."""
+        return self.claimed_bits > 0 and any(t.leads for t in self.taps)
+
+    def verdict(self) -> str:
+        """In words."""
+        strongest = self.strongest
+        if self.claimed_bits == 0:
+            return "No key was agreed: nothing counts as secret, and nothing can be lost."
+        claim = f"by the paper's rule {self.claimed_bits:.0f} bits count as secret"
+        if strongest is None or strongest.left is None:
+            return f"{claim[0].upper()}{claim[1:]}; {self._nobody()}, so they stand untested."
+        left = f"{strongest.name} leaves at most {strongest.left.high:.1f} of them"
+        if not self.exceeds:
+            left += ", no better than chance"
+        bound = f"All together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
+        told = "PAPER'S RULE EXCEEDS TRUE: " if self.exceeds else ""
+        claim = claim if told else f"{claim[0].upper()}{claim[1:]}"
+        return f"{told}{claim}; {left}. {bound} the model."
+
+    def _nobody(self) -> str:
+        """Why nobody is scored."""
+        if not self.taps:
+            return "nobody listened"
+        failed = [f"{name}: {why}" for name, why in self.unscored.items() if "failed" in why]
+        return "; ".join(failed) or "nobody guessed"
+
+
+def report(scores: Sequence[RunScore]) -> Report:
+    """Pool the scores of runs."""
+    claimed = sum(s.truth.claimed_bits for s in scores)
+    names = list(dict.fromkeys(t.name for s in scores for t in s.taps))
+    taps = []
+    for name in names:
+        mine = [(s, t) for s in scores for t in s.taps if t.name == name]
+        taps.append(_tap(name, mine, (1 - CONFIDENCE) / len(names)))
+    return Report(
+        tuple(s.run for s in scores),
+        sum(s.truth.transitions for s in scores),
+        claimed,
+        max((hidden_bits(s.truth) for s in scores), default=0.0),
+        tuple(taps),
+    )
+
+
+def hidden_bits(truth: Truth) -> float:
+    """f log2(2N + 1) for one width or two candidates, else f log2(M N + 1)."""
+    cuts = 2 if truth.hidden_widths == 1 else truth.size
+    return truth.hidden_widths * math.log2(cuts * truth.transitions + 1)
+
+
+def _tap(name: str, mine: Sequence[tuple[RunScore, EavesdropperScore]], alpha: float) -> TapReport:
+    scores = [t for _, t in mine if not t.why_unscored]
+    size = mine[0][1].size
+    keys = Proportion(
+        sum(t.keys_reviewed.right for t in scores), sum(t.keys_reviewed.of for t in scores)
+    )
+    guessing = confidence_sequence(keys.right, keys.of)
+    guessing = Interval(*(max(p, 1.0 / size) for p in guessing)) if keys.of else guessing
+    lists = [t.candidates_left for t in scores if t.candidates_left]
+    every = [t for _, t in mine]
+    return TapReport(
+        name=name,
+        runs=len(mine),
+        symbol_errors=over_runs([t.keys_reviewed for t in scores]).complement(),
+        symbol_errors_live=over_runs([t.keys for t in scores]).complement(),
+        bit_errors=over_runs([t.bits for t in scores]).complement(),
+        exact=over_runs([t.messages for t in scores]),
+        agreed_steps=keys.of,
+        guessing=guessing,
+        left=_left(mine, guessing),
+        why_unscored=_why_unscored(every),
+        leads=any(t.messages.right for t in every)
+        or better_than(1.0 / size, keys.right, keys.of, alpha),
+        list_size=statistics.median(lists) if lists else None,
+        broken_k=tuple(t.solved_k for t in every),
+        not_on_record=sum(len(s.truth.keys) - t.keys.of for s, t in mine if not t.why_unscored),
+        size=size,
+        keys=tuple(t.held for t in every if t.held is not None),
+    )
+
+
+def _why_unscored(scores: Sequence[EavesdropperScore]) -> str:
+    reasons = [t.why_unscored for t in scores if t.why_unscored]
+    if not reasons:
+        return ""
+    # a failure is told before a silence
+    first = next((why for why in reasons if "failed" in why), reasons[0])
+    return first if len(scores) == 1 else f"{first} (in {len(reasons)} of {len(scores)} runs)"
+
+
+def _left(
+    mine: Sequence[tuple[RunScore, EavesdropperScore]], guessing: Interval
+) -> Interval | None:
+    """Bits that she leaves of all runs; None where nobody knows it of one of them."""
+    if any(t.why_unscored for _, t in mine):
+        return None
+    # what she says of herself, but no more than was agreed
+    told = [
+        min(t.told_left, len(s.truth.keys) * math.log2(t.size))
+        for s, t in mine
+        if not t.messages.every and t.told_left is not None
+    ]
+    guessed = sum(
+        len(s.truth.keys) for s, t in mine if not t.messages.every and t.told_left is None
+    )
+    own = sum(told)
+    if not guessed:
+        return Interval(own, own, own)
+    left = bits_left(guessed, mine[0][1].size, guessing)
+    return Interval(*(own + bits for bits in left))
+
+
+def as_json(r: Report) -> dict[str, Any]:
+    """The report as one object."""
+
+    strongest = r.strongest
+    return {
+        "runs": list(r.runs),
+        "transitions": r.transitions,
+        "claimed_bits": r.claimed_bits,
+        "hidden_bits_bound": r.hidden_bits,
+        "claimed_exceeds_true": r.exceeds,
+        "strongest": None if strongest is None else strongest.name,
+        "verdict": r.verdict(),
+        "bound": BOUND,
+        "taps": {
+            t.name: {
+                "runs": t.runs,
+                "agreed_steps": t.agreed_steps,
+                "symbol_error_rate": t.symbol_errors.as_json(),
+                "symbol_error_rate_live": t.symbol_errors_live.as_json(),
+                "message_bit_error_rate": t.bit_errors.as_json(),
+                "exact_message_rate": t.exact.as_json(),
+                "guessing_probability": t.guessing.as_json(),
+                "min_entropy_bits": t.min_entropy.as_json(),
+                "left_bits": None if t.left is None else t.left.as_json(),
+                "unscored": t.why_unscored,
+                "list_size": t.list_size,
+                "list_size_log2": None if not t.list_size else math.log2(t.list_size),
+                "broken_at_k": list(t.broken_k),
+                "not_on_record": t.not_on_record,
+                "keys": [held.model_dump() for held in t.keys],
+            }
+            for t in r.taps
+        },
+    }
+
+
+HEADINGS: Final = (
+    "eavesdropper",
+    "symbol errors",
+    "bit errors",
+    "messages exact",
+    "P_g",
+    "bits left, at most",
+    "list",
+    "broken at k",
+)
+
+NOTE: Final = (
+    f"Rates have 95 % intervals over runs; fewer than {FEWEST_RUNS} runs have none. P_g and the "
+    "bits left have limits that hold however often one looks; whoever is not shown to be better "
+    "than chance leaves all."
+)
+"""What the table's intervals are."""
+
+
+def rows(r: Report) -> list[tuple[str, ...]]:
+    """The report as a table's rows, under :data:`HEADINGS`."""
+
+    def number(value: float | None, form: str) -> str:
+        return "-" if value is None else format(value, form)
+
+    return [
+        (
+            t.name,
+            percent(t.symbol_errors),
+            percent(t.bit_errors),
+            percent(t.exact),
+            t.guessing.text(".3f") if t.agreed_steps else "-",
+            "-" if t.left is None else f"{t.left.high:.1f}",
+            number(t.list_size, ".0f"),
+            number(t.median_broken, ".0f"),
+        )
+        for t in r.taps
+    ]
+
+
+def held_line(held: KeysHeld) -> str:
+    """What one who goes for keys holds, in words."""
+    line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
+    if held.sealed:
+        known, bits = (sum(getattr(t, f) for t in held.sealed) for f in ("known_bits", "bits"))
+        line += f"; reads {known} of {bits} bits of sealed text"
+        line += "".join(f', "{t.text}"' for t in held.sealed if t.known_bits)
+    return line

@@ -1,0 +1,425 @@
+"""Secrecy as it is reported: each eavesdropper's guesses beside the truth, and beside the claim.
+
+This is the scoring, and it stands outside the tap: it reads what the tap wrote and the plant's
+trace, and nothing in the tap imports it. Only one who runs and guesses is scored: of one who failed
+or did not guess nobody knows what she leaves. Intervals are those of :mod:`protocol.statistics`.
+"""
+
+import base64
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from operator import index
+from typing import Any, Final
+
+from protocol.agreement import NO_SYMBOL
+from protocol.scenario import ScenarioError
+from protocol.text import printable
+from runtime.recording import TraceError
+from tap_service.eavesdroppers.base import Belief, KeysHeld
+from tap_service.inference.kept import KEPT_SYMBOLS
+from wyner.runs.run import Run, RunError
+from wyner.runs.score.by_step import BySteps, Step
+
+ONE_RUN: Final = "shares of one run: no interval (wyner secrecy over runs has them)"
+"""Why the shares of a run have no interval."""
+
+
+class ScoreError(Exception):
+    """A run that cannot be scored; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proportion:
+    """Successes and trials; of no trials it says nothing."""
+
+    right: float
+    of: int
+
+    @property
+    def share(self) -> float | None:
+        """Successes over trials."""
+        return self.right / self.of if self.of else None
+
+    @property
+    def every(self) -> bool:
+        """Whether each of them, and there was one."""
+        return bool(self.of) and self.right == self.of
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What really happened in a run, from the plant's trace.
+
+    Parameters
+    ----------
+    size : int
+        M.
+    keys : mapping
+        The key symbol of each agreed transition, by session and step. The last transition of a
+        session is left out: its result never travelled, and its key is never used.
+    symbols : mapping
+        The message symbol of each message transition.
+    whole : tuple of (int, bytes)
+        Each message that the plant recovered, with the step (of its session) at which it was whole.
+    transitions : int
+    hidden_widths : int
+        Widths of D_c that one who knows f_c and D_e does not know.
+    """
+
+    size: int
+    keys: Mapping[Step, int]
+    symbols: Mapping[Step, int]
+    whole: tuple[tuple[int, bytes], ...]
+    transitions: int
+    hidden_widths: int = 1
+
+    @property
+    def claimed_bits(self) -> float:
+        """What the paper's rule counts: log2 M secret bits for each agreement."""
+        return len(self.keys) * math.log2(self.size)
+
+    def between(self, first: int | None, last: int | None) -> "Truth":
+        """The truth of the steps from and to which a run was decoded, both included."""
+        low, high = first or 0, math.inf if last is None else last
+        return Truth(
+            self.size,
+            {at: key for at, key in self.keys.items() if low <= at[1] <= high},
+            {at: symbol for at, symbol in self.symbols.items() if low <= at[1] <= high},
+            tuple((k, payload) for k, payload in self.whole if low <= k <= high),
+            self.transitions,
+            self.hidden_widths,
+        )
+
+
+class TruthTaker:
+    """Gathers the truth from the events of a plant's trace that count, one by one."""
+
+    def __init__(self) -> None:
+        self._keys, self._symbols = BySteps(), BySteps()
+        self._whole: list[tuple[int, bytes]] = []
+        self._last: dict[str, int] = {}
+        self._size, self._last_k, self._transitions = 2, -1, 0
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Take the next event."""
+        if event["event"] == "transition":
+            session, k = str(event["session"]), int(event["k"])
+            key, symbol = int(event["symbol"]), int(event["message_symbol"])
+            if key != NO_SYMBOL:
+                self._keys[session, k] = key
+            if symbol != NO_SYMBOL:
+                self._symbols[session, k] = symbol
+            self._last[session] = self._last_k = k
+            self._size = len(event["candidates"])
+            self._transitions += 1
+        elif event["event"] == "recovered":
+            self._whole.append((self._last_k, base64.b64decode(event["payload"])))
+
+    def truth(self, hidden_widths: int = 1) -> Truth:
+        """The truth of the events so far."""
+        for at in self._last.items():  # no message follows it: its result never travelled
+            self._keys.pop(at, None)
+        whole = tuple(self._whole)
+        return Truth(self._size, self._keys, self._symbols, whole, self._transitions, hidden_widths)
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
+
+    Where she was not ``heard_out``, nobody knows which symbols she believes in. ``behind`` counts
+    the steps captured that she never looked at.
+    """
+
+    name: str
+    session: str
+    live: Mapping[Step, int]
+    reviewed: Mapping[Step, int]
+    belief: Belief
+    failed: str = ""
+    heard_out: bool = True
+    behind: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class EavesdropperScore:
+    """One eavesdropper's score in one run.
+
+    Parameters
+    ----------
+    name : str
+    keys : Proportion
+        Agreed steps on which her likeliest symbol, right after the step, was the key symbol; one
+        that she missed counts as a blind guess. Steps before the first and after the last that is
+        on record of her are left out: she was not there, or her log was cut. None of one who failed
+        or did not guess.
+    keys_reviewed : Proportion
+        The same with her second thoughts, where she has any.
+    bits : Proportion
+        Message symbols she got right, step by step; one that she missed counts as a blind guess.
+        Where she was not heard to the end, there are none.
+    messages : Proportion
+        Messages that she had whole and exact, of those the plant recovered; where she keeps only
+        the last of hers, of as many of the plant's last.
+    candidates_left : int
+        Candidate messages that remain; 0 where they are not counted.
+    solved_k : int
+        The step at which she was first sure of a whole message; -1 never.
+    size : int
+        M.
+    guess : str
+        Her best message as text.
+    failed : str
+        Why she stopped, if she did. What she had before counts, what she lacks does not.
+    stray : int
+        Steps that she takes for the message's, and that are none of it: they shift her frame.
+    behind : int
+        Steps captured that she never looked at.
+    told_left : float, optional
+        Bits left by her own account, where she gives one.
+    unfinished : bool
+        Whether she was stopped before she had looked at all: what she leaves nobody knows then.
+    held : KeysHeld, optional
+        What she holds of distilled keys, by her own count, where she goes for them.
+    """
+
+    name: str
+    keys: Proportion
+    keys_reviewed: Proportion
+    bits: Proportion
+    messages: Proportion
+    candidates_left: int
+    solved_k: int
+    size: int
+    guess: str = ""
+    failed: str = ""
+    held: KeysHeld | None = None
+    stray: int = 0
+    behind: int = 0
+    told_left: float | None = None
+    unfinished: bool = False
+
+    @property
+    def why_unscored(self) -> str:
+        """Why nobody knows what she leaves; empty where it is known."""
+        if self.messages.every:
+            return ""
+        if self.failed:
+            return f"she failed: {self.failed}"
+        if self.unfinished:
+            return "she did not finish"
+        return "" if self.keys_reviewed.of or self.told_left is not None else "she guessed nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class RunScore:
+    """The score of a run: the truth's own figures, and one `TapScore` an eavesdropper."""
+
+    run: str
+    truth: Truth
+    taps: tuple[EavesdropperScore, ...]
+
+
+class Later(Mapping[Step, int]):
+    """Her guesses, and in place of each its second thought where there is one."""
+
+    def __init__(self, live: Mapping[Step, int], reviewed: Mapping[Step, int]) -> None:
+        self._live, self._reviewed = live, reviewed
+
+    def __getitem__(self, at: Step) -> int:
+        return self._reviewed[at] if at in self._reviewed else self._live[at]
+
+    def __contains__(self, at: object) -> bool:
+        return at in self._reviewed or at in self._live
+
+    def __iter__(self) -> Iterator[Step]:
+        yield from self._live
+        yield from (at for at in self._reviewed if at not in self._live)
+
+    def __len__(self) -> int:
+        return len(self._live) + sum(at not in self._live for at in self._reviewed)
+
+
+def score(truth: Truth, said: Said) -> EavesdropperScore:
+    """Compare what one eavesdropper said with what happened."""
+    blind = 1.0 / truth.size
+    keys = {} if said.failed else _on_record(truth, said)
+
+    def right(guesses: Mapping[Step, int]) -> float:
+        missed = sum(at not in guesses for at in keys)
+        return sum(guesses.get(at) == key for at, key in keys.items()) + blind * missed
+
+    recovered = [payload for _, payload in truth.whole]
+    belief = said.belief
+    if belief.whole_count > len(belief.whole):
+        recovered = recovered[-len(belief.whole) :]
+    unclaimed = list(belief.whole)
+    exact = 0
+    for payload in recovered:
+        if payload in unclaimed:
+            unclaimed.remove(payload)
+            exact += 1
+    return EavesdropperScore(
+        name=said.name,
+        keys=Proportion(right(said.live), len(keys)),
+        keys_reviewed=Proportion(right(Later(said.live, said.reviewed)), len(keys)),
+        bits=_bits(truth, said),
+        messages=Proportion(exact, len(recovered)),
+        candidates_left=belief.candidates_left,
+        solved_k=belief.solved_k,
+        size=truth.size,
+        guess=belief.message.decode("utf-8", errors="replace"),
+        failed=said.failed,
+        held=belief.keys,
+        stray=_stray(truth, said),
+        behind=said.behind,
+        told_left=None if said.failed else belief.bits_left,
+        unfinished=not (said.heard_out or said.failed),
+    )
+
+
+def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
+    """The keys of the steps between the first and the last guess of hers in each session.
+
+    Without a guess there is nothing to score.
+    """
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for session, k in said.live:
+        first[session] = min(k, first.get(session, k))
+        last[session] = max(k, last.get(session, k))
+    return BySteps(
+        ((session, k), key)
+        for (session, k), key in truth.keys.items()
+        if session in first and first[session] <= k <= last[session]
+    )
+
+
+def _bits(truth: Truth, said: Said) -> Proportion:
+    """Message symbols right, of her last session's; of the newest only, where she kept no more."""
+    if not said.heard_out or said.failed or not said.live:
+        return Proportion(0.0, 0)
+    symbols = dict(said.belief.symbols)
+    oldest = min(symbols) if len(symbols) >= KEPT_SYMBOLS else 0
+    asked = missed = right = 0
+    for (session, k), symbol in truth.symbols.items():
+        if session == said.session and k >= oldest:
+            asked += 1
+            missed += k not in symbols
+            right += symbols.get(k) == symbol
+    return Proportion(right + missed / truth.size, asked)
+
+
+def _stray(truth: Truth, said: Said) -> int:
+    """Steps of her last session that she takes for the message's and that are not."""
+    return sum((said.session, k) not in truth.symbols for k, _ in said.belief.symbols)
+
+
+def read_said(run: Run) -> list[Said]:
+    """What each eavesdropper of a run said, from the tap's files.
+
+    Raises
+    ------
+    ScoreError
+        When the tap left nothing that can be read.
+    """
+    try:
+        records = run.beliefs()
+    except RunError as error:
+        raise ScoreError(str(error)) from None
+    guesses: dict[str, dict[str, BySteps]] = {}
+    for event in run.guesses():
+        mine = guesses.setdefault(event["name"], {"guess": BySteps(), "review": BySteps()})
+        mine[event["event"]][event["session"], event["k"]] = event["symbol"]
+    return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
+
+
+def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> Said:
+    """What one eavesdropper said, from her record and her guesses by kind."""
+    symbols = record["symbols"]
+    belief = Belief(
+        message=base64.b64decode(record["message"]),
+        whole=tuple(base64.b64decode(w) for w in record["whole"]),
+        whole_count=index(record["whole_count"]),
+        candidates_left=index(record["candidates_left"]),
+        solved_k=index(record["solved_k"]),
+        confidence=float(record["confidence"]),
+        symbols=() if symbols is None else tuple((int(k), int(v)) for k, v in symbols),
+        bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
+        keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
+    )
+    return Said(
+        name=printable(str(record["name"])),
+        session=str(record["session"]),
+        live=guesses.get("guess", {}),
+        reviewed=guesses.get("review", {}),
+        belief=belief,
+        failed=str(record["failed"]),
+        heard_out=symbols is not None,
+        behind=index(record.get("behind", 0)),
+    )
+
+
+def read_truth(run: Run) -> Truth:
+    """The truth of a run.
+
+    Raises
+    ------
+    ScoreError
+        When its plant's trace cannot be read.
+    """
+    taker = TruthTaker()
+    try:
+        run.feed("plant", taker.take)
+    except TraceError as error:
+        raise ScoreError(str(error)) from None
+    return taker.truth(hidden_widths(run))
+
+
+def hidden_widths(run: Run) -> int:
+    """Widths of D_c that one who knows f_c and D_e does not know."""
+    try:
+        return run.scenario.hidden_widths
+    except ScenarioError:
+        return 1  # a folder of traces alone
+
+
+def score_run(run: Run) -> RunScore:
+    """Score every eavesdropper of a run.
+
+    Raises
+    ------
+    ScoreError
+        When the plant's trace or the tap's files cannot be read.
+    """
+    truth = read_truth(run)
+    taps = tuple(score(truth, said) for said in read_said(run))
+    return RunScore(run.name, truth, taps)
+
+
+def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
+    """Per eavesdropper, what the summary of a run says: accuracies and her guess.
+
+    Accuracies are shares of one run, and `no_interval` says so.
+    """
+    return {
+        tap.name: {
+            "no_interval": ONE_RUN,
+            "symbol_accuracy": tap.keys_reviewed.share,
+            "symbol_accuracy_live": tap.keys.share,
+            "agreed_steps": tap.keys.of,
+            "agreed_steps_not_on_record": len(run.truth.keys) - tap.keys.of,
+            "message_bit_accuracy": tap.bits.share,
+            "messages_exact": int(tap.messages.right),
+            "candidates_left": tap.candidates_left,
+            "solved_k": tap.solved_k,
+            "guessed_text": tap.guess,
+            "failed": tap.failed,
+            "unscored": tap.why_unscored,
+            "stray_steps": tap.stray,
+            "steps_not_looked_at": tap.behind,
+            "keys": None if tap.held is None else tap.held.model_dump(),
+        }
+        for tap in run.taps
+    }

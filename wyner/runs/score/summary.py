@@ -1,0 +1,220 @@
+"""What a run came to, from its traces, for people and machines: the end of ``wyner up``."""
+
+import base64
+import math
+from typing import Any, Final
+
+from protocol.text import readable
+from runtime.recording import TraceError
+from wyner.runs.run import Run
+from wyner.runs.score.counts import PlantCounts, exchanged
+from wyner.runs.score.keys import audit_keys, key_lines
+from wyner.runs.score.report import report
+from wyner.runs.score.score import ONE_RUN, RunScore, ScoreError, score_run, summary_of
+
+GUESS_LENGTH: Final = 72
+"""Characters of an eavesdropper's guess that are shown to people."""
+
+NAME_WIDTH: Final = 16
+
+MOST_PAIRS: Final = 1000
+"""Messages, the last, of which a summary tells one by one."""
+
+SHOWN_PAIRS: Final = 5
+"""The same for people, after the first."""
+
+
+def summarise(run: Run, payload: bytes) -> dict[str, Any]:
+    """What a run came to, from its traces.
+
+    ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
+    ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
+    it whole, -1 never. ``exchanged`` has so much of every message, the last 1000 of them.
+    ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
+    every journal the plant had. ``trace_error`` says from where on the plant's trace cannot be
+    read, and what is summed up is what stands before; it is empty where all of it can.
+    ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
+    strongest eavesdropper of this run leaves of it at most, ``true_bits_interval`` with its limits
+    (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
+    the tap recorded and left out of its live guessing, it says too little. ``failed`` names the
+    eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
+    where the scenario makes none.
+    """
+    scenario = run.scenario
+    size = scenario.secrecy.candidates
+    counts, trace_error, behind = PlantCounts(), "", 0
+    try:
+        behind = run.feed("plant", counts.take)
+    except TraceError as error:
+        trace_error = str(error)
+    pairs = exchanged(run.sent() or [payload], counts.recovered)
+    delivered_k = next((k for text, k in pairs if text == payload), -1)
+    recovered = payload if delivered_k >= 0 else b""
+    bits = counts.message_symbols * math.log2(size)
+    steps = counts.steps + behind
+    seconds = steps * scenario.plant.period_s
+    return {
+        "delivered": delivered_k >= 0,
+        "delivered_k": delivered_k,
+        "sent": _text(payload),
+        "sent_base64": base64.b64encode(payload).decode(),
+        "recovered": _text(recovered),
+        "recovered_base64": base64.b64encode(recovered).decode(),
+        "messages": len(counts.recovered),
+        "exchanged": [
+            {"sent_base64": base64.b64encode(text).decode(), "recovered_k": k}
+            for text, k in pairs[-MOST_PAIRS:]
+        ],
+        "steps": steps,
+        "seconds": seconds,
+        "transitions": counts.transitions,
+        "missed": steps - counts.transitions,
+        "agreements": counts.agreements,
+        "symbol_errors": counts.symbol_errors,
+        "bits": bits,
+        "bits_per_second": bits / seconds if seconds else 0.0,
+        **_secrecy(run, counts.agreements * math.log2(size)),
+        "unguessed": run.unguessed(),
+        "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
+        "trace_error": trace_error,
+        "run_dir": str(run.folder),
+    }
+
+
+def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
+    """What the paper's rule counts, what is left of it at most, and each one's score."""
+    nothing: dict[str, Any] = {"true_bits": None, "true_bits_interval": None, "strongest": ""}
+    try:
+        score: RunScore = score_run(run)
+    except ScoreError:
+        return {"claimed_bits": claimed, **nothing, "unscored": {}, "failed": [], "taps": {}}
+    found = report([score])
+    if found.strongest is not None and (left := found.strongest.left) is not None:
+        nothing = {
+            "true_bits": left.high,
+            "true_bits_interval": left.as_json(),
+            "strongest": found.strongest.name,
+        }
+    return {
+        "claimed_bits": score.truth.claimed_bits,
+        **nothing,
+        "unscored": found.unscored,
+        "failed": [tap.name for tap in score.taps if tap.failed],
+        "taps": summary_of(score),
+    }
+
+
+def _text(payload: bytes) -> str:
+    return payload.decode("utf-8", errors="replace")
+
+
+def render(summary: dict[str, Any]) -> str:
+    """The summary for people; its last lines are the verdict."""
+    recovered = base64.b64decode(summary["recovered_base64"])
+    got = readable(recovered) if recovered else "(the run ended before the message was whole)"
+    errors = summary["symbol_errors"]
+    lines = [
+        f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
+        f"recovered  {got}",
+        *_others(summary),
+        f"loop       {summary['steps']} steps ({summary['missed']} missed), "
+        f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed, "
+        + (f"{errors} WRONG" if errors else "none wrong"),
+        f"carried    {summary['bits']:.0f} message bits, "
+        f"{summary['bits_per_second']:.2f} a second of plant time",
+    ]
+    if summary["trace_error"]:
+        lines.append(f"trace      damaged, counted up to there: {summary['trace_error']}")
+    lines += [
+        f"Eve        {name:<{NAME_WIDTH}}{_got(tap, summary['messages'])}"
+        for name, tap in summary["taps"].items()
+    ]
+    for name, tap in summary["taps"].items():
+        if tap["steps_not_looked_at"]:
+            late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner replay"
+            lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
+    if summary["taps"]:
+        lines.append(f"           {ONE_RUN}")
+    if summary["unguessed"]:
+        left = f"{summary['unguessed']} messages waited too long to be guessed at live"
+        lines.append(f"Eve        {left}: wyner replay")
+    lines.append(f"run        {summary['run_dir']}")
+    return "\n".join([*lines, *verdict_lines(summary)])
+
+
+def _others(summary: dict[str, Any]) -> list[str]:
+    """The messages that were sent while it ran, each with the step at which it was there."""
+    pairs = summary["exchanged"]
+    first = next((i for i, p in enumerate(pairs) if p["sent_base64"] == summary["sent_base64"]), -1)
+    others = [pair for i, pair in enumerate(pairs) if i != first]
+    lines = [f"besides    {len(others) - SHOWN_PAIRS} more"] if len(others) > SHOWN_PAIRS else []
+    for pair in others[-SHOWN_PAIRS:]:
+        k = pair["recovered_k"]
+        there = f"recovered at step {k}" if k >= 0 else "not recovered"
+        text = readable(base64.b64decode(pair["sent_base64"]))
+        lines.append(f"besides    {in_short(text)}, {there}")
+    return lines
+
+
+def verdict_lines(summary: dict[str, Any]) -> list[str]:
+    """The point of a run: who had the message when, what counts as secret, and what is."""
+    if summary["delivered"]:
+        plant = f"had the message at step {summary['delivered_k']}"
+    else:
+        plant = f"has not got the message in {summary['steps']} steps"
+    lines = [f"The plant  {plant}."]
+    had = {name: tap["solved_k"] for name, tap in summary["taps"].items() if tap["messages_exact"]}
+    if had:
+        name = min(had, key=lambda n: (had[n] < 0, had[n]))
+        when = f"at step {had[name]}" if had[name] >= 0 else "too, without being sure of it"
+        lines.append(f"Eve        had it {when}, from what everyone can read ({name}).")
+    elif summary["taps"]:
+        lines.append("Eve        has not got it whole.")
+    else:
+        lines.append("Eve        was not there.")
+    lines.append(
+        f"Secret     {summary['claimed_bits']:.0f} bits by the paper's rule. True: "
+        f"{true_in_words(summary)}."
+    )
+    lines += [f"FAILED     {name}: {summary['taps'][name]['failed']}" for name in summary["failed"]]
+    if summary["keys"] is not None:
+        lines += key_lines(summary["keys"])
+    return lines
+
+
+def true_in_words(summary: dict[str, Any]) -> str:
+    """What is left of the bits that count as secret, or why nobody knows."""
+    true = summary["true_bits"]
+    if true is not None:
+        return f"at most {true:.0f} ({summary['strongest']})"
+    if summary["failed"]:
+        return "unknown, she failed"
+    return "unknown, nobody guessed" if summary["taps"] else "unknown, nobody listened"
+
+
+def _got(tap: dict[str, Any], recovered: int) -> str:
+    """What one eavesdropper got, in a line, of so many messages that the plant recovered."""
+
+    def share(value: float | None) -> str:
+        return "    -  " if value is None else f"{100 * value:5.1f} %"
+
+    if tap["failed"]:
+        return "FAILED: not scored" + (", had a message whole" if tap["messages_exact"] else "")
+    if tap["unscored"]:
+        return "guesses at no symbol of the loop"
+    whole = "whole" if tap["messages_exact"] else "not whole"
+    if not recovered:
+        whole = "none was whole yet"
+    elif not tap["messages_exact"] and tap["stray_steps"]:
+        # each of the message's symbols may be right: others stand between them, and no frame fits
+        whole = f"{tap['stray_steps']} too many"
+    return (
+        f"{share(tap['symbol_accuracy'])} of keys, "
+        f"{share(tap['message_bit_accuracy'])} of bits, {whole}"
+    )
+
+
+def in_short(guess: str) -> str:
+    """An eavesdropper's guess, quoted, in what fits a line: it may be pages of garbage."""
+    text = readable(guess.encode(errors="replace"))
+    return repr(text if len(text) <= GUESS_LENGTH else text[: GUESS_LENGTH - 1] + "…")
