@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from fnmatch import fnmatch
@@ -100,6 +101,16 @@ def test_the_protocol_imports_no_other_room() -> None:
 def test_the_shell_imports_the_protocol_and_itself_only() -> None:
     for path in inside("runtime"):
         assert rooms_of(path) <= {"protocol", "runtime"}, name_of(path)
+
+
+def test_a_run_is_read_by_its_one_reader() -> None:
+    """A check compares files with each other, line by line; nobody else opens a trace."""
+    for path in inside("wyner"):
+        name = name_of(path)
+        if name != "wyner.runs.run" and not name.startswith("wyner.runs.check"):
+            text = path.read_text(encoding="utf-8")
+            for named in ("PLANT_TRACE", "CONTROLLER_TRACE", "TraceReader"):
+                assert not re.search(rf"\b{named}\b", text), (name, named)
 
 
 def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:

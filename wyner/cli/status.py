@@ -209,10 +209,10 @@ def _lines_of_appearances(
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
     """Who of a tap in the same folder failed, and what was found against the keys' claim."""
-    from runtime.run_folder import BELIEFS
+    from wyner.runs.run import Run, RunError
 
     try:
-        told = json.loads((run_dir / BELIEFS).read_bytes())
+        told = Run.load(run_dir).beliefs()
         found = [
             f"eavesdropper {name} failed: {one['failed']}"
             for name, one in told.items()
@@ -227,7 +227,7 @@ def _warnings_of_taps(run_dir: Path) -> list[str]:
             if k["refuted"]
         ]
         return found + ["the tap's misses come in bursts" for k in keys if k["bursts"]]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    except (RunError, OSError, ValueError, LookupError, TypeError, AttributeError):
         return []  # no tap here
 
 

@@ -13,10 +13,17 @@ from tests.support.small_run import SmallRun
 from wyner.runs.check import check
 from wyner.runs.check.clause import Finding
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, key_symbols, scale
+from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, scale
+from wyner.runs.check.paper import key_symbols as keys_of_scales
 
 BOX = (((1.0, 0.0), 0.5), ((-1.0, 0.0), 0.5), ((0.0, 1.0), 0.5), ((0.0, -1.0), 0.5))
 LARGE = tuple((row, 8 * bound) for row, bound in BOX)
+
+
+def key_symbols(*centres: tuple[float, float], x_next: tuple[float, float]) -> set[int]:
+    return keys_of_scales(
+        [scale(BOX, x_next, c) for c in centres], [scale(LARGE, x_next, c) for c in centres]
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -43,16 +50,16 @@ def test_equation_5_by_hand() -> None:
 def test_a_key_is_agreed_where_one_is_possible_for_the_defender_and_all_for_her() -> None:
     near, far, out = (0.0, 0.0), (2.0, 0.0), (9.0, 0.0)
     assert scale(BOX, (0.25, -0.5), near) == 1.0
-    assert key_symbols(BOX, LARGE, (near, far), (0.1, 0.2)) == {0}
-    assert key_symbols(BOX, LARGE, (far, near), (0.1, 0.2)) == {1}
-    assert key_symbols(BOX, LARGE, (near, near), (0.1, 0.2)) == {NO_KEY}  # both possible
-    assert key_symbols(BOX, LARGE, (near, out), (0.1, 0.2)) == {NO_KEY}  # one is none of hers
-    assert key_symbols(BOX, LARGE, (far, far), (0.1, 0.2)) == {NO_KEY}  # d has left D_c
-    assert key_symbols(BOX, LARGE, (near, far, far), (0.1, 0.2)) == {0}
-    assert key_symbols(BOX, LARGE, (near, near, far), (0.1, 0.2)) == {NO_KEY}
+    assert key_symbols(near, far, x_next=(0.1, 0.2)) == {0}
+    assert key_symbols(far, near, x_next=(0.1, 0.2)) == {1}
+    assert key_symbols(near, near, x_next=(0.1, 0.2)) == {NO_KEY}  # both possible
+    assert key_symbols(near, out, x_next=(0.1, 0.2)) == {NO_KEY}  # one is none of hers
+    assert key_symbols(far, far, x_next=(0.1, 0.2)) == {NO_KEY}  # d has left D_c
+    assert key_symbols(near, far, far, x_next=(0.1, 0.2)) == {0}
+    assert key_symbols(near, near, far, x_next=(0.1, 0.2)) == {NO_KEY}
     # to rounding either is right on the edge, and one alone a little beyond it
-    assert key_symbols(BOX, LARGE, (near, far), (0.5, 0.0)) == {0, NO_KEY}
-    assert key_symbols(BOX, LARGE, (near, far), (0.5 * (1 + 3 * ROUNDING), 0.0)) == {NO_KEY}
+    assert key_symbols(near, far, x_next=(0.5, 0.0)) == {0, NO_KEY}
+    assert key_symbols(near, far, x_next=(0.5 * (1 + 3 * ROUNDING), 0.0)) == {NO_KEY}
 
 
 def test_figure_6_by_hand() -> None:

@@ -12,11 +12,17 @@ from wyner.runs.check.evidence import Evidence
 from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
 from wyner.runs.check.records import TracedTransition, Walked
 
+_Known = dict[tuple[object, ...], tuple[set[int], list[float]]]
+
+KNOWN: Final = 8192
+"""Transitions of which one end's result is kept for the other."""
+
 
 class _Opinion:
     """What the paper says of one end's trace, transition by transition."""
 
-    def __init__(self, e: Evidence, side: str) -> None:
+    def __init__(self, e: Evidence, side: str, known: _Known) -> None:
+        self._known = known
         self._s = e.scenario
         self._linear = not e.rules.predicted
         self._size = e.rules.size
@@ -27,6 +33,24 @@ class _Opinion:
         self._session = ""
         self._automata = Automata(self._size)
 
+    def _of_numbers(self, t: TracedTransition) -> tuple[set[int], list[float]]:
+        """The keys that the raw numbers allow, and how far from each centre x(k+1) is.
+
+        Of the same numbers at both ends it is worked out once.
+        """
+        numbers = t.x, t.candidates, t.predictions, t.x_next
+        found = self._known.get(numbers)
+        if found is None:
+            centres: Sequence[Sequence[float]] = t.predictions
+            if self._linear:
+                centres = [f_c(self._s.A, self._s.B, t.x, u) for u in t.candidates]
+            reached = [scale(self._D_c, t.x_next, c) for c in centres]
+            found = key_symbols(reached, [scale(self._D_e, t.x_next, c) for c in centres]), reached
+            if len(self._known) >= KNOWN:
+                self._known.clear()
+            self._known[numbers] = found
+        return found
+
     def wrong(self, t: TracedTransition) -> str:
         """What the paper says otherwise; empty where it says the same."""
         if t.session != self._session:
@@ -35,11 +59,7 @@ class _Opinion:
             always = self._s.secrecy.scheme == "pipelined"
             self._session = t.session
             self._automata = Automata(self._size, tests_always=always, p=p)
-        A, B = self._s.A, self._s.B
-        centres: Sequence[Sequence[float]] = t.predictions
-        if self._linear:
-            centres = [f_c(A, B, t.x, u) for u in t.candidates]
-        keys = key_symbols(self._D_c, self._D_e, centres, t.x_next)
+        keys, reached = self._of_numbers(t)
         expected = self._automata.step(t.cipher, t.symbol if t.symbol in keys else min(keys))
         found = Line(t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
         if found != expected:
@@ -49,7 +69,7 @@ class _Opinion:
             return ""
         if t.u != t.candidates[t.coin]:
             return f"applied {t.u}, (15) gives candidate b_r = {t.coin}"
-        inside = self._leaves or scale(self._D_c, t.x_next, centres[t.coin]) <= 1 + ROUNDING
+        inside = self._leaves or reached[t.coin] <= 1 + ROUNDING
         return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
 
 
@@ -58,7 +78,8 @@ def paper(e: Evidence, tally: Tally) -> Judging:
     if e.scenario.secrecy.scheme not in ("switched", "pipelined"):
         tally.skipped = f"{e.scenario.secrecy.scheme} is a scheme of its own, not the paper's"
         return
-    opinions = {side: _Opinion(e, side) for side, _ in e.readers()}
+    known: _Known = {}
+    opinions = {side: _Opinion(e, side, known) for side, _ in e.readers()}
     while (part := (yield)) is not None:
         for side, items in part.sides():
             for item in items:

@@ -21,35 +21,39 @@ ROUNDING = 2e-9
 Sums of doubles in another order differ by less."""
 
 
+def dot(a: Vector, b: Vector) -> float:
+    """The inner product of two vectors."""
+    total = 0.0
+    for v, w in zip(a, b, strict=True):
+        total += v * w
+    return total
+
+
 def f_c(A: Sequence[Vector], B: Sequence[Vector], x: Vector, u: Vector) -> list[float]:
     """Equation (5) without its disturbance: A x + B u."""
-    return [
-        sum(a * v for a, v in zip(row_a, x, strict=True))
-        + sum(b * v for b, v in zip(row_b, u, strict=True))
-        for row_a, row_b in zip(A, B, strict=True)
-    ]
+    return [dot(row_a, x) + dot(row_b, u) for row_a, row_b in zip(A, B, strict=True)]
 
 
 def scale(D: Rows, x_next: Vector, centre: Vector) -> float:
     """How much D must grow for x(k+1) to be in centre + D: (12) and (13) hold up to 1."""
     d = [a - b for a, b in zip(x_next, centre, strict=True)]
-    return max(sum(a * v for a, v in zip(row, d, strict=True)) / bound for row, bound in D)
+    return max(dot(row, d) / bound for row, bound in D)
 
 
-def key_symbols(D_c: Rows, D_e: Rows, centres: Sequence[Vector], x_next: Vector) -> set[int]:
+def key_symbols(of_defender: Vector, of_eavesdropper: Vector) -> set[int]:
     """The keys that equations (20) to (22) allow; two only where x(k+1) is on a set's edge.
+
+    Given is how much D_c and D_e must grow about each candidate's centre (:func:`scale`).
 
     (21): every candidate is possible for the eavesdropper, and not every one for the defender;
     (22): for the defender exactly one is, and that is the key. For two candidates they are one
     test. For more than two, exactly one is asked for as well.
     """
-    of_defender = [scale(D_c, x_next, c) for c in centres]
-    of_eavesdropper = max(scale(D_e, x_next, c) for c in centres)
     found = set()
     for edge in (1 - ROUNDING, 1 + ROUNDING):
         possible = [i for i, s in enumerate(of_defender) if s <= edge]
         for her_edge in (1 - ROUNDING, 1 + ROUNDING):
-            agreed = len(possible) == 1 and of_eavesdropper <= her_edge
+            agreed = len(possible) == 1 and max(of_eavesdropper) <= her_edge
             found.add(possible[0] if agreed else NO_KEY)
     return found
 
