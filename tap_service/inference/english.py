@@ -2,9 +2,10 @@
 
 An n-gram model with words: what follows is counted after the last one to five characters, after the
 beginning of the word in a list of words by their frequency, then in a text, and after the beginning
-of the word and the word before it. A level that has seen little leaves the rest to the one below it
-(Witten and Bell 1991). The counts are made from ``english.txt.xz`` and ``words.txt.xz`` when they
-are first needed; docs/eavesdroppers.md says where these are from.
+of the word and the word before it, in a list of pairs and then in the text. A level that has seen
+little leaves the rest to the one below it (Witten and Bell 1991). The counts are made from
+``english.txt.xz``, ``words.txt.xz`` and ``pairs.txt.xz`` when they are first needed;
+docs/eavesdroppers.md says where these are from.
 """
 
 import lzma
@@ -17,13 +18,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Array
+from protocol.arrays import Array, Flags, Indices
 
 Codes = NDArray[np.int64]
 
 TEXT: Final = Path(__file__).parent / "english.txt.xz"
 
 WORDS: Final = TEXT.with_name("words.txt.xz")
+
+PAIRS: Final = TEXT.with_name("pairs.txt.xz")
 
 _FIRST, _LAST = 32, 126
 CLASSES: Final = _LAST - _FIRST + 2
@@ -49,8 +52,17 @@ WORD_STRENGTH: Final = 12.0
 
 SPACE: Final = 0
 
-LISTED: Final = 0.9
+NO_WORD: Final = 0
+"""Number of the word before, where none is known, as after a comma."""
+
+SENTENCE: Final = 1
+"""The same at the beginning of a sentence."""
+
+LISTED: Final = 0.98
 """Share of the list's answer within a word over that of the last characters."""
+
+FEWEST_OTHERS: Final = 0.05
+"""Share of the words that follow another and are not on the list of pairs, at least."""
 
 ENDINGS: Final = ((" ", 0.82), (",", 0.09), (".", 0.09))
 """What comes after a word of the list, and how often."""
@@ -62,7 +74,7 @@ MARKS: Final = ((".", 0.8), ("?", 0.1), ("!", 0.1))
 """These, and how often each."""
 
 CLASS: Final = 5.0
-"""Frequency classes of the list in a decade."""
+"""Frequency classes of the lists in a decade."""
 
 
 class Level:
@@ -76,8 +88,9 @@ class Level:
         How often each; once where not given.
     strength : float
         Of the level below.
-    share : float, optional
-        Of what was counted, over the level below; by how much was counted where not given.
+    below : array, shape (N,), optional
+        Weight of the level below in each context; by ``strength`` and how many different characters
+        were counted where not given.
     """
 
     def __init__(
@@ -87,7 +100,7 @@ class Level:
         weights: Array | None = None,
         *,
         strength: float = STRENGTH,
-        share: float | None = None,
+        below: Array | None = None,
     ) -> None:
         order = np.lexsort((following, contexts))
         c, f = contexts[order], following[order]
@@ -104,10 +117,8 @@ class Level:
         self._contexts = pair_contexts[self._begin]
         self._size = np.diff(np.append(self._begin, len(at)))
         total = np.add.reduceat(counts, self._begin)
-        weight = total / (total + strength * self._size)
-        if share is not None:
-            weight = np.full(len(total), share)
-        self._weight = weight
+        rest = strength * self._size if below is None else below[order][at][self._begin]
+        weight = self._weight = total / (total + rest)
         self._share = counts * np.repeat(weight / total, self._size)
 
     def mix(self, p: Array, contexts: Codes) -> None:
@@ -138,10 +149,10 @@ class Contexts:
     @classmethod
     def start(cls, count: int) -> "Contexts":
         """At the beginning of a text, which is like the beginning of a sentence."""
-        last, word, before = 0, 0, 0
-        for byte in b". ":
-            last, word, before = _after(last, word, before, byte - _FIRST)
-        return cls(*(np.full(count, v, dtype=np.int64) for v in (last, word, before)))
+        at = cls(*(np.zeros(count, dtype=np.int64) for _ in cls.__slots__))
+        for byte in b"e. ":
+            at = at.after(np.full(count, byte))
+        return at
 
     def take(self, rows: NDArray[np.intp]) -> "Contexts":
         """Those of some hypotheses."""
@@ -154,17 +165,9 @@ class Contexts:
         letter = _letters()[c]
         inside = letter >= 0
         word = np.where(inside, (self.word * _PRIME + letter + 1) & _MASK, 0)
-        ended = ~inside & (self.word != 0)
-        before = np.where(ended, self.word, np.where(inside | (c == SPACE), self.before, 0))
+        ended = np.where(inside | (self.word == 0), self.before, self.word)
+        before = np.where(inside | (c == SPACE), ended, np.where(_stops()[c], SENTENCE, NO_WORD))
         return Contexts(last, word, before)
-
-
-def _after(last: int, word: int, before: int, c: int) -> tuple[int, int, int]:
-    """`Contexts.after` for one."""
-    one = Contexts(*(np.array([v], dtype=np.int64) for v in (last, word, before)))
-    code = c + _FIRST if c < OTHER else 0
-    one = one.after(np.array([code]))
-    return int(one.last[0]), int(one.word[0]), int(one.before[0])
 
 
 class English:
@@ -177,9 +180,12 @@ class English:
     listed : bytes
         Words by frequency: a class a line, its number and its words in order. Before each a capital
         letter says how many letters it has in common with the one before: A none, B one, ...
+    pairs : bytes
+        Words that follow others: a word a line, then how often it is followed by which, as a class
+        and its words in order.
     """
 
-    def __init__(self, text: bytes, listed: bytes) -> None:
+    def __init__(self, text: bytes, listed: bytes, pairs: bytes) -> None:
         codes = class_of(np.frombuffer(text, dtype=np.uint8)).astype(np.int64)
         last = np.zeros(len(codes), dtype=np.int64)
         for back in range(1, ORDERS[-1] + 1):
@@ -189,10 +195,11 @@ class English:
         p[OTHER] = 0.0
         self._single = p / p.sum()
         self._levels = [Level(last % _BASE**n, codes) for n in ORDERS]
-        self._listed = Level(*_spelt(listed), share=LISTED)
+        self._listed, self._listed_pair = _word_levels(listed, pairs)
         word = _placed(word, last)
         self._word = Level(word, codes, strength=WORD_STRENGTH)
-        self._pair = Level((before * _PRIME + word) & _MASK, codes)
+        known = before != NO_WORD
+        self._pair = Level(_paired(before, word)[known], codes[known])
 
     def next(self, at: Contexts) -> tuple[Array, NDArray[np.intp]]:
         """Probability of each next byte: rows, shape (R, 256), and whose is which, (H,)."""
@@ -203,9 +210,11 @@ class English:
         for n, level in zip(ORDERS, self._levels, strict=True):
             level.mix(p, last % _BASE**n)
         self._listed.mix(p, np.where(word == 0, -1, word))  # it knows nothing of what words follow
-        word = _placed(word, last)
-        self._word.mix(p, word)
-        self._pair.mix(p, (before * _PRIME + word) & _MASK)
+        placed = _placed(word, last)
+        self._word.mix(p, placed)
+        begun = (word != 0) | (last % _BASE == SPACE)
+        self._listed_pair.mix(p, np.where(begun, _paired(before, word), -1))
+        self._pair.mix(p, _paired(before, placed))
         p *= 1 - ANY_BYTE
         out = np.tile((p[:, OTHER:] + ANY_BYTE) / 256, 256)
         out[:, _FIRST : _LAST + 1] += p[:, :OTHER]
@@ -232,48 +241,121 @@ class AnyBytes:
 
 
 def _placed(word: Codes, last: Codes) -> Codes:
-    """The word so far, and between words what stands there."""
-    return np.where(word == 0, -2 - last % _BASE, word)
+    """The word so far; between words the mark or the space there, and what the space is after."""
+    c, mark = last % _BASE, last // _BASE % _BASE
+    mark = np.where((c == SPACE) & (_letters()[mark] < 0), mark + 1, 0)
+    return np.where(word == 0, -2 - c - _BASE * mark, word)
 
 
-def _spelt(listed: bytes) -> tuple[Codes, Codes, Array]:
-    """How the words of a list go on: the word so far, the next character, how often."""
-    share: dict[tuple[int, int], float] = {}
-    endings = [(ord(c) - _FIRST, p) for c, p in ENDINGS]
+def _paired(before: Codes, word: Codes) -> Codes:
+    """A number for the word before and where the next one stands; -1 where that is not known."""
+    return np.where(before == NO_WORD, -1, (before * _PRIME + word) & _MASK)
+
+
+class Spellings:
+    """How each of many words is spelt, a row a character and one for each ending.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Small letters and apostrophes.
+    """
+
+    def __init__(self, words: Sequence[str]) -> None:
+        so_far, following, share, size = [], [], [], []
+        endings = [(ord(c) - _FIRST, p) for c, p in ENDINGS]
+        for spelt in words:
+            word = 0
+            for letter in map(ord, spelt):
+                so_far.append(word)
+                following.append(letter - _FIRST)
+                share.append(1.0)
+                word = (word * _PRIME + letter + 1) & _MASK
+            for c, p in endings:
+                so_far.append(word)
+                following.append(c)
+                share.append(p)
+            size.append(len(spelt) + len(endings))
+        self.so_far, self.following = np.array(so_far), np.array(following)
+        self.share, self.size = np.array(share), np.array(size)
+        self.begin = np.cumsum(self.size) - self.size
+        self.whole = self.so_far[self.begin + self.size - 1]
+        """Each word as a number."""
+
+    def rows(self, words: Indices) -> Indices:
+        """The rows of some words, one after the other."""
+        size = self.size[words]
+        rows: Indices = np.repeat(self.begin[words] - (np.cumsum(size) - size), size)
+        return rows + np.arange(len(rows))
+
+
+def _listed(listed: bytes) -> dict[str, float]:
+    """The words of a list, and how often each is any word."""
+    often: dict[str, float] = {}
     for line in listed.decode("ascii").splitlines():
         number, words = line.split()
-        often = 10.0 ** (-int(number) / CLASS)
         spelt = ""
         for shared, rest in re.findall(r"([A-Z])([a-z']*)", words):
             spelt = spelt[: ord(shared) - ord("A")] + rest
-            word = 0
-            for place, letter in enumerate(map(ord, spelt)):
-                if place:
-                    key = (word, letter - _FIRST)
-                    share[key] = share.get(key, 0.0) + often
-                word = (word * _PRIME + letter + 1) & _MASK
-            for c, p in endings:
-                share[word, c] = share.get((word, c), 0.0) + often * p
-    pairs = np.array(list(share), dtype=np.int64)
-    return pairs[:, 0], pairs[:, 1], np.array(list(share.values()))
+            often[spelt] = 10.0 ** (-int(number) / CLASS)
+    total = sum(often.values())
+    return {word: p / total for word, p in often.items()}
+
+
+def _word_levels(listed: bytes, pairs: bytes) -> tuple[Level, Level]:
+    """What follows the beginning of a word, and the same after the word before it."""
+    often = _listed(listed)
+    spelt, places = Spellings(list(often)), {word: i for i, word in enumerate(often)}
+    weights = spelt.share * np.repeat(np.array(list(often.values())), spelt.size)
+    which = np.unique(spelt.so_far, return_inverse=True)[1]
+    begun = np.bincount(which, weights)  # how often words begin so
+    inside = spelt.so_far != 0  # the list does not know what words follow
+    alone = Level(
+        spelt.so_far[inside],
+        spelt.following[inside],
+        weights[inside],
+        below=begun[which][inside] * (1 - LISTED) / LISTED,
+    )
+    first: list[int] = []
+    second: list[int] = []
+    p: list[float] = []
+    others: list[float] = []
+    for line in pairs.decode("ascii").splitlines():
+        word, *items = line.split()
+        begin, each = len(second), 0.0
+        for item in items:
+            if item.isdecimal():
+                each = 10.0 ** (-int(item) / CLASS)
+            else:
+                second.append(places[item])
+                p.append(each)
+        size = len(second) - begin
+        first += [places[word]] * size
+        others += [max(1.0 - sum(p[begin:]), FEWEST_OTHERS)] * size
+    followers = np.array(second)
+    rows, size_of = spelt.rows(followers), spelt.size[followers]
+    before = np.repeat(spelt.whole[first], size_of)
+    # what else follows the word before begins as words do in general
+    below: Array = np.repeat(np.array(others), size_of) * begun[which][rows]
+    contexts = _paired(before, spelt.so_far[rows])
+    weights = spelt.share[rows] * np.repeat(np.array(p), size_of)
+    return alone, Level(contexts, spelt.following[rows], weights, below=below)
 
 
 def _words(codes: Codes) -> tuple[Codes, Codes]:
     """The word so far and the word before, as numbers, where each character stands."""
-    letters = _letters()[codes].tolist()
-    spaces = (codes == SPACE).tolist()
+    letters, stops = _letters()[codes].tolist(), _stops()[codes].tolist()
     words, befores = [], []
-    word = before = 0
-    for letter, space in zip(letters, spaces, strict=True):
+    word, before = 0, SENTENCE
+    for c, letter, stop in zip(codes.tolist(), letters, stops, strict=True):
         words.append(word)
         befores.append(before)
         if letter >= 0:
             word = (word * _PRIME + letter + 1) & _MASK
             continue
-        if word:
-            before, word = word, 0
-        elif not space:
-            before = 0
+        before, word = word or before, 0
+        if c != SPACE:
+            before = SENTENCE if stop else NO_WORD
     return np.array(words, dtype=np.int64), np.array(befores, dtype=np.int64)
 
 
@@ -285,6 +367,14 @@ def _letters() -> Codes:
         character = chr(c + _FIRST).lower()
         if character.isalpha() or character == "'":
             out[c] = ord(character)
+    return out
+
+
+@cache
+def _stops() -> Flags:
+    """Of each class whether it ends a sentence."""
+    out = np.zeros(CLASSES, dtype=bool)
+    out[[ord(mark) - _FIRST for mark, _ in MARKS]] = True
     return out
 
 
@@ -304,7 +394,7 @@ def class_of(values: NDArray[np.integer]) -> Codes:
 @cache
 def english() -> English:
     """The model of the text that is shipped."""
-    return English(*(lzma.decompress(path.read_bytes()) for path in (TEXT, WORDS)))
+    return English(*(lzma.decompress(path.read_bytes()) for path in (TEXT, WORDS, PAIRS)))
 
 
 def log2_probability(model: English | AnyBytes, text: bytes) -> float:

@@ -19,13 +19,13 @@ from tap_service.capture.transcript import Transition
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.planar_law import PlanarLaw
 
-PARTICLES: Final = 320
+PARTICLES: Final = 640
 """Particles kept from step to step."""
 
 DRAWS: Final = 2
 """Draws for each particle kept, of which those that contradict the law are dropped."""
 
-SAMPLES: Final = 160
+SAMPLES: Final = 640
 """Trajectories drawn."""
 
 FIRST: Final = 24_000
@@ -36,6 +36,9 @@ ANYWHERE: Final = 12.0
 
 EXACT: Final = 1e-5
 """Up to which an answer that was heard exactly is the law's, over the spread of the answers."""
+
+TRIES: Final = 48
+"""Particles drawn for each trajectory backwards before all are looked at."""
 
 ROOM: Final = 1e-6
 """Over the support: rounding."""
@@ -85,6 +88,7 @@ class LineSmoother:
         self._noise = noise
         self._exact = EXACT * max(spread, 1e-6)
         self._count = particles
+        self._equal = np.full(particles, 1 / particles)
         self._rng = np.random.default_rng(0)
         edge = [self._reach(a) for a in (np.eye(2)[0], -np.eye(2)[0], np.eye(2)[1], -np.eye(2)[1])]
         self._box = np.array([[-edge[1], -edge[3]], [edge[0], edge[2]]])
@@ -310,17 +314,64 @@ class LineSmoother:
         return clouds, evidence
 
     def infer(self, transitions: Sequence[Transition]) -> list[InferredStep]:
-        """Infer steps in a row."""
+        """Infer steps in a row, those at the start of a session by what was heard alone."""
+        first = 0 if self._noise else self._held_from(transitions)
+        by_law = self._by_law(transitions[first:])
+        return self._before_the_law(transitions[: first + 1]) + by_law
+
+    def _held_from(self, transitions: Sequence[Transition]) -> int:
+        """The first step whose state was heard and is where the law's facets leave an input.
+
+        A session may start far outside T_0, where the law aims at other sets. 0 where the steps are
+        from the middle of a session, or no such state was heard.
+        """
+        if not transitions[0].start:
+            return 0
+        heard = [i for i, t in enumerate(transitions) if t.x is not None]
+        held = self._law.holds(np.array([transitions[i].x for i in heard]).reshape(-1, 2))
+        return next((i for i, inside in zip(heard, held, strict=True) if inside), 0)
+
+    def _before_the_law(self, transitions: Sequence[Transition]) -> list[InferredStep]:
+        """All but the last of these steps, whose state was heard; their offers say no more than
+        what was offered.
+        """
+        clouds: list[Cloud | None] = []
+        for i, t in enumerate(transitions):
+            before, came_from = (transitions[i - 1], clouds[-1]) if i else (None, None)
+            if t.x is not None:
+                clouds.append((np.array(t.x)[None], np.ones(1)))
+            elif before is not None and before.candidates is not None and came_from is not None:
+                clouds.append((self._moved(came_from, before, self._count), self._equal))
+            else:
+                clouds.append(None)
+        steps: list[InferredStep] = []
+        after = None if clouds[-1] is None else clouds[-1][0]
+        for t, cloud in zip(transitions[-2::-1], clouds[-2::-1], strict=True):
+            gauges = earlier = None
+            if cloud is not None and after is not None and t.candidates is not None:
+                earlier, gauges = self._back(cloud, t, after)
+            elif cloud is not None:
+                earlier = cloud[0][self._picked(cloud[1], SAMPLES)]
+            steps.append(InferredStep(t, gauges))
+            after = cloud[0] if t.x is not None and cloud is not None else earlier
+        return steps[::-1]
+
+    def _moved(self, cloud: Cloud, t: Transition, count: int) -> Array:
+        """States after a step, each candidate as likely."""
+        x, w = cloud
+        predictions = self._predictions(x, t)
+        size = predictions.shape[1]
+        picked = self._picked(np.repeat(w / size, size), count)
+        out: Array = predictions.reshape(-1, 2)[picked] + self._even(count)
+        return out
+
+    def _by_law(self, transitions: Sequence[Transition]) -> list[InferredStep]:
         clouds, _ = self._forward(transitions)
         last = transitions[-1]
         steps: list[InferredStep] = []
         end = None if last.x_next is None else np.array(last.x_next)
         if end is None:
-            x, w = clouds[-1]
-            predictions = self._predictions(x, last).reshape(-1, 2)
-            size = len(predictions) // len(x)
-            picked = self._picked(np.repeat(w, size), SAMPLES)
-            after = self._rng.permutation(predictions[picked] + self._even(SAMPLES))
+            after = self._rng.permutation(self._moved(clouds[-1], last, SAMPLES))
         elif self._noise:
             after = end + self._noise * self._rng.standard_normal((SAMPLES, 2))
         else:
@@ -339,28 +390,38 @@ class LineSmoother:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""
         x, w = cloud
         predictions = self._predictions(x, t)
-        d = after[:, None, None] - predictions[None]
-        own = _largest(d, self._rows)
         if len(x) == 1:
-            gauges = _largest(d[:, 0], self._shape)
+            gauges = _largest(after[:, None] - predictions, self._shape)
             if len(after) == 1 or t.x is None:
                 return np.tile(x, (len(after), 1)), gauges
             return x, gauges
-        weights = (w[None, :, None] * (own <= 1 + ROOM)).reshape(len(after), -1)
+        if len(after) == 1:
+            after = np.tile(after, (SAMPLES, 1))
+        # drawn until one may have led there; each of those that none did against all
+        size, share = predictions.shape[1], w.cumsum()
+        tried = np.searchsorted(share, self._rng.random((len(after), TRIES)) * share[-1])
+        tried = np.minimum(tried, len(x) - 1)
+        at = predictions[tried, self._rng.integers(size, size=tried.shape)]
+        fits = _largest(after[:, None] - at, self._rows) <= 1 + ROOM
+        chosen = tried[np.arange(len(after)), fits.argmax(axis=1)]
+        none = np.flatnonzero(~fits.any(axis=1))
+        if len(none):
+            chosen[none] = self._of_all(predictions, w, after[none])
+        return x[chosen], _largest(after[:, None] - predictions[chosen], self._shape)
+
+    def _of_all(self, predictions: Array, w: Array, after: Array) -> Indices:
+        """Which particle led to each state, drawn from all."""
+        own = _largest(after[:, None, None] - predictions, self._rows)
+        weights = (w[:, None] * (own <= 1 + ROOM)).reshape(len(after), -1)
         none = ~weights.any(axis=1)
         if none.any():
             nearest = own[none].reshape(int(none.sum()), -1)
             weights[none] = np.exp(-20 * (nearest - nearest.min(axis=1, keepdims=True)))
-        if len(after) == 1:
-            after = np.tile(after, (SAMPLES, 1))
-            weights = np.tile(weights, (SAMPLES, 1))
-            d = np.broadcast_to(d, (SAMPLES, *d.shape[1:]))
         share = weights.cumsum(axis=1)
         at = self._rng.random((len(after), 1)) * share[:, -1:]
         chosen = (share < at).sum(axis=1) // predictions.shape[1]
-        chosen = np.minimum(chosen, len(x) - 1)
-        rows = np.arange(len(after))
-        return x[chosen], _largest(d[rows, chosen], self._shape)
+        out: Indices = np.minimum(chosen, len(w) - 1)
+        return out
 
 
 def _largest(d: Array, rows: Array) -> Array:

@@ -179,7 +179,8 @@ def check_symbols(
     alpha : array, shape (nodes,)
         Of the window from step ``low`` on.
     ahead : array, shape (symbols + 1, K + 1, E)
-        Log weight ahead of the nodes, by symbols that are missing.
+        Log weight ahead of the nodes, by symbols that are missing; more than the transcript holds
+        are as its last row.
     """
     out = np.empty((count, lattice.size))
     E = lattice.states
@@ -187,7 +188,7 @@ def check_symbols(
         matrices = lattice.window(low, len(alpha) // E)
         low += 1
         moved = np.stack([alpha @ matrix for matrix in matrices])
-        level = _ahead_of(moved, _after(ahead, count - 1 - j), low, E)
+        level = _ahead_of(moved, ahead[min(count - 1 - j, len(ahead) - 1)], low, E)
         if not np.isfinite(level).any():
             return None
         out[j] = np.exp(level - level.max())
@@ -237,7 +238,7 @@ def judge(
     )
     table = np.frombuffer(checks, dtype=np.uint8).reshape(-1, CHECK_BYTES).astype(np.intp)
     total = digits * CHECK_BYTES
-    level = -_ahead_of(alpha, _after(ahead, total), low, E)
+    level = -_ahead_of(alpha, ahead[min(total, len(ahead) - 1)], low, E)
     for j in range(total):
         matrices = lattice.window(low, alpha.shape[1] // E)
         symbol = table[:, j // digits] // size ** (digits - 1 - j % digits) % size
@@ -255,12 +256,6 @@ def judge(
         alpha = (moved / scale[:, None])[:, first * E : (last + 1) * E]
         low += first
     return level + _ahead_of(alpha, ahead[0], low, E), alpha, low
-
-
-def _after(ahead: Array, symbols: int) -> Array:
-    """The row of ``ahead`` for so many symbols; more than there are steps never end."""
-    row: Array = ahead[min(symbols, len(ahead) - 1)]
-    return row
 
 
 def _ahead_of(alpha: Array, ahead: Array, low: int, states: int) -> Array:

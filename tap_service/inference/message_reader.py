@@ -36,7 +36,7 @@ MISSED: Final = 0.05
 WIDER: Final = (4,)
 """Times as many hypotheses are then followed."""
 
-LIKE_ALONE: Final = 3.0
+LIKE_ALONE: Final = 10.0
 """Trajectories that are added, where a step is looked at after another, as it is alone."""
 
 DOUBT: Final = 1e-4

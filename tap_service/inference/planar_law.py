@@ -15,16 +15,7 @@ import scipy.linalg
 from protocol.arrays import Array, Flags
 from protocol.knowledge import Knowledge
 from tap_service.inference.law_pieces import LawPieces
-from tap_service.inference.policy import KnownLaw, corners_of
-
-MOST_TERMS: Final = 200
-"""Images of the disturbance summed at most."""
-
-LEFT: Final = 1e-3
-"""Share of the disturbance within which the image after the last one summed must lie."""
-
-PARALLEL: Final = 1e-9
-"""A facet whose normal meets B by less than this share bounds no input."""
+from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 
 CLIPPED: Final = 1e-7
 """Over the spread of the inputs: beyond this from its free part an input was clipped."""
@@ -86,9 +77,8 @@ class PlanarLaw:
             H = np.vstack([H, across, -across])
             h = (V @ H.T).max(axis=0)
         K = _gain(k, A, B)
-        facets = None if K is None else _facets(A, B, K, V, H, h)
-        empty = np.empty((0, 3))
-        high, low = facets or (empty, empty)
+        facets = None if K is None else terminal_facets(A, B, K, V, H, h)
+        high, low = facets or (np.empty((0, 3)),) * 2
         return cls(known.free[:, 0], high, low, gap, k.candidates)
 
     @property
@@ -213,39 +203,6 @@ def _gain(k: Knowledge, A: Array, B: Array) -> Array | None:
     except (np.linalg.LinAlgError, ValueError):
         return None
     return np.asarray(-np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A))
-
-
-def _facets(
-    A: Array, B: Array, K: Array, V: Array, H: Array, h: Array
-) -> tuple[Array, Array] | None:
-    """Bounds of u by the facets of T_0 ~ D, D with corners ``V`` and rows ``H``, ``h``.
-
-    T_0 is the outer approximation of Rakovic et al. (2005).
-    """
-    closed = A + B @ K
-    powers = [np.eye(2)]
-    while True:
-        image = closed @ powers[-1]
-        left = float(((V @ image.T @ H.T) / h).max())
-        if left <= LEFT:
-            break
-        if len(powers) == MOST_TERMS:
-            return None
-        powers.append(image)
-    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    normals: Array = np.concatenate([H @ turn @ p.T for p in powers]) @ turn.T
-    lengths = np.linalg.norm(normals, axis=1)
-    normals = normals[lengths > 0] / lengths[lengths > 0, None]
-    normals = np.unique(np.vstack([normals, -normals]).round(12), axis=0)
-    support = sum((V @ p.T @ normals.T).max(axis=0) for p in powers) / (1 - left)
-    offsets = support - (V @ normals.T).max(axis=0)
-    across = normals @ B[:, 0]
-    out = []
-    for side in (1, -1):
-        bounding = side * across > PARALLEL * float(np.linalg.norm(B))
-        by = across[bounding, None]
-        out.append(np.hstack([-(normals[bounding] @ A) / by, offsets[bounding, None] / by]))
-    return out[0], out[1]
 
 
 def matching(law: PlanarLaw, offers: Sequence[Array]) -> PlanarLaw:

@@ -17,13 +17,13 @@ from protocol.knowledge import Knowledge
 
 TINY: Final = 1e-9
 
-TERMS: Final = 60
-"""Images of D_c summed at most; with more, A + B K hardly contracts and facets are not used."""
+MOST_TERMS: Final = 200
+"""Images of the disturbance summed at most; with more, A + B K hardly contracts."""
 
 LEFT: Final = 1e-3
-"""Share of D_c within which the image after the last one summed must lie."""
+"""Share of the disturbance within which the image after the last one summed must lie."""
 
-PARALLEL: Final = 1e-6
+PARALLEL: Final = 1e-9
 """A facet whose normal meets B by less than this share bounds no input."""
 
 
@@ -100,9 +100,15 @@ class KnownLaw:
             and k.disturbance_H
             and k.disturbance_h
         ):
-            facets = terminal_facets(
-                A, B, gain, np.array(k.disturbance_H), np.array(k.disturbance_h)
-            )
+            H, h = np.array(k.disturbance_H), np.array(k.disturbance_h)
+            V = corners_of(H, h)
+            found = terminal_facets(A, B, gain, V, H, h) if len(V) > 2 else None
+            if found is not None:
+                above, below = (np.split(bounds, [2], axis=1) for bounds in found)
+                facets = (
+                    Facets(below[0], below[1][:, 0], -1),
+                    Facets(above[0], above[1][:, 0], 1),
+                )
         return cls(np.array(free), np.array(curvature), together, facets, shared)
 
     def solved(self, candidates: Array) -> Array:
@@ -135,28 +141,39 @@ class KnownLaw:
         return out
 
 
-def terminal_facets(A: Array, B: Array, K: Array, H: Array, h: Array) -> tuple[Facets, ...]:
+def terminal_facets(
+    A: Array, B: Array, K: Array, V: Array, H: Array, h: Array
+) -> tuple[Array, Array] | None:
     """Facets of T_0 ~ D for a planar plant with one input, as bounds of u.
 
     T_0 is the outer approximation of Rakovic et al. (2005), (1 - s)^-1 times the sum of the images
     of D = { d : H d <= h } under the powers of A + B K.
+
+    Parameters
+    ----------
+    A, B, K : array
+    V : array, shape (corners, 2)
+        Corners of D.
+    H, h : array
+
+    Returns
+    -------
+    tuple of array or None
+        u <= slope x + offset, then u >= slope x + offset, a row (slope, offset) each, shape (J, 3);
+        None where A + B K hardly contracts.
     """
     closed = A + B @ K
-    V = corners_of(H, h)
-    if len(V) < 3:
-        return ()
     powers = [np.eye(2)]
     while True:
         image = closed @ powers[-1]
         left = float(((V @ image.T @ H.T) / h).max())
         if left <= LEFT:
             break
-        if len(powers) == TERMS:
-            return ()
+        if len(powers) == MOST_TERMS:
+            return None
         powers.append(image)
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    edges = np.concatenate([H @ turn @ p.T for p in powers])
-    normals = edges @ turn.T
+    normals: Array = np.concatenate([H @ turn @ p.T for p in powers]) @ turn.T
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals[lengths > 0] / lengths[lengths > 0, None]
     normals = np.unique(np.vstack([normals, -normals]).round(12), axis=0)
@@ -164,12 +181,11 @@ def terminal_facets(A: Array, B: Array, K: Array, H: Array, h: Array) -> tuple[F
     offsets = support - (V @ normals.T).max(axis=0)
     across = normals @ B[:, 0]
     out = []
-    for side in (-1, 1):
+    for side in (1, -1):
         bounding = side * across > PARALLEL * float(np.linalg.norm(B))
-        by = across[bounding]
-        slopes = -(normals[bounding] @ A) / by[:, None]
-        out.append(Facets(slopes, offsets[bounding] / by, side))
-    return tuple(out)
+        by = across[bounding, None]
+        out.append(np.hstack([-(normals[bounding] @ A) / by, offsets[bounding, None] / by]))
+    return out[0], out[1]
 
 
 def corners_of(H: Array, h: Array) -> Array:

@@ -1,4 +1,4 @@
-"""`wyner capacity`: a table, an object, a figure, and one line for what is wrong."""
+"""`wyner design --alphas`: a table, an object, a figure, and one line for what is wrong."""
 
 import json
 from pathlib import Path

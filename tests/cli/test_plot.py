@@ -1,4 +1,4 @@
-"""``wyner plot``: what stands on the axes, and what cannot be drawn."""
+"""``wyner sweep --plot``: what stands on the axes, and what cannot be drawn."""
 
 from pathlib import Path
 

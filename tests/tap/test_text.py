@@ -18,9 +18,10 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.alignment import align
 from tap_service.inference.english import TEXT, AnyBytes, Contexts, english, log2_probability
+from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
-from tap_service.inference.message_reader import MessageReader
+from tap_service.inference.message_reader import MessageReader, verdicts_of
 from wyner.runs.score.score import score
 from wyner.studies.secrecy.runs import SENTENCES as SHORT
 from wyner.studies.secrecy.runs import simulate
@@ -214,6 +215,16 @@ def test_two_messages_and_one_under_way() -> None:
     del second
 
 
+@pytest.mark.parametrize(("seed", "at", "steps"), [(5, 1, 14), (1, 7, 15)])
+def test_fewer_steps_than_a_check_has_symbols_hold_no_whole_message(
+    seed: int, at: int, steps: int
+) -> None:
+    heard = stretch(b"hello you there", 4, "pipelined", seed, missed=0.5, agree=1.0)
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    messages = reader.read(heard[at : at + steps], (0.0, 1.0), {})
+    assert all(not m.whole or m.probability < 0.5 for m in messages)
+
+
 def test_no_message_is_none() -> None:
     steps = stretch(b"x", 4, "pipelined", 4, missed=0.2, agree=1.0)[:9]
     reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
@@ -238,6 +249,33 @@ def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() ->
     assert -log2_probability(english(), b"xq zvw jjk qpf") / 14 > 5
     text = lzma.decompress(TEXT.read_bytes()).decode().lower()
     assert [s for s in (*SENTENCES, *SHORT) if s.lower().rstrip(".") in text] == []
+
+
+def test_a_sentence_begins_as_sentences_do_and_goes_on_as_words_follow_others() -> None:
+    def bits(text: bytes) -> float:
+        return -log2_probability(english(), text)
+
+    assert bits(b"The") < bits(b"the")
+    assert bits(b"It is so. The end") - bits(b"It is so. the end") < -2
+    assert bits(b"He went to the hospital") < bits(b"He went to of hospital") - 4
+
+
+def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not_hold_there() -> (
+    None
+):
+    """From (4, -2) it takes some six steps until the facets of T_0 bound the input."""
+    said = np.zeros(0)
+    for seed in range(6):
+        run = simulate(24, seed, name="packed", payloads=[b"x"])
+        view = View(seed=seed, loss=0.5)
+        heard = heard_by(run, view)
+        inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+        alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
+        keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
+        known = [i for i, key in enumerate(keys) if key >= 0]
+        said = np.append(said, alone[known, [keys[i] + 1 for i in known]])
+    assert len(said) > 100
+    assert said.min() > 0.005  # never sure of another one
 
 
 # --- what she states ------------------------------------------------------------------------------

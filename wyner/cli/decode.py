@@ -64,9 +64,9 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
-    from wyner.runs.run import Run
+    from wyner.runs.run import Run, RunError
     from wyner.runs.score.replay import Replay
-    from wyner.runs.score.score import RunScore, ScoreError, read_truth, score, summary_of
+    from wyner.runs.score.score import RunScore, read_truth, score, summary_of
 
     at_least("--from", args.first, 0)
     at_least("--to", args.last, args.first or 0)
@@ -88,7 +88,7 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     if path.is_dir() and (run := Run.load(path)).has("plant"):
         try:
             truth = read_truth(run).between(args.first, args.last)
-        except ScoreError as error:
+        except RunError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())
         report["score"] = summary_of(RunScore(run.name, truth, taps))

@@ -5,11 +5,9 @@ it lacks, each as it is made; a run that is there already is not made again.
 """
 
 import argparse
-import csv
 import hashlib
 import multiprocessing
 import random
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +24,7 @@ from wyner.shipped import DATA
 from wyner.studies.grid import code_version
 from wyner.studies.secrecy.runs import simulate, text_of
 from wyner.studies.secrecy.sentences import SENTENCES
-from wyner.studies.secrecy.study import SOURCES, heard_by, said_about
+from wyner.studies.secrecy.study import SOURCES, append_rows, heard_by, said_about
 
 FILE: Final = DATA / "secrecy-reading.csv"
 
@@ -151,25 +149,10 @@ def measure(reading: Reading) -> dict[str, object]:
 
 def add_rows(path: Path = FILE, jobs: int = 1, only: str = "") -> None:
     """Measure what the file lacks, of the conditions and taps that contain ``only``."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+", encoding="utf-8", newline="") as file:
-        file.seek(0)
-        lines = file.read().splitlines(keepends=True)
-        whole = [line for line in lines if line.endswith("\n")]
-        if len(whole) < len(lines):  # the last was torn by a kill
-            file.truncate(len("".join(whole).encode()))
-        done = {row["task"] for row in csv.DictReader(whole)}
-        wanted = [r for r in readings() if r.id not in done and only in f"{r.tap}: {r.condition}"]
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if not whole:
-            writer.writeheader()
-        context = multiprocessing.get_context("spawn")
-        with context.Pool(jobs, maxtasksperchild=20) as pool:
-            for number, row in enumerate(pool.imap_unordered(measure, wanted), 1):
-                writer.writerow(row)
-                file.flush()
-                print(f"\r{number} of {len(wanted)} runs", end="", file=sys.stderr, flush=True)
-        print(file=sys.stderr)
+    wanted = (r for r in readings() if only in f"{r.tap}: {r.condition}")
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(jobs, maxtasksperchild=20) as pool:
+        append_rows(path, COLUMNS, wanted, lambda todo: pool.imap_unordered(measure, todo))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from wyner.studies.secrecy.tables import PAGE
 Row = dict[str, str]
 
 HEAD: Final = (
-    "condition", "tap", "runs", "keys right", "messages exact", "share", "bits left",
-    "seconds of a core",
+    "condition", "tap", "runs", "keys right", "likeliest is it", "share", "claimed and it",
+    "bits left", "seconds of a core",
 )  # fmt: skip
 STATED_HEAD: Final = ("stated", "messages", "stated on average", "right", "share right")
 
@@ -53,7 +53,8 @@ def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     for condition, tap in sorted({(r["condition"], r["tap"]) for r in rows}):
         mine = [r for r in rows if (r["condition"], r["tap"]) == (condition, tap)]
         right = [float(r["keys_right"]) / int(r["keys"]) for r in mine if int(r["keys"])]
-        exact = sum(int(r["messages_exact"]) > 0 for r in mine)
+        exact = sum(int(r["likeliest_exact"]) > 0 for r in mine)
+        claimed = sum(int(r["messages_exact"]) > 0 for r in mine)
         left = [float(r["bits_left"]) for r in mine if r["bits_left"]]
         whole = _median([float(r["message_bits"]) for r in mine])
         bits = f"{_median(left):.1f} of {whole:.0f}" if left else "-"
@@ -66,6 +67,7 @@ def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
                 f"{100 * sum(right) / len(right):.1f} %" if right else "-",
                 f"{exact} of {len(mine)}",
                 _share(exact, len(mine)),
+                str(claimed),
                 bits,
                 f"{cost:.0f}",
             )
@@ -75,9 +77,7 @@ def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
 
 def reliability(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """How often what ``text`` states comes true, by what she states."""
-    lines: list[tuple[str, ...]] = [
-        ("stated", "messages", "stated on average", "right", "share right")
-    ]
+    lines: list[tuple[str, ...]] = [STATED_HEAD]
     # a tap that hears no ciphertext symbol states nothing
     stated = [
         (float(r["probability"]), int(r["likeliest_exact"]))

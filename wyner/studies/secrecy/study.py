@@ -8,10 +8,10 @@ import csv
 import hashlib
 import random
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.channel import View, WiretapChannel
@@ -41,6 +41,14 @@ COLUMNS: Final = (
 )  # fmt: skip
 EARLY: Final = 200
 """Steps after which a learner is expected to read nearly every separable step."""
+
+
+class Identified(Protocol):
+    """What is measured, with an id of its own."""
+
+    @property
+    def id(self) -> str:
+        """A hash of what is measured and how."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,26 +183,48 @@ def measure(task: Task) -> dict[str, object]:
     }
 
 
+def append_rows(
+    path: Path,
+    columns: Sequence[str],
+    tasks: Iterable[Identified],
+    measure_all: Callable[[list[Any]], Iterable[dict[str, object]]],
+) -> None:
+    """Add the rows that a file lacks, each as it is made; a run that is there is not made again.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV file; a last line that a kill has torn is dropped.
+    columns : sequence of str
+        ``task`` holds the task's ``id``.
+    tasks : iterable
+    measure_all : callable
+        The rows of a list of tasks, in any order.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+", encoding="utf-8", newline="") as file:
+        file.seek(0)
+        lines = file.read().splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith("\n")]
+        if len(whole) < len(lines):
+            file.truncate(len("".join(whole).encode()))
+        done = {row["task"] for row in csv.DictReader(whole)}
+        todo = [t for t in tasks if t.id not in done]
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        if not whole:
+            writer.writeheader()
+        for number, row in enumerate(measure_all(todo), 1):
+            writer.writerow(row)
+            file.flush()
+            print(f"\r{number} of {len(todo)} runs", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+
+
 def measure_study(study: str) -> Callable[[Path], None]:
     """The measurement of one study: it adds the rows that its file lacks, each as it is made."""
 
     def add_rows(path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a+", encoding="utf-8", newline="") as file:
-            file.seek(0)
-            lines = file.read().splitlines(keepends=True)
-            whole = [line for line in lines if line.endswith("\n")]
-            if len(whole) < len(lines):  # the last was torn by a kill
-                file.truncate(len("".join(whole).encode()))
-            done = {row["task"] for row in csv.DictReader(whole)}
-            todo = [t for t in tasks() if t.study == study and t.id not in done]
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            if not whole:
-                writer.writeheader()
-            for number, task in enumerate(todo, 1):
-                writer.writerow(measure(task))
-                file.flush()
-                print(f"\r{number} of {len(todo)} runs", end="", file=sys.stderr, flush=True)
-            print(file=sys.stderr)
+        mine = (t for t in tasks() if t.study == study)
+        append_rows(path, COLUMNS, mine, lambda todo: map(measure, todo))
 
     return add_rows
