@@ -503,3 +503,6 @@ def test_export_puts_the_truth_beside_the_steps(
     code, _, err = call(capsys, "export", folder, "--to", "csv", "--truth")
     assert code == 2
     assert "expected together with --steps" in err
+    capture = folder / CAPTURE
+    code, _, err = call(capsys, "export", capture, "--to", "csv", "--steps", "--truth")
+    assert (code, err) == (2, f"wyner: {capture}: no run here, expected a run's folder\n")

@@ -12,7 +12,7 @@ from tests.support.small_run import Fault, SmallRun
 from wyner.runs.check.records import MissedLine, Told, Walked
 from wyner.runs.check.sides import SideReader
 from wyner.runs.resolve import Event, Resolved
-from wyner.runs.run import Run
+from wyner.runs.run import Run, RunError
 
 S, T = "1" * 16, "2" * 16
 AGAIN = {"event": "continued"}
@@ -115,5 +115,5 @@ def test_what_no_plant_wrote_is_one_line_that_names_the_trace(tmp_path: Path) ->
 
 
 def test_there_is_no_run_where_there_is_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no run here"):
+    with pytest.raises(RunError, match="no run here"):
         Run.load(tmp_path / "none")

@@ -82,9 +82,8 @@ def _steps(args: argparse.Namespace) -> int:
     from runtime.errors import DONE, Failure, UsageError, needs
     from runtime.files import PUBLIC_FILE, replacing
     from tap_service.capture.reading import CaptureError, CaptureReader
-    from wyner.runs.run import Run
+    from wyner.runs.run import Run, RunError
     from wyner.runs.score.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
-    from wyner.runs.score.score import ScoreError
     from wyner.runs.score.step_table import step_rows, truth_by_step, write_csv, write_parquet
 
     if args.truth and not args.steps:
@@ -110,7 +109,7 @@ def _steps(args: argparse.Namespace) -> int:
                         count = write_csv(rows, file)
                 else:
                     count = write_parquet(rows, path)
-    except (CaptureError, ScoreError) as error:
+    except (CaptureError, RunError) as error:
         raise UsageError(str(error)) from None
     except ImportError:
         raise Failure(needs("parquet", "pyarrow")) from None

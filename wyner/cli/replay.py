@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
-    from wyner.runs.run import Run
+    from wyner.runs.run import Run, RunError
     from wyner.runs.score.replay import Replay
-    from wyner.runs.score.score import RunScore, ScoreError, read_truth, score, summary_of
+    from wyner.runs.score.score import RunScore, read_truth, score, summary_of
 
     at_least("--from", args.first, 0)
     at_least("--to", args.last, args.first or 0)
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     if args.score is not None:
         try:
             truth = read_truth(Run.load(args.score)).between(args.first, args.last)
-        except (FileNotFoundError, ScoreError) as error:
+        except RunError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())
         report["score"] = summary_of(RunScore(Path(args.score).name, truth, taps))

@@ -49,9 +49,9 @@ def _run(args: argparse.Namespace) -> int:
     from runtime.errors import DONE, FAILED, Failure, UsageError, needs
     from runtime.run_folder import loops_below
     from tap_service.command import names_of
-    from wyner.runs.run import Run
+    from wyner.runs.run import Run, RunError
     from wyner.runs.score import report as reporting
-    from wyner.runs.score.score import ScoreError, score_run
+    from wyner.runs.score.score import score_run
 
     names = names_of(args.eavesdropper)
     if args.scenario is not None and not names:
@@ -72,7 +72,7 @@ def _run(args: argparse.Namespace) -> int:
                 scores.append(_replayed(run, names, args.scenario))
             else:
                 scores.append(score_run(run))
-        except (FileNotFoundError, ScoreError) as error:
+        except RunError as error:
             raise UsageError(str(error)) from None
         if gone := run.parts_missing("plant"):
             what = f"parts 0 to {gone - 1} of the plant's trace are gone"

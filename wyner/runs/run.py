@@ -58,12 +58,12 @@ class Run:
 
         Raises
         ------
-        FileNotFoundError
+        RunError
             When there is no such folder.
         """
         path = Path(folder)
         if not path.is_dir():
-            raise FileNotFoundError(f"{path}: no run here, expected a run's folder")
+            raise RunError(f"{path}: no run here, expected a run's folder")
         return cls(path)
 
     @property

@@ -25,7 +25,7 @@ ONE_RUN: Final = "shares of one run: no interval (wyner secrecy over runs has th
 """Why the shares of a run have no interval."""
 
 
-class ScoreError(Exception):
+class ScoreError(RunError):
     """A run that cannot be scored; one line."""
 
 
