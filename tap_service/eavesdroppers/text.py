@@ -5,8 +5,8 @@ nothing is decided step by step: each step keeps its probabilities, and a search
 weighs them together with English, the frame's length, the silence after it and its check
 (:mod:`tap_service.inference.message_search`). She says how sure she is, and how many bits are left.
 She has to hear what came after before she can infer what was lost, so she reads all that she keeps
-anew each time she has heard twice as much as before, a quarter more while a message is open, and
-when it should be over.
+anew each time she has heard twice as much as before and when a message should be over; where that
+cannot be told, when she has heard a quarter more.
 """
 
 from collections.abc import Sequence
@@ -108,7 +108,7 @@ class Text(Eavesdropper):
                 self._open.append(message)
                 due = self._heard // 4
                 if not message.whole and message.due_k >= 0:
-                    due = min(due, message.due_k - self._kept[-1].k + SOON)
+                    due = message.due_k - self._kept[-1].k + SOON
                 self._next = min(self._next, self._heard + max(due, SOON))
         verdicts, _ = verdicts_of(steps, among, self.size, certain=self.certain)
         for step, row in zip(steps, verdicts.tolist(), strict=True):
