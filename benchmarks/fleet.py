@@ -56,7 +56,8 @@ def hosts(fleet: Path, pace: str, *, router: bool = False) -> Iterator[dict[str,
     commands = {
         "controller": [
             *(clients if router else (f"--listen=field={controller}", f"--connect=field={plant}")),
-            *(f"--listen=ops={controller_ops}", f"--connect=ops={plant_ops}"),
+            f"--listen=ops={controller_ops}",
+            f"--connect=ops={plant_ops}",
         ],
         "tap": [
             f"--eavesdropper={EAVESDROPPERS}",

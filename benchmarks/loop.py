@@ -66,20 +66,24 @@ def _commands(scenario: Path, folder: Path, steps: int, pace: str) -> dict[str, 
         "controller": [
             *common,
             f"--message={MESSAGE}",
-            *(f"--listen=field={controller}", f"--connect=field={plant}"),
-            *(f"--listen=ops={controller_ops}", f"--connect=ops={plant_ops}"),
+            f"--listen=field={controller}",
+            f"--connect=field={plant}",
+            f"--listen=ops={controller_ops}",
+            f"--connect=ops={plant_ops}",
         ],
         "tap": [
             *common,
             f"--eavesdropper={EAVESDROPPERS}",
-            *(f"--connect=field={plant}", f"--connect=field={controller}"),
+            f"--connect=field={plant}",
+            f"--connect=field={controller}",
             f"--listen=intel={intel}",
         ],
         "plant": [
             *common,
             f"--steps={steps}",
             f"--pace={pace}",
-            *(f"--listen=field={plant}", f"--listen=ops={plant_ops}"),
+            f"--listen=field={plant}",
+            f"--listen=ops={plant_ops}",
         ],
     }
 

@@ -72,8 +72,12 @@ def open_controller(
         record, step = journal.load(), journal.step()
         contributions = journal.contributions(None if record is None else record.session)
         key_maker = open_keeper(
-            *(config.run_dir / CONTROLLER_KEYS, "controller", scenario, config.seed),
-            *(config.secret, record),
+            config.run_dir / CONTROLLER_KEYS,
+            "controller",
+            scenario,
+            config.seed,
+            config.secret,
+            record,
         )
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:

@@ -141,8 +141,16 @@ class StepLog:
         j, steps, offer, measurement = row or (0, 0, None, None)
         offer, measurement = offer or b"", measurement or b""
         head = _HEAD.pack(
-            *(number, coin, len(record), len(request), len(response)),
-            *(row is not None, j, steps, len(offer), len(measurement)),
+            number,
+            coin,
+            len(record),
+            len(request),
+            len(response),
+            row is not None,
+            j,
+            steps,
+            len(offer),
+            len(measurement),
         )
         body = b"".join((head, record, request, response, offer, measurement))
         data = self._tag + _CHECK.pack(crc32(body)) + body

@@ -8,8 +8,17 @@ from protocol.arrays import Array, Indices
 
 _REALS: Final = ("lo", "hi", "edge_lo", "edge_hi", "score", "mark")
 _COUNTS: Final = (
-    *("state", "node", "phase", "count", "value", "bytes", "length", "before", "last"),
-    *("crc", "passed"),
+    "state",
+    "node",
+    "phase",
+    "count",
+    "value",
+    "bytes",
+    "length",
+    "before",
+    "last",
+    "crc",
+    "passed",
 )
 
 

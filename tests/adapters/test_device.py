@@ -320,8 +320,18 @@ def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wyner.cli.main"]
     done = subprocess.run(
         [
-            *(*command, "up", "--scenario", str(tmp_path / "line.toml"), "--headless"),
-            *("--pace", "fast", "--until-delivered", "--message", "Hi", "--run-dir", str(run_dir)),
+            *command,
+            "up",
+            "--scenario",
+            str(tmp_path / "line.toml"),
+            "--headless",
+            "--pace",
+            "fast",
+            "--until-delivered",
+            "--message",
+            "Hi",
+            "--run-dir",
+            str(run_dir),
         ],
         capture_output=True,
         text=True,

@@ -52,7 +52,9 @@ TARGETS: Final = {
     "tap": (("write", "tap/capture"), ("rename", "tap/"), ("send", "socket")),
     "kme-plant": (("pwrite64", "plant/keys"), ("fdatasync", "plant/keys"), ("send", "socket")),
     "kme-controller": (
-        *(("pwrite64", "controller/keys"), ("fdatasync", "controller/keys"), ("send", "socket")),
+        ("pwrite64", "controller/keys"),
+        ("fdatasync", "controller/keys"),
+        ("send", "socket"),
     ),
 }
 

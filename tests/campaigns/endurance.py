@@ -84,9 +84,22 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as name:
         run_dir = Path(name) / "run"
         command = [
-            *(sys.executable, "-m", "wyner", "up", "--scenario", "keys", "--pace", "fast"),
-            *("--steps", str(args.steps), "--secret", "--eavesdropper", "nearest-centre"),
-            *("--json", "--run-dir", str(run_dir)),
+            sys.executable,
+            "-m",
+            "wyner",
+            "up",
+            "--scenario",
+            "keys",
+            "--pace",
+            "fast",
+            "--steps",
+            str(args.steps),
+            "--secret",
+            "--eavesdropper",
+            "nearest-centre",
+            "--json",
+            "--run-dir",
+            str(run_dir),
         ]
         begun_s = time.monotonic()
         looks: list[dict[str, Any]] = []

@@ -45,8 +45,14 @@ BUSES = ("field", "ops", "intel")
 CARRIES: dict[str, tuple[type[Message], ...]] = {
     "field": (Measurement, Offer, Sealed),
     "ops": (
-        *(PlantHello, ControllerHello, PlantModel, PlantStatus, ControllerStatus),
-        *(SendCommand, SealCommand, SealedReceipt),
+        PlantHello,
+        ControllerHello,
+        PlantModel,
+        PlantStatus,
+        ControllerStatus,
+        SendCommand,
+        SealCommand,
+        SealedReceipt,
     ),
     "intel": (TapStatus,),
 }

@@ -67,7 +67,8 @@ class Tap:
         config = TapConfig(
             folder,
             law_of("sustained")[0].knowledge(),
-            *(Addresses(), Addresses()),
+            Addresses(),
+            Addresses(),
             names=("set-membership", "nearest-centre"),
             limits=limits,
         )
@@ -176,8 +177,11 @@ class Sealing:
     """Both ends of sealed messages, beside their stores."""
 
     kinds: tuple[type[Message], ...] = (
-        *(SealCommand, SealedReceipt, Sealed),
-        *(KeyRequest, KeyAnswer),
+        SealCommand,
+        SealedReceipt,
+        Sealed,
+        KeyRequest,
+        KeyAnswer,
     )
 
     def __init__(self, folder: Path) -> None:

@@ -34,9 +34,16 @@ from wyner.deployment.certificates import ensure_certificates
 from wyner.studies.fit.toml import as_toml
 
 PRELOADED: Final = (
-    *("controller_service.command", "controller_service.service", "plant_service.command"),
-    *("plant_service.service", "tap_service.command", "tap_service.service"),
-    *("wyner.cli.router", "wyner.cli.kme", "wyner.cli.send", "wyner.kme.server"),
+    "controller_service.command",
+    "controller_service.service",
+    "plant_service.command",
+    "plant_service.service",
+    "tap_service.command",
+    "tap_service.service",
+    "wyner.cli.router",
+    "wyner.cli.kme",
+    "wyner.cli.send",
+    "wyner.kme.server",
 )
 
 PR_SET_PDEATHSIG: Final = 1

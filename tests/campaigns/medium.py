@@ -124,18 +124,46 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
     for i, tap in enumerate(taps):
         mine = run_dir if not i else folder / f"tap{i}"
         commands[f"tap{i}"] = [
-            *(*tap.prefix, *wyner, "tap", "--knowledge", str(knowledge), "--run-dir", str(mine)),
-            *("--eavesdropper", "nearest-centre", "--finish", "1"),
-            *(*field((), tap), "--listen", "intel=tcp/127.0.0.1:7465"),
+            *tap.prefix,
+            *wyner,
+            "tap",
+            "--knowledge",
+            str(knowledge),
+            "--run-dir",
+            str(mine),
+            "--eavesdropper",
+            "nearest-centre",
+            "--finish",
+            "1",
+            *field((), tap),
+            "--listen",
+            "intel=tcp/127.0.0.1:7465",
         ]
     commands["plant"] = [
-        *(*plant.prefix, *wyner, "plant", *common, "--pace", "x1", "--steps", str(case.steps)),
-        *(*field(taps, plant), "--listen", f"ops={at(plant, 7463)}"),
+        *plant.prefix,
+        *wyner,
+        "plant",
+        *common,
+        "--pace",
+        "x1",
+        "--steps",
+        str(case.steps),
+        *field(taps, plant),
+        "--listen",
+        f"ops={at(plant, 7463)}",
     ]
     commands["controller"] = [
-        *(*controller.prefix, *wyner, "controller", *common, "--message", "hello"),
+        *controller.prefix,
+        *wyner,
+        "controller",
+        *common,
+        "--message",
+        "hello",
         *field((plant, *taps), controller),
-        *("--listen", f"ops={at(controller, 7464)}", "--connect", f"ops={at(plant, 7463)}"),
+        "--listen",
+        f"ops={at(controller, 7464)}",
+        "--connect",
+        f"ops={at(plant, 7463)}",
     ]
     processes: dict[str, subprocess.Popen[bytes]] = {}
     log = folder / "log"

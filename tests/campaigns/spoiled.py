@@ -23,7 +23,13 @@ from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
 KINDS: Final = (
-    *("flipped", "truncated", "deleted", "emptied", "restored", "one restored", "malformed"),
+    "flipped",
+    "truncated",
+    "deleted",
+    "emptied",
+    "restored",
+    "one restored",
+    "malformed",
     "both restored",
 )
 SCENARIOS: Final = ("sustained", "keys")

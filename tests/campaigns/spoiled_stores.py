@@ -25,8 +25,15 @@ from tests.support.giving import deliver, deliver_named
 from tests.support.recorded_loop import SIDES, RecordedLoop
 
 KINDS: Final = (
-    *("flipped", "flipped", "truncated", "deleted", "emptied", "malformed"),
-    *("restored", "one restored", "all restored"),
+    "flipped",
+    "flipped",
+    "truncated",
+    "deleted",
+    "emptied",
+    "malformed",
+    "restored",
+    "one restored",
+    "all restored",
 )
 MOST_AT_ONCE: Final = 40
 TWICE: Final = "were given twice"

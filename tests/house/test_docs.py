@@ -151,7 +151,9 @@ def test_nobody_is_told_to_fetch_this_project_from_an_index() -> None:
         "protocol",
         "runtime",
         "wyner",
-        *("plant_service", "tap_service", "controller_service"),
+        "plant_service",
+        "tap_service",
+        "controller_service",
     ]
     for room in rooms:
         files += (ROOT / room).rglob("*.py")

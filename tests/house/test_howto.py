@@ -99,8 +99,17 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
     assert designed.returncode == 0, designed.stderr
     assert json.loads(designed.stdout)["law"] == "nearer.py:Nearer"
     up = wyner(
-        *("up", "--scenario", "own.toml", "--pace", "fast", "--headless", "--run-dir", "run"),
-        *("--message", "Hi", "--until-delivered"),
+        "up",
+        "--scenario",
+        "own.toml",
+        "--pace",
+        "fast",
+        "--headless",
+        "--run-dir",
+        "run",
+        "--message",
+        "Hi",
+        "--until-delivered",
     )
     assert up.returncode == 0, up.stdout + up.stderr
     check = wyner("check", "run")

@@ -29,8 +29,17 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT, folder / "source", ignore=not_source)
     subprocess.run(
         [
-            *(sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check"),
-            *("--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), "./source"),
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+            "--no-build-isolation",
+            "--wheel-dir",
+            str(folder),
+            "./source",
         ],
         cwd=folder,
         check=True,
@@ -54,8 +63,17 @@ class Installed:
         self.python = folder / "env" / "bin" / "python"
         subprocess.run(
             [
-                *(sys.executable, "-m", "pip", "--python", str(self.python), "install", "--quiet"),
-                *("--disable-pip-version-check", "--no-deps", "--no-index", str(wheel)),
+                sys.executable,
+                "-m",
+                "pip",
+                "--python",
+                str(self.python),
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+                "--no-deps",
+                "--no-index",
+                str(wheel),
             ],
             check=True,
             timeout=120,

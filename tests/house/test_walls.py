@@ -121,9 +121,29 @@ def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
 
 
 SHELL = {
-    *("asyncio", "ctypes", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib"),
-    *("queue", "resource", "select", "selectors", "shutil", "signal", "socket", "sqlite3"),
-    *("subprocess", "tempfile", "threading", "time", "datetime", "zenoh"),
+    "asyncio",
+    "ctypes",
+    "fcntl",
+    "io",
+    "logging",
+    "mmap",
+    "multiprocessing",
+    "os",
+    "pathlib",
+    "queue",
+    "resource",
+    "select",
+    "selectors",
+    "shutil",
+    "signal",
+    "socket",
+    "sqlite3",
+    "subprocess",
+    "tempfile",
+    "threading",
+    "time",
+    "datetime",
+    "zenoh",
 }
 """Threads, processes, sockets, files and clocks: what the protocol has none of."""
 

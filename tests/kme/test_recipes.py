@@ -50,9 +50,18 @@ class Ends:
             "bob": ("plant", "alice", f"--listen=127.0.0.1:{self.port}"),
         }[name]
         command = [
-            *(sys.executable, "-m", "wyner", "rotate", end, "--partner-sae", partner),
-            *("--kme", f"localhost:{self.sites.ports[side]}"),
-            *("--tls", str(self.sites.folder / "certs" / name), *more),
+            sys.executable,
+            "-m",
+            "wyner",
+            "rotate",
+            end,
+            "--partner-sae",
+            partner,
+            "--kme",
+            f"localhost:{self.sites.ports[side]}",
+            "--tls",
+            str(self.sites.folder / "certs" / name),
+            *more,
         ]
         with (self.logs / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(command, stderr=log)
@@ -171,8 +180,16 @@ def tls_with(server_key: bytes, client_key: bytes, identity: str) -> tuple[bytes
     common = ["-tls1_3", "-psk_identity", identity, "-psk"]
     server = subprocess.Popen(
         [
-            *("openssl", "s_server", "-quiet", "-nocert", "-naccept", "1", "-port", str(port)),
-            *(*common, server_key.hex()),
+            "openssl",
+            "s_server",
+            "-quiet",
+            "-nocert",
+            "-naccept",
+            "1",
+            "-port",
+            str(port),
+            *common,
+            server_key.hex(),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -183,8 +200,14 @@ def tls_with(server_key: bytes, client_key: bytes, identity: str) -> tuple[bytes
         while True:
             done = subprocess.run(
                 [
-                    *("openssl", "s_client", "-quiet", "-no_ign_eof"),
-                    *("-connect", f"127.0.0.1:{port}", *common, client_key.hex()),
+                    "openssl",
+                    "s_client",
+                    "-quiet",
+                    "-no_ign_eof",
+                    "-connect",
+                    f"127.0.0.1:{port}",
+                    *common,
+                    client_key.hex(),
                 ],
                 input=b"The old mill, at nine.\n",
                 capture_output=True,

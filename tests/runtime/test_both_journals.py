@@ -65,7 +65,9 @@ def test_a_new_journal_has_nothing(
         assert (journal.load(), journal.step(), journal.contributions(SESSION)) == (None, None, [])
     assert (plant().begun(), plant().chunks(), plant().inbox()) == (None, "", [])
     assert (controller().queued, controller().payload(0), controller().queued_as("a")) == (
-        *(0, None, None),
+        0,
+        None,
+        None,
     )
 
 

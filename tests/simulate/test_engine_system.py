@@ -147,10 +147,25 @@ def live(case: Case, folder: Path) -> Iterator[None]:
     """The three services as processes over Zenoh on loopback, while the caller does other work."""
     log = folder.with_suffix(".log")
     command = [
-        *(sys.executable, "-m", "wyner.cli.main", "up", "--scenario", case.name),
-        *("--message", case.payload.decode(), "--seed", str(case.seed), "--pace", "fast"),
-        *("--steps", str(case.steps), "--headless", "--eavesdropper", "nearest-centre"),
-        *("--run-dir", str(folder)),
+        sys.executable,
+        "-m",
+        "wyner.cli.main",
+        "up",
+        "--scenario",
+        case.name,
+        "--message",
+        case.payload.decode(),
+        "--seed",
+        str(case.seed),
+        "--pace",
+        "fast",
+        "--steps",
+        str(case.steps),
+        "--headless",
+        "--eavesdropper",
+        "nearest-centre",
+        "--run-dir",
+        str(folder),
     ]
     with log.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=out) as process:
         try:

@@ -81,9 +81,16 @@ class Sites:
         pairs = [(one, two) if side == "controller" else (two, one) for one, two in PAIRS]
         named = [text for a, b in pairs for text in (f"--sae={a}", f"--partner-sae={b}")]
         return [
-            *("kme", "--side", side, "--run-dir", str(self.run_dir(side)), *named),
-            *("--tls", str(self.folder / "certs" / f"kme-{side}")),
-            *("--listen", f"127.0.0.1:{self.ports[side]}"),
+            "kme",
+            "--side",
+            side,
+            "--run-dir",
+            str(self.run_dir(side)),
+            *named,
+            "--tls",
+            str(self.folder / "certs" / f"kme-{side}"),
+            "--listen",
+            f"127.0.0.1:{self.ports[side]}",
         ]
 
     def start(self, side: str, *more: str) -> None:

@@ -32,8 +32,17 @@ def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
 
 def _counted(t: CountedTransition) -> tuple[object, ...]:
     return (
-        *(t.k, t.x, t.candidates, t.cipher, t.x_next, t.role),
-        *(t.symbol, t.key, t.message_symbol, t.p, t.s),
+        t.k,
+        t.x,
+        t.candidates,
+        t.cipher,
+        t.x_next,
+        t.role,
+        t.symbol,
+        t.key,
+        t.message_symbol,
+        t.p,
+        t.s,
     )
 
 

@@ -67,8 +67,17 @@ def children_of(pid: int) -> dict[str, int]:
 def test_up_delivers_and_sums_up(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     done = wyner(
-        *("up", "--pace", "fast", "--until-delivered", "--json", "--seed", "3"),
-        *("--message", "Grüße\taus\ndem Keller", "--run-dir", str(run_dir)),
+        "up",
+        "--pace",
+        "fast",
+        "--until-delivered",
+        "--json",
+        "--seed",
+        "3",
+        "--message",
+        "Grüße\taus\ndem Keller",
+        "--run-dir",
+        str(run_dir),
     )
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout.splitlines()[-1])
@@ -87,8 +96,16 @@ def test_up_delivers_and_sums_up(tmp_path: Path) -> None:
 
 def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
     done = wyner(
-        *("up", "--pace", "fast", "--steps", "300", "--headless"),
-        *("--run-dir", str(tmp_path / "run"), "--scenario", "paper"),
+        "up",
+        "--pace",
+        "fast",
+        "--steps",
+        "300",
+        "--headless",
+        "--run-dir",
+        str(tmp_path / "run"),
+        "--scenario",
+        "paper",
     )
     assert done.returncode == 0, done.stderr
     assert "loop       300 steps" in done.stdout
@@ -96,8 +113,15 @@ def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
     assert [line.split()[0] for line in last] == ["The", "Eve", "Secret"]
     assert "\x1b" not in done.stdout
     undelivered = wyner(
-        *("up", "--pace", "fast", "--steps", "50", "--until-delivered", "--json"),
-        *("--run-dir", str(tmp_path / "other")),
+        "up",
+        "--pace",
+        "fast",
+        "--steps",
+        "50",
+        "--until-delivered",
+        "--json",
+        "--run-dir",
+        str(tmp_path / "other"),
     )
     assert undelivered.returncode == 1
     assert json.loads(undelivered.stdout.splitlines()[-1])["delivered"] is False
@@ -119,8 +143,15 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [
             *WYNER,
-            *("up", "--pace", "x20", "--until-delivered", "--json", "--run-dir", str(run_dir)),
-            *("--message", "Killed, and told all the same."),
+            "up",
+            "--pace",
+            "x20",
+            "--until-delivered",
+            "--json",
+            "--run-dir",
+            str(run_dir),
+            "--message",
+            "Killed, and told all the same.",
         ],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -174,20 +205,34 @@ class ByHand:
         endpoints = {
             "plant": ["--listen", f"field={self.plant_field}", "--listen", f"ops={self.plant_ops}"],
             "controller": [
-                *("--listen", f"field={self.controller_field}"),
-                *("--connect", f"field={self.plant_field}"),
-                *("--listen", f"ops={self.controller_ops}", "--connect", f"ops={self.plant_ops}"),
+                "--listen",
+                f"field={self.controller_field}",
+                "--connect",
+                f"field={self.plant_field}",
+                "--listen",
+                f"ops={self.controller_ops}",
+                "--connect",
+                f"ops={self.plant_ops}",
             ],
             "tap": [
-                *("--connect", f"field={self.plant_field}"),
-                *("--connect", f"field={self.controller_field}"),
-                *("--listen", f"intel={self.intel}"),
+                "--connect",
+                f"field={self.plant_field}",
+                "--connect",
+                f"field={self.controller_field}",
+                "--listen",
+                f"intel={self.intel}",
             ],
         }[service]
         self.processes[service] = subprocess.Popen(
             [
-                *(sys.executable, "-m", "wyner", service, "--run-dir", str(self.run_dir)),
-                *("--scenario", "runtime/scenarios/sustained.toml"),
+                sys.executable,
+                "-m",
+                "wyner",
+                service,
+                "--run-dir",
+                str(self.run_dir),
+                "--scenario",
+                "runtime/scenarios/sustained.toml",
                 *endpoints,
                 *arguments,
             ],

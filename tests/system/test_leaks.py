@@ -120,8 +120,12 @@ class Seen:
     def look_back(self) -> None:
         """What is left of it when it is over; traces, journals, stores and summary are its own."""
         own = (
-            *(CONTROLLER_TRACE.name, CONTROLLER_JOURNAL.name, CONTROLLER_KEYS.name),
-            *("message", "secret", "summary.json"),
+            CONTROLLER_TRACE.name,
+            CONTROLLER_JOURNAL.name,
+            CONTROLLER_KEYS.name,
+            "message",
+            "secret",
+            "summary.json",
         )
         for path in self.run.rglob("*"):
             if path.is_file() and (path.parent.name == "tap" or not path.name.startswith(own)):
@@ -214,8 +218,19 @@ def test_a_runs_secrets_are_in_its_traces_and_journals_alone(tmp_path: Path) -> 
     message = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "wyner", "up", "--message", "-", "--pace", "fast"),
-            *("--headless", "--steps", "250", "--run-dir", str(run)),
+            sys.executable,
+            "-m",
+            "wyner",
+            "up",
+            "--message",
+            "-",
+            "--pace",
+            "fast",
+            "--headless",
+            "--steps",
+            "250",
+            "--run-dir",
+            str(run),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,

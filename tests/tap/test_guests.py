@@ -52,7 +52,9 @@ def test_she_guesses_and_believes_as_in_the_taps_own_process(tmp_path: Path) -> 
     ]
     belief = listener.belief()
     assert (belief.message, belief.whole, belief.symbols) == (
-        *(b"hm", (b"a", b"b"), ((1, 0), (2, 1))),
+        b"hm",
+        (b"a", b"b"),
+        ((1, 0), (2, 1)),
     )
     assert listener.review() == []
     assert listener.failed == ""

@@ -153,8 +153,14 @@ def measure_distance(path: Path) -> None:
                 middle = float(distance[here].mean())
                 rows.append(
                     (
-                        *(alpha, runs, steps, SEED, middle, int(here.sum())),
-                        *(int(in_diff[here].sum()), float(expected[here].mean())),
+                        alpha,
+                        runs,
+                        steps,
+                        SEED,
+                        middle,
+                        int(here.sum()),
+                        int(in_diff[here].sum()),
+                        float(expected[here].mean()),
                     )
                 )
     columns = ("alpha", "runs", "steps", "seed", "distance", "transitions", "in_diff", "expected")
@@ -169,7 +175,11 @@ def tap_row(point: Point, runs: int, steps: int) -> tuple[Any, ...]:
     sent = transfer(sample, payloads=[MESSAGE])
     heard = [listen(sample, sent, ("nearest-centre", "list-decoder"), r) for r in range(runs)]
     return (
-        *(point.variant, scenario.secrecy.alpha, runs, steps, SEED),
+        point.variant,
+        scenario.secrecy.alpha,
+        runs,
+        steps,
+        SEED,
         sum(nearest.agreements for nearest, _ in heard),
         sum(nearest.right for nearest, _ in heard),
         sum(decoder.delivered for _, decoder in heard),
@@ -183,8 +193,15 @@ def measure_taps(path: Path, runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> No
     points = points_of(load_sweep(file), file.parent)
     chosen = [p for p in points if p.scenario.secrecy.alpha == max(ALPHAS)]
     columns = (
-        *("variant", "alpha", "runs", "steps", "seed"),
-        *("agreements", "nearest_right", "delivered", "read_by_list_decoder"),
+        "variant",
+        "alpha",
+        "runs",
+        "steps",
+        "seed",
+        "agreements",
+        "nearest_right",
+        "delivered",
+        "read_by_list_decoder",
     )
     write(path, columns, (tap_row(point, runs, steps) for point in chosen), TAP_SOURCES)
 

@@ -26,7 +26,12 @@ COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
 FIXED: Final = ("task", "version", "scenario", "variant")
 MEASURED: Final = (
-    *("period_s", "candidates", "steps", "seed", "first_run", "runs"),
+    "period_s",
+    "candidates",
+    "steps",
+    "seed",
+    "first_run",
+    "runs",
     *COUNTS,
     *SUMS,
     "runs_by_symbols",

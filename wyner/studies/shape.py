@@ -22,8 +22,17 @@ NEARLY_TWO: Final = 1.9999
 """With a D_e as narrow as 0.13 no alphabet is certain for every d in D_c; all agree for D."""
 
 COLUMNS: Final = (
-    *("width_1", "width_2", "tap", "runs", "steps", "seed", "agreed"),
-    *("right", "right_low", "right_high", "whole"),
+    "width_1",
+    "width_2",
+    "tap",
+    "runs",
+    "steps",
+    "seed",
+    "agreed",
+    "right",
+    "right_low",
+    "right_high",
+    "whole",
 )
 SOURCES: Final = (
     "wyner/studies/shape.py",

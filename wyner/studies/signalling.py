@@ -25,22 +25,69 @@ from wyner.studies.capacity.two_step import best_codes, single_step_keys
 SEED: Final = 7
 RUNS, STEPS = 100, 1000
 ALPHAS: Final = (
-    *(1.5, 2.0, 2.5, 2.67, 3.01, 3.5, 4.0, 4.5),
-    *(5.01, 5.5, 6.0, 6.5, 7.01, 8.0, 9.01, 10.0),
+    1.5,
+    2.0,
+    2.5,
+    2.67,
+    3.01,
+    3.5,
+    4.0,
+    4.5,
+    5.01,
+    5.5,
+    6.0,
+    6.5,
+    7.01,
+    8.0,
+    9.01,
+    10.0,
 )
 SOURCES: Final = ("wyner/studies/signalling.py", "wyner/studies/capacity/*.py")
 
 RATE_COLUMNS: Final = (
-    *("law", "scheme", "alpha", "candidates", "spacing", "runs", "steps", "seed"),
-    *("agreed", "carried", "bits_per_step", "bits_low", "bits_high", "expected_bits"),
+    "law",
+    "scheme",
+    "alpha",
+    "candidates",
+    "spacing",
+    "runs",
+    "steps",
+    "seed",
+    "agreed",
+    "carried",
+    "bits_per_step",
+    "bits_low",
+    "bits_high",
+    "expected_bits",
 )
 PRICE_COLUMNS: Final = (
-    *("law", "terminal", "candidates", "spacing", "alpha", "runs", "steps", "seed"),
-    *("bits_per_step", "state_cost", "state_low", "state_high", "input_effort", "travel"),
-    *("travel_low", "travel_high", "largest_input", "kx", "ku"),
+    "law",
+    "terminal",
+    "candidates",
+    "spacing",
+    "alpha",
+    "runs",
+    "steps",
+    "seed",
+    "bits_per_step",
+    "state_cost",
+    "state_low",
+    "state_high",
+    "input_effort",
+    "travel",
+    "travel_low",
+    "travel_high",
+    "largest_input",
+    "kx",
+    "ku",
 )
 CODE_COLUMNS: Final = (
-    *("alpha", "single_step", "two_step", "bits_per_step", "volume_bound", "period"),
+    "alpha",
+    "single_step",
+    "two_step",
+    "bits_per_step",
+    "volume_bound",
+    "period",
 )
 BLOCK_STEPS: Final = (1, 2, 5, 10, 40)
 BLOCK_COLUMNS: Final = ("alpha", "steps", "bits_per_step", "volume_bound", "finite_bits")
@@ -68,8 +115,18 @@ def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected
     agreed, carried = int(link.agreements.sum()), int(link.message_symbols.sum())
     rate = mean_over_runs(Counter(link.message_symbols[0].tolist())).scaled(math.log2(size) / STEPS)
     return (
-        *(scenario.control.law, scenario.secrecy.scheme, alpha, size, spacing, RUNS, STEPS, SEED),
-        *(agreed, carried, *rate, expected),
+        scenario.control.law,
+        scenario.secrecy.scheme,
+        alpha,
+        size,
+        spacing,
+        RUNS,
+        STEPS,
+        SEED,
+        agreed,
+        carried,
+        *rate,
+        expected,
     )
 
 
@@ -113,8 +170,13 @@ def price_rows() -> Iterator[tuple[Any, ...]]:
             math.nan,
         )
         for size, alpha, spacing in (
-            *((2, 2.0, 1.0), (2, 2.34, 1.5), (2, 3.01, 2.0), (3, 5.01, 2.0), (4, 7.01, 2.0)),
-            *((5, 9.01, 2.0), (8, 15.01, 2.0)),
+            (2, 2.0, 1.0),
+            (2, 2.34, 1.5),
+            (2, 3.01, 2.0),
+            (3, 5.01, 2.0),
+            (4, 7.01, 2.0),
+            (5, 9.01, 2.0),
+            (8, 15.01, 2.0),
         ):
             if size > 4 and "gain" in control:
                 continue  # the paper's K keeps no set beside five
@@ -136,13 +198,21 @@ def _price(name: str, scenario: Scenario, spacing: float) -> tuple[Any, ...]:
     price = dither_price(A, B, K)
     bits = math.log2(size) * float(follow(runs, [alpha]).agreements.sum()) / (RUNS * STEPS)
     return (
-        *(scenario.control.law, name, size, spacing, alpha, RUNS, STEPS, SEED),
+        scenario.control.law,
+        name,
+        size,
+        spacing,
+        alpha,
+        RUNS,
+        STEPS,
+        SEED,
         0.0 if math.isnan(spacing) else bits,
         *_mean(runs.state_cost / STEPS),
         float(runs.input_effort.mean()) / STEPS,
         *_mean(np.abs(np.diff(u, axis=0)).mean(axis=0)),
         float(np.abs(u).max()),
-        *(price.state[0], price.input[0]),
+        price.state[0],
+        price.input[0],
     )
 
 
@@ -157,8 +227,12 @@ def code_rows() -> Iterator[tuple[Any, ...]]:
     for alpha, code in zip(alphas, best_codes(alphas), strict=True):
         period = "; ".join(f"({x:g}, {y:g})" for x, y in code.periods)
         yield (
-            *(alpha, single_step_keys(alpha), code.keys, math.log2(code.keys) / 2),
-            *(math.log2(alpha), period),
+            alpha,
+            single_step_keys(alpha),
+            code.keys,
+            math.log2(code.keys) / 2,
+            math.log2(alpha),
+            period,
         )
 
 

@@ -253,9 +253,16 @@ def test_a_browser_shows_it_whole(run_dir: Path, tmp_path: Path) -> None:
     assert BROWSER is not None
     done = subprocess.run(
         [
-            *(BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
-            *("--hide-scrollbars", "--window-size=800,3000"),
-            *(f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}", page.as_uri()),
+            BROWSER,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--hide-scrollbars",
+            "--window-size=800,3000",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            f"--screenshot={shot}",
+            page.as_uri(),
         ],
         capture_output=True,
         text=True,

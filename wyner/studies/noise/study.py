@@ -18,8 +18,22 @@ WEIGHTS: Final = (0.001, 0.005, 0.02, 0.1, 0.5, 2.0)
 KEY_COINS, KEY_EPS = 1000, 1e-12
 
 COLUMNS: Final = (
-    *("part", "tap", "weight", "noise", "ratio", "gain", "claimed", "bits", "error", "guess"),
-    *("key_bits", "coins", "eps", "runs", "steps", "seed"),
+    "part",
+    "tap",
+    "weight",
+    "noise",
+    "ratio",
+    "gain",
+    "claimed",
+    "bits",
+    "error",
+    "guess",
+    "key_bits",
+    "coins",
+    "eps",
+    "runs",
+    "steps",
+    "seed",
 )
 SOURCES: Final = (
     "wyner/studies/noise/*.py",
@@ -54,8 +68,22 @@ def bound_rows() -> Iterator[tuple[Any, ...]]:
         }
         for tap, (left, runs, steps) in taps.items():
             yield (
-                *("noise", tap, weights.input[0], noise, ratio, "", np.log2(len(loop.offsets))),
-                *(left.bits, left.bits_error, left.whole, "", "", "", runs, steps, SEED),
+                "noise",
+                tap,
+                weights.input[0],
+                noise,
+                ratio,
+                "",
+                np.log2(len(loop.offsets)),
+                left.bits,
+                left.bits_error,
+                left.whole,
+                "",
+                "",
+                "",
+                runs,
+                steps,
+                SEED,
             )
     for weight in WEIGHTS:
         regulator = {"next_state": [1.0, 1.0], "input": [weight]}
@@ -67,7 +95,20 @@ def _proved(part: str, loop: LinearLoop, weight: float, ratio: float) -> tuple[A
     noise = ratio * loop.half_width
     coin = loop.coin(noise)
     return (
-        *(part, "any, proved", weight, noise, ratio, 1 / coin.deviation, np.log2(coin.size)),
-        *(coin.bits, 0.0, coin.guess, coin.key_bits(KEY_COINS, KEY_EPS), KEY_COINS, KEY_EPS),
-        *("", "", ""),
+        part,
+        "any, proved",
+        weight,
+        noise,
+        ratio,
+        1 / coin.deviation,
+        np.log2(coin.size),
+        coin.bits,
+        0.0,
+        coin.guess,
+        coin.key_bits(KEY_COINS, KEY_EPS),
+        KEY_COINS,
+        KEY_EPS,
+        "",
+        "",
+        "",
     )
