@@ -104,7 +104,7 @@ docs: $(STAMPS)/dev
 	@echo "build/docs/index.html"
 
 figures: $(STAMPS)/dev
-	$(BIN)/wyner figures
+	$(BIN)/python -m wyner.studies.figures
 
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper

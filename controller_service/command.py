@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_message_arguments(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     parser.add_argument(
-        "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
+        "--secret",
+        metavar="F",
+        help="sign key blocks by this file, as `wyner certs --secret` writes it",
     )
     parser.add_argument(
         "--model-folder",

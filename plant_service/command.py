@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let a plant run again that was sent to its safe state",
     )
     parser.add_argument(
-        "--secret", metavar="F", help="sign key blocks by this file, as `wyner secret` writes it"
+        "--secret",
+        metavar="F",
+        help="sign key blocks by this file, as `wyner certs --secret` writes it",
     )
     add_end_arguments(parser, "plant")
 

@@ -266,7 +266,7 @@ class TapService:
         if self._unheard:
             self.log.warning(
                 "%d messages were mirrored and not guessed at, as too many waited: "
-                "wyner replay guesses at all of them",
+                "wyner score --decode guesses at all of them",
                 self._unheard,
             )
         for listener in self._listeners.listeners:

@@ -54,7 +54,7 @@ def read_secret(path: Path) -> Secret | str:
     except UnicodeDecodeError:
         parts = []
     if len(parts) != 3 or parts[0] != _FORM:
-        raise SecretError(f"{path}: expected a secret as `wyner secret` writes it")
+        raise SecretError(f"{path}: expected a secret as `wyner certs --secret` writes it")
     if mode & 0o077:
         raise SecretError(f"{path}: got mode {mode & 0o777:o}, expected 600: others may read it")
     name, body = parts[1:]

@@ -114,7 +114,7 @@ def _kme(run: Path) -> int:
 
 CHECK = command("check", "RUN")
 TARGETS: dict[str, Target] = {
-    "scenario": Target(SCENARIO, command("knowledge", "RUN/scenario.toml", "--output", "RUN/k")),
+    "scenario": Target(SCENARIO, command("scenarios", "RUN/scenario.toml", "--knowledge", "RUN/k")),
     "scenario of a run": Target(SCENARIO, CHECK),
     "fleet file": Target(Path("fleet.toml"), loader(_fleet)),
     "sweep": Target(Path("sweep.toml"), loader(_sweep)),
@@ -131,23 +131,23 @@ TARGETS: dict[str, Target] = {
     "plant's trace": Target(PLANT_TRACE, CHECK),
     "controller's trace": Target(CONTROLLER_TRACE, CHECK),
     "trace reported": Target(PLANT_TRACE, command("report", "RUN", "--output", "RUN/r.html")),
-    "trace scored": Target(PLANT_TRACE, command("secrecy", "RUN")),
+    "trace scored": Target(PLANT_TRACE, command("score", "RUN")),
     "capture": Target(CAPTURE, CHECK),
-    "capture replayed": Target(CAPTURE, command("replay", "RUN")),
+    "capture replayed": Target(CAPTURE, command("score", "RUN", "--decode")),
     "capture exported": Target(
         CAPTURE, command("export", "RUN", "--to", "csv", "--steps", "--truth", "--output", "RUN/c")
     ),
-    "guesses": Target(GUESSES, command("secrecy", "RUN")),
-    "beliefs": Target(BELIEFS, command("secrecy", "RUN")),
+    "guesses": Target(GUESSES, command("score", "RUN")),
+    "beliefs": Target(BELIEFS, command("score", "RUN")),
     "manifest": Target(MANIFEST, CHECK),
     "manifest reported": Target(MANIFEST, command("report", "RUN", "--output", "RUN/r.html")),
     "plant's status": Target(PLANT_STATUS, command("status", "RUN")),
     "controller's status": Target(CONTROLLER_STATUS, command("status", "RUN", "--json")),
     "plant's journal": Target(PLANT_JOURNAL, CHECK),
     "controller's journal": Target(CONTROLLER_JOURNAL, CHECK),
-    "key store": Target(Path("plant/keys.sqlite3"), command("unsealed", "RUN")),
+    "key store": Target(Path("plant/keys.sqlite3"), command("score", "RUN", "--unsealed")),
     "rows of a sweep": Target(
-        Path("rows.csv"), command("plot", "RUN/rows.csv", "--output", "RUN/p.svg")
+        Path("rows.csv"), command("sweep", "RUN/rows.csv", "--plot", "RUN/p.svg")
     ),
 }
 
@@ -161,7 +161,7 @@ def lay_out(run: Path) -> None:
 
     make_run(run, 120)
     for arguments in (
-        ["knowledge", f"{run}/{SCENARIO}", "--output", f"{run}/{KNOWLEDGE}"],
+        ["scenarios", f"{run}/{SCENARIO}", "--knowledge", f"{run}/{KNOWLEDGE}"],
         ["certs", f"{run}/made", "--name", "operator"],
     ):
         assert wyner(arguments) == 0

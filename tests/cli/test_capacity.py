@@ -1,4 +1,4 @@
-"""`wyner capacity`: a table, an object, a figure, and one line for what is wrong."""
+"""`wyner design --alphas`: a table, an object, a figure, and one line for what is wrong."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from wyner.cli.main import main
 
 
 def test_the_table_names_bits_and_what_is_left_of_them(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["capacity", "packed", "--alpha", "3,3.01,8"]) == 0
+    assert main(["design", "packed", "--alphas", "3,3.01,8"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "leaves 0 bits" in lines[1]
     rows = [line.split() for line in lines if line.strip()[:1].isdigit()]
@@ -21,7 +21,7 @@ def test_the_table_names_bits_and_what_is_left_of_them(capsys: pytest.CaptureFix
 
 
 def test_the_object_has_every_column(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["capacity", "packed-quadruple-tank", "--alpha", "8", "--json"]) == 0
+    assert main(["design", "packed-quadruple-tank", "--alphas", "8", "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     (row,) = table["alphas"]
     assert (row["candidates"], row["bits_per_step"], row["bound_candidates"]) == (16, 4.0, 16)
@@ -31,7 +31,7 @@ def test_the_object_has_every_column(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_the_figure_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "capacity.svg"
-    assert main(["capacity", "packed", "--alpha", "2,8", "--figure", str(path)]) == 0
+    assert main(["design", "packed", "--alphas", "2,8", "--plot", str(path)]) == 0
     assert path.read_text().startswith("<?xml")
     assert capsys.readouterr().out.rstrip().endswith(str(path))
 
@@ -39,15 +39,15 @@ def test_the_figure_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--alpha", "0.5"], "--alpha: got '0.5', expected numbers from 1 to 1000"),
-        (["--alpha", "x"], "--alpha: got 'x'"),
-        (["--figure", "a.pdf"], "--figure: got 'a.pdf', expected a name in .svg or .png"),
+        (["--alphas", "0.5"], "--alphas: got '0.5', expected numbers from 1 to 1000"),
+        (["--alphas", "x"], "--alphas: got 'x'"),
+        (["--alphas", "--plot", "a.pdf"], "--plot: got 'a.pdf', expected a name in .svg or .png"),
     ],
 )
 def test_wrong_arguments_are_one_line(
     arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["capacity", "packed", *arguments]) == 2
+    assert main(["design", "packed", *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert line in captured.err

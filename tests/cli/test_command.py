@@ -19,7 +19,7 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
-from wyner.cli.main import commands, main
+from wyner.cli.main import GONE, commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESENT = list(commands())
@@ -61,7 +61,20 @@ def test_the_help_lists_every_command_that_is_there(capsys: pytest.CaptureFixtur
     assert stop.value.code == 0
     out = capsys.readouterr().out
     for name in PRESENT:
-        assert re.search(rf"^    {name}\b", out, re.MULTILINE)
+        assert re.search(rf"^.{{7}}[\w, ]*\b{name}\b", out, re.MULTILINE)
+    lines = out.splitlines()
+    assert len(lines) < 24
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("name", GONE)
+def test_a_command_of_a_former_version_names_the_one_that_does_its_work(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (line,) = usage_error(capsys, name, "anything")
+    assert f"`{GONE[name]}`" in line
+    program, command, *_ = GONE[name].split()
+    assert program == "make" or command in PRESENT
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -120,7 +133,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["check"], "the following arguments are required: RUN_DIR"),
         (["check", "no-such-run"], "no-such-run: no run here"),
         (["design", "none"], "none: no such file"),
-        (["knowledge", "none"], "none: no such file"),
+        (["scenarios", "none", "--knowledge"], "none: no such file"),
     ],
 )
 def test_wrong_use_is_one_line(
@@ -186,7 +199,7 @@ def test_a_scenario_is_the_same_where_the_loop_is(tmp_path: Path) -> None:
     assert (tmp_path / "scenario.toml").read_text() == text
 
 
-@pytest.mark.parametrize("command", ["up", "plant", "controller", "design", "knowledge"])
+@pytest.mark.parametrize("command", ["up", "plant", "controller", "design", "scenarios"])
 def test_a_wrong_scenario_is_a_line_a_field(
     command: str,
     capsys: pytest.CaptureFixture[str],
@@ -197,8 +210,8 @@ def test_a_wrong_scenario_is_a_line_a_field(
     text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     text = text.replace("period_s = 0.1", 'period_s = "short"').replace("alpha = 8.0", "alpha = 0")
     (tmp_path / "mine.toml").write_text(text)
-    option = [] if command in ("design", "knowledge") else ["--scenario"]
-    lines = usage_error(capsys, command, *option, "mine.toml")
+    before = {"design": [], "scenarios": ["--knowledge", "k.json"]}.get(command, ["--scenario"])
+    lines = usage_error(capsys, command, *before, "mine.toml")
     assert [line.split(":")[2].strip() for line in lines] == ["plant.period_s", "secrecy.alpha"]
 
 
@@ -259,29 +272,29 @@ def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anyt
 def test_an_unexpected_error_is_one_line_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import wyner.cli.knowledge
+    import wyner.cli.scenarios
 
     def fail(_args: object) -> int:
         raise RuntimeError("something\n  nobody thought of")
 
-    monkeypatch.setattr(wyner.cli.knowledge, "run", fail)
-    assert main(["knowledge", "paper"]) == 1
+    monkeypatch.setattr(wyner.cli.scenarios, "run", fail)
+    assert main(["scenarios", "paper", "--knowledge"]) == 1
     assert capsys.readouterr().err == (
         "wyner: unexpected RuntimeError: something nobody thought of\n"
     )
     monkeypatch.setenv("WYNER_TRACEBACK", "1")
     with pytest.raises(RuntimeError):
-        main(["knowledge", "paper"])
+        main(["scenarios", "paper", "--knowledge"])
 
 
 def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    import wyner.cli.knowledge
+    import wyner.cli.scenarios
 
     def interrupt(_args: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(wyner.cli.knowledge, "run", interrupt)
-    assert main(["knowledge", "paper"]) == 130
+    monkeypatch.setattr(wyner.cli.scenarios, "run", interrupt)
+    assert main(["scenarios", "paper", "--knowledge"]) == 130
 
 
 def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
@@ -466,7 +479,7 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "paper").mkdir()
-    assert main(["knowledge", "paper"]) == 0
+    assert main(["scenarios", "paper", "--knowledge"]) == 0
     assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
 
 
@@ -475,7 +488,7 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
 def test_a_full_disk_is_one_line(unbuffered: str) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "wyner", "knowledge", "paper"],
+            [sys.executable, "-m", "wyner", "scenarios", "paper", "--knowledge"],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
@@ -492,7 +505,7 @@ def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [sys.executable, "-m", "wyner", "knowledge", "paper"],
+        [sys.executable, "-m", "wyner", "scenarios", "paper", "--knowledge"],
         stdout=writer,
         stderr=subprocess.PIPE,
         text=True,
@@ -510,7 +523,7 @@ def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
 
 
 def test_knowledge_is_json_without_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["knowledge", "paper"]) == 0
+    assert main(["scenarios", "paper", "--knowledge"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["alpha"] is None
     assert told["disturbance_h"] == [0.96] * 4

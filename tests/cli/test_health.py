@@ -1,4 +1,4 @@
-"""`wyner health` and `wyner knowledge`: what a container's checks and the tap's input rest on."""
+"""`wyner status --healthy`, `wyner scenarios --knowledge`: what containers' checks and taps use."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from protocol.scenario import Scenario
 from protocol.secret.blocks import Stored, schedule_of
 from protocol.secret.bound import Assumption
 from runtime.services import Look
-from wyner.cli.health import MAX_AGE_S, advances
+from wyner.cli.healthy import MAX_AGE_S, advances
 from wyner.cli.main import main
 
 
@@ -35,7 +35,7 @@ def write_status(
 
 
 def health(run_dir: Path, service: str) -> int:
-    return main(["health", "--service", service, "--run-dir", str(run_dir), "--within", "0.6"])
+    return main(["status", str(run_dir), "--healthy", service, "--within", "0.6"])
 
 
 @pytest.mark.parametrize("service", ["plant", "controller"])
@@ -155,24 +155,24 @@ def test_a_router_is_healthy_when_it_takes_a_connection(
         server.bind(("127.0.0.1", 0))
         server.listen()
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-        assert main(["health", "--endpoint", endpoint]) == 0
-    assert main(["health", "--endpoint", endpoint, "--within", "1"]) == 1
+        assert main(["status", "--endpoint", endpoint]) == 0
+    assert main(["status", "--endpoint", endpoint, "--within", "1"]) == 1
     assert f"{endpoint}: no answer" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["--service", "plant"], "--service: expected --run-dir D as well"),
+        (["--healthy", "plant"], "--healthy: expected RUN_DIR as well"),
         (["--endpoint", "tcp/nowhere"], "--endpoint: got 'tcp/nowhere', expected PROTOCOL/HOST"),
-        (["--service", "plant", "--within", "0"], "--within: got 0, expected more than 0"),
-        ([], "one of the arguments --service --endpoint is required"),
+        (["--healthy", "plant", "--within", "0"], "--within: got 0, expected more than 0"),
+        (["--healthy", "plant", "--endpoint", "tcp/a:1"], "not allowed with argument"),
     ],
 )
 def test_wrong_arguments_are_one_line(
     capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
-    assert main(["health", *arguments]) == 2
+    assert main(["status", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert expected in line
 
@@ -184,8 +184,8 @@ def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
     tmp_path: Path, sustained: Scenario, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "knowledge.json"
-    assert main(["knowledge", "sustained", "--output", str(path)]) == 0
-    assert main(["knowledge", "sustained"]) == 0
+    assert main(["scenarios", "sustained", "--knowledge", str(path)]) == 0
+    assert main(["scenarios", "sustained", "--knowledge"]) == 0
     assert capsys.readouterr().out == path.read_text()
     written = json.loads(path.read_text())
     assert written["alpha"] is None
@@ -207,10 +207,10 @@ def test_knowledge_that_cannot_be_written_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    assert main(["knowledge", "sustained", "--output", str(tmp_path / "file/k.json")]) == 1
+    assert main(["scenarios", "sustained", "--knowledge", str(tmp_path / "file/k.json")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "cannot be written" in line
-    assert main(["knowledge", "nowhere.toml"]) == 2
+    assert main(["scenarios", "nowhere.toml", "--knowledge"]) == 2
 
 
 @pytest.mark.parametrize(("grows", "code"), [(True, 0), (False, 1)])
@@ -220,7 +220,7 @@ def test_for_machines_it_is_one_object(
     write_status(tmp_path, "plant", 10)
     later = threading.Timer(0.2, write_status, (tmp_path, "plant", 10 + grows))
     later.start()
-    command = ["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "0.6"]
+    command = ["status", str(tmp_path), "--healthy", "plant", "--within", "0.6"]
     assert main([*command, "--json"]) == code
     later.join()
     told = json.loads(capsys.readouterr().out)
@@ -243,7 +243,7 @@ def test_of_a_fleet_it_names_the_loops_that_are_not_well(
         (tmp_path / name / "scenario.toml").write_text("")
     later = threading.Timer(0.2, write_status, (tmp_path / "a", "plant", 11))
     later.start()
-    command = ["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "0.6"]
+    command = ["status", str(tmp_path), "--healthy", "plant", "--within", "0.6"]
     assert main([*command, "--json"]) == 1
     later.join()
     told = json.loads(capsys.readouterr().out)

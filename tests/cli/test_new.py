@@ -290,20 +290,23 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     assert main(["sweep", str(sweep), "--output", str(rows), "--resume", "--jobs", "1"]) == 0
     assert "0 of them new" in capsys.readouterr().out
     for arguments in (
-        [str(rows)],
-        [str(tmp_path / "s-rates.csv"), "--output", str(tmp_path / "rates.pdf"), "--log"],
-        [str(rows), "--y", "mine keys right", "--y", "oracle messages read"],
+        [str(rows), "--plot"],
+        [str(tmp_path / "s-rates.csv"), "--plot", str(tmp_path / "rates.pdf"), "--log"],
+        [str(rows), "--plot", "--y", "mine keys right", "--y", "oracle messages read"],
     ):
-        assert main(["plot", *arguments]) == 0
+        assert main(["sweep", *arguments]) == 0
         drawn = Path(capsys.readouterr().out.strip())
         assert drawn.stat().st_size > 5_000
     for arguments, told in (
-        ([str(rows), "--y", "nothing"], "--y: got 'nothing', expected one of: scenario"),
-        ([str(rows), "--x", "scenario"], "--x: scenario: got 'sustained', expected numbers"),
-        ([str(sweep)], "s.toml"),
-        ([str(rows), "--output", "a.gif"], "ends in .png, .pdf, .svg"),
+        ([str(rows), "--plot", "--y", "nothing"], "--y: got 'nothing', expected one of: scenario"),
+        (
+            [str(rows), "--plot", "--x", "scenario"],
+            "--x: scenario: got 'sustained', expected numbers",
+        ),
+        ([str(rows)], "FILE: got rows"),
+        ([str(rows), "--plot", "a.gif"], "ends in .png, .pdf, .svg"),
     ):
-        assert main(["plot", *arguments]) == 2
+        assert main(["sweep", *arguments]) == 2
         assert told in capsys.readouterr().err
 
 

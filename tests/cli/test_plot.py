@@ -1,4 +1,4 @@
-"""``wyner plot``: what stands on the axes, and what cannot be drawn."""
+"""``wyner sweep --plot``: what stands on the axes, and what cannot be drawn."""
 
 from pathlib import Path
 
@@ -6,8 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from runtime.shipped import SCENARIOS
+from wyner.cli.drawing import draw_rows, in_words
 from wyner.cli.main import main
-from wyner.cli.plot import draw_rows, in_words
 
 HEAD = "scenario,variant,secrecy.alpha,runs,steps,bits_per_second,tap keys right"
 
@@ -59,8 +59,8 @@ def test_a_pdf_embeds_fonts_that_publishers_take(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = rows_file(tmp_path, "s,,1.0,5,10,2.0,0.5", "s,,2.0,5,10,3.0,0.5")
-    options = ["--title", "Mine", "--size", "3.3x2.4", "--output", str(tmp_path / "a.pdf")]
-    assert main(["plot", str(rows), *options]) == 0
+    options = ["--title", "Mine", "--size", "3.3x2.4"]
+    assert main(["sweep", str(rows), "--plot", str(tmp_path / "a.pdf"), *options]) == 0
     raw = Path(capsys.readouterr().out.strip()).read_bytes()
     assert b"/TrueType" in raw or b"/CIDFontType2" in raw
     assert b"/Type3" not in raw
@@ -72,7 +72,7 @@ def test_a_wrong_size_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], size: str
 ) -> None:
     rows = rows_file(tmp_path, "s,,1.0,5,10,2.0,0.5")
-    assert main(["plot", str(rows), "--size", size]) == 2
+    assert main(["sweep", str(rows), "--plot", "--size", size]) == 2
     assert capsys.readouterr().err.startswith(f"wyner: --size: got '{size}', expected WxH")
 
 
@@ -80,7 +80,7 @@ def test_two_points_that_nothing_tells_apart_are_no_curve(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = rows_file(tmp_path, "s,,1.0,5,10,2.0,0.5", "s,,1.0,5,10,9.0,0.5")
-    assert main(["plot", str(rows)]) == 2
+    assert main(["sweep", str(rows), "--plot"]) == 2
     assert capsys.readouterr().err == (
         "wyner: --x: secrecy.alpha: two points at 1, and nothing in the rows tells them apart: "
         "sweep them again, or leave one out\n"
@@ -105,4 +105,4 @@ def test_two_scenario_files_of_one_name_are_two_curves(
     assert "one.toml" in capsys.readouterr().out
     for path in (rows, tmp_path / "s-rates.csv"):
         assert path.read_text().splitlines()[0].split(",").count("file") == 1
-        assert main(["plot", str(path), "--output", str(tmp_path / "s.svg")]) == 0
+        assert main(["sweep", str(path), "--plot", str(tmp_path / "s.svg")]) == 0

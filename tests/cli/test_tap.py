@@ -1,4 +1,4 @@
-"""`wyner replay`, `secrecy`, `export` and the options of `wyner tap`, as a user calls them."""
+"""`wyner score`, `export` and the options of `wyner tap`, as a user calls them."""
 
 import csv
 import errno
@@ -82,7 +82,7 @@ def test_replay_decodes_and_scores(
     run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, _ = call(
-        capsys, "replay", run_dir, "--eavesdropper", "list-decoder", "--score", run_dir, "--json"
+        capsys, "score", run_dir, "--decode", "--eavesdropper", "list-decoder", "--json"
     )
     assert code == 0
     report = json.loads(out)
@@ -95,7 +95,7 @@ def test_replay_decodes_and_scores(
 def test_replay_in_words_with_the_ones_who_listened(
     run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, _ = call(capsys, "replay", run_dir / CAPTURE, "--score", run_dir)
+    code, out, _ = call(capsys, "score", run_dir, "--decode")
     assert code == 0
     assert "1000 transitions, 0 with something missing" in out
     assert "nearest-centre: none whole" in out
@@ -105,17 +105,17 @@ def test_replay_in_words_with_the_ones_who_listened(
 
 
 def test_replay_of_a_stretch(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    args = ("replay", run_dir, "--eavesdropper", "nearest-centre", "--from", 100, "--to", 149)
+    args = ("score", run_dir, "--eavesdropper", "nearest-centre", "--from", 100, "--to", 149)
     assert json.loads(call(capsys, *args, "--json")[1])["transitions"] == 50
 
 
 def test_replay_watched_in_a_pipe_prints_lines(
     run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wyner.cli import replay
+    from wyner.cli import decode
 
-    monkeypatch.setattr(replay, "WATCHED_AT_ONCE", 250)
-    code, out, _ = call(capsys, "replay", run_dir, "--watch", "--eavesdropper", "list-decoder")
+    monkeypatch.setattr(decode, "WATCHED_AT_ONCE", 250)
+    code, out, _ = call(capsys, "score", run_dir, "--watch", "--eavesdropper", "list-decoder")
     assert code == 0
     assert "list-decoder" in out
     assert run.payloads[0].decode() in out
@@ -125,23 +125,23 @@ def test_replay_watched_in_a_pipe_prints_lines(
 def test_the_oracle_in_a_replay_needs_the_scenario(
     run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = call(capsys, "replay", run_dir, "--eavesdropper", "oracle")
+    code, _, err = call(capsys, "score", run_dir, "--decode", "--eavesdropper", "oracle")
     assert code == 2
     assert err == "wyner: eavesdropper oracle: expected --scenario, for alpha\n"
-    args = ("replay", run_dir, "--eavesdropper", "oracle", "--scenario", "sustained", "--json")
-    report = json.loads(call(capsys, *args)[1])
+    asked = ("score", run_dir, "--decode", "--eavesdropper", "oracle")
+    report = json.loads(call(capsys, *asked, "--scenario", "sustained", "--json")[1])
     assert report["taps"]["oracle"]["message"] == run.payloads[0].decode()
 
 
 def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     figure = tmp_path / "report.svg"
     args = ("--eavesdropper", "set-membership,list-decoder", "--figure", figure)
-    code, out, _ = call(capsys, "secrecy", run_dir, *args)
+    code, out, _ = call(capsys, "score", run_dir, *args)
     assert code == 0
     assert "PAPER'S RULE EXCEEDS TRUE" in out
     assert "H(model | transcript)" in out
     assert figure.read_bytes().startswith(b"<?xml")
-    code, out, _ = call(capsys, "secrecy", run_dir, *args[:2], "--json")
+    code, out, _ = call(capsys, "score", run_dir, *args[:2], "--json")
     report = json.loads(out)
     assert report["strongest"] == "list-decoder"
     assert report["claimed_exceeds_true"] is True
@@ -156,7 +156,7 @@ def test_secrecy_takes_a_folder_of_runs_and_counts_each_once(
         shutil.copytree(run_dir, tmp_path / name)
         (tmp_path / name / "scenario.toml").touch()
     args = ("--eavesdropper", "set-membership", "--json")
-    code, out, _ = call(capsys, "secrecy", tmp_path, *args)
+    code, out, _ = call(capsys, "score", tmp_path, *args)
     assert code == 0
     report = json.loads(out)
     assert report["runs"] == ["one", "two"]
@@ -164,7 +164,7 @@ def test_secrecy_takes_a_folder_of_runs_and_counts_each_once(
     assert hers["symbol_error_rate"]["value"] == pytest.approx(0.5, abs=0.1)
     assert hers["symbol_error_rate"]["low"] is None  # two runs have no interval
     assert hers["left_bits"]["high"] == report["claimed_bits"]  # a blind one leaves all
-    code, _, err = call(capsys, "secrecy", tmp_path, tmp_path / "one", *args)
+    code, _, err = call(capsys, "score", tmp_path, tmp_path / "one", *args)
     assert code == 2
     assert err.endswith("one: given 2 times, expected each run once\n")
 
@@ -187,11 +187,11 @@ def test_an_eavesdropper_who_fails_ends_with_1_and_is_not_scored(
 ) -> None:
     (tmp_path / "mine.py").write_text(FAILS)
     name = f"{tmp_path}/mine.py:Mine"
-    code, out, _ = call(capsys, "secrecy", run_dir, "--eavesdropper", name)
+    code, out, _ = call(capsys, "score", run_dir, "--eavesdropper", name)
     assert code == 1
     assert "mine: not scored: she failed: step 21: ValueError: no idea" in out
     assert "mine: she failed: step 21: ValueError: no idea, so they stand untested" in out
-    code, out, _ = call(capsys, "replay", run_dir, "--eavesdropper", name)
+    code, out, _ = call(capsys, "score", run_dir, "--decode", "--eavesdropper", name)
     assert code == 1
     assert "mine: she failed: step 21: ValueError: no idea" in out
 
@@ -347,8 +347,11 @@ def test_output_is_never_written_onto_a_device_nor_through_a_link(
     link.symlink_to(target)
     os.mkfifo(pipe)
     for output in (Path(os.devnull), link, pipe):
-        for command in (("export", run_dir, "--to", "csv"), ("knowledge", "sustained")):
-            code, _, err = call(capsys, *command, "--output", output)
+        for command in (
+            ("export", run_dir, "--to", "csv", "--output"),
+            ("scenarios", "sustained", "--knowledge"),
+        ):
+            code, _, err = call(capsys, *command, output)
             assert code == 1
             assert f"{output}: cannot be written: not a regular file" in err
     assert Path(os.devnull).is_char_device()
@@ -366,7 +369,7 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
     header = first.splitlines()[0].replace(b'"loss":0.0', b'"loss":0.5')
     later = tmp_path / "tap" / "capture.0001.jsonl"
     later.write_bytes(header + b"\n")
-    for args in (("export", tmp_path, "--to", "csv"), ("replay", tmp_path)):
+    for args in (("export", tmp_path, "--to", "csv"), ("score", tmp_path, "--decode")):
         code, out, err = call(capsys, *args)
         assert (code, out) == (2, "")
         assert err.startswith(f"wyner: {later}: line 1: view: differs from the first part's")
@@ -376,12 +379,15 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("args", "expected"),
     [
-        (("replay", "nowhere", "--from", "-1"), "--from: got -1, expected at least 0"),
-        (("replay", "nowhere", "--from", "5", "--to", "2"), "--to: got 2, expected at least 5"),
-        (("replay", "nowhere"), "nowhere: cannot be read: no such capture"),
+        (("score", "nowhere", "--decode", "--from", "-1"), "--from: got -1, expected at least 0"),
+        (
+            ("score", "nowhere", "--decode", "--from", "5", "--to", "2"),
+            "--to: got 2, expected at least 5",
+        ),
+        (("score", "nowhere", "--decode"), "nowhere: cannot be read: no such capture"),
         (("export", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
         (("export", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
-        (("secrecy", "nowhere"), "nowhere: no run here"),
+        (("score", "nowhere"), "nowhere: no run here"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--loss", "2"), "--loss: got 2.0"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--view", "up"), "invalid choice"),
         (

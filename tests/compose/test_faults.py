@@ -37,8 +37,8 @@ def test_a_paused_service_is_waited_for(direct: Composition, service: str) -> No
     try:
         time.sleep(3)
         check = direct.execute(
-            partner, "wyner", "health", "--service", partner,
-            "--run-dir", "/var/lib/wyner/run", "--within", "1", check=False,
+            partner, "wyner", "status", "/var/lib/wyner/run",
+            "--healthy", partner, "--within", "1", check=False,
         )  # fmt: skip
     finally:
         docker("unpause", direct.container(service))

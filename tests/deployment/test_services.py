@@ -133,15 +133,15 @@ def test_it_is_supervised_and_its_health_is_told(
         # niceness counts within a session: the services share one, and Ctrl-C passes them by
         assert os.getsid(child.process.pid) == os.getsid(0)
         assert os.getpgid(child.process.pid) == child.process.pid
-        arguments = ["--service", "counting", "--run-dir", str(tmp_path)]
-        assert main(["health", *arguments]) == 0
+        arguments = [str(tmp_path), "--healthy", "counting"]
+        assert main(["status", *arguments]) == 0
         assert capsys.readouterr().out.startswith("counting advances: ")
     finally:
         Supervisor([child], "counting", "").stop()
     assert child.process is not None
     assert child.process.returncode == 0
     time.sleep(0.1)
-    assert main(["health", *arguments, "--within", "0.2"]) == 1
+    assert main(["status", *arguments, "--within", "0.2"]) == 1
     assert "stands still" in capsys.readouterr().err
 
 

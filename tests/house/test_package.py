@@ -67,9 +67,15 @@ class Installed:
         self.packages = packages
 
     def run(self, *arguments: str, code: int = 0) -> str:
+        return self._told("wyner", arguments, code)
+
+    def figures(self, *arguments: str, code: int = 0) -> str:
+        return self._told("python", ("-m", "wyner.studies.figures", *arguments), code)
+
+    def _told(self, program: str, arguments: tuple[str, ...], code: int) -> str:
         hidden = {"PYTHONPATH", "XDG_CACHE_HOME"}
         done = subprocess.run(
-            [str(self.folder / "env" / "bin" / "wyner"), *arguments],
+            [str(self.folder / "env" / "bin" / program), *arguments],
             capture_output=True,
             text=True,
             cwd=self.folder,
@@ -120,14 +126,12 @@ def test_a_sweep(installed: Installed) -> None:
 
 def test_figures_go_into_a_folder_of_the_users(installed: Installed) -> None:
     before = sorted(installed.packages.rglob("*.svg"))
-    out = installed.run("figures", "sets", "distance")
+    out = installed.figures("sets", "distance")
     assert out.split()[0] == "figures/sets.svg"
-    assert (
-        installed.run("figures", "distance", "--output", "mine").split()[0] == "mine/distance.svg"
-    )
+    assert installed.figures("distance", "--output", "mine").split()[0] == "mine/distance.svg"
     assert (installed.folder / "mine" / "distance.png").stat().st_size > 10_000
     assert sorted(installed.packages.rglob("*.svg")) == before
-    assert "expected --data FOLDER" in installed.run("figures", "sets", "--measure", code=2)
+    assert "expected --data FOLDER" in installed.figures("sets", "--measure", code=2)
 
 
 def test_benchmarks_stay_in_the_checkout(installed: Installed) -> None:

@@ -193,7 +193,7 @@ def test_nothing_runs_in_a_circle() -> None:
         ("rich", {"wyner", "tools"}),
         (
             "matplotlib",
-            {"wyner.studies.figures*", "wyner.cli.figures", "wyner.cli.plot", "wyner.cli.design"}
+            {"wyner.studies.figures*", "wyner.cli.drawing", "wyner.cli.design"}
             | {"wyner.api", "tools"},
         ),
         ("osqp", {"controller_service", "benchmarks"}),

@@ -164,10 +164,10 @@ def test_each_pair_has_a_share_of_its_own(sites: Sites) -> None:
 
 def test_it_tells_of_itself(sites: Sites, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = sites.folder / "plant"
-    assert main(["health", "--service", "kme-plant", "--run-dir", str(run_dir)]) == 0
+    assert main(["status", str(run_dir), "--healthy", "kme-plant"]) == 0
     told = capsys.readouterr().out
     assert re.match(r"kme-plant advances: ok: \d+ keys ready for bob with alice, \d+ keys", told)
-    assert main(["health", "--service", "kme-controller", "--run-dir", str(run_dir)]) == 1
+    assert main(["status", str(run_dir), "--healthy", "kme-controller"]) == 1
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ sys.exit(code)
 
 READERS = {
     "summary": SUMMARY,
-    "score": COMMAND.format("secrecy"),
+    "score": COMMAND.format("score"),
     "check": COMMAND.format("check"),
     "report": COMMAND.format("report"),
 }

@@ -161,9 +161,9 @@ def test_every_loop_of_a_fleet_delivers_its_own_message_into_its_own_folder(
     names = list(hosts.fleet().loops)
     with hosts.running("x10"):
         hosts.wait(lambda: all(map(hosts.delivered, names)))
-        assert main(["health", "--service", "plant", "--run-dir", str(tmp_path)]) == 0
+        assert main(["status", str(tmp_path), "--healthy", "plant"]) == 0
         assert "plant advances on all 3 loops" in capsys.readouterr().out
-    assert main(["health", "--service", "plant", "--run-dir", str(tmp_path), "--within", "1"]) == 1
+    assert main(["status", str(tmp_path), "--healthy", "plant", "--within", "1"]) == 1
     assert "3 of 3 loops do not advance" in capsys.readouterr().err
     sessions = set()
     for name in names:

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
-from wyner.cli.main import main
 from wyner.shipped import DATA, FIGURES_FOLDER
 from wyner.simulate.engine import simulate_runs
 from wyner.studies.figures import FIGURES, FigureError, draw
+from wyner.studies.figures.__main__ import main as figures
 from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from wyner.studies.figures.style import drawing, plain_rows, save
 from wyner.studies.grid import ROOT, Row, load_sweep, points_of
@@ -66,7 +66,7 @@ def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
-    command = [sys.executable, "-m", "wyner.cli.main", "figures", "distance", "--output", "there"]
+    command = [sys.executable, "-m", "wyner.studies.figures", "distance", "--output", "there"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
     svg, png = draw("distance", output=tmp_path / "here")
     assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
@@ -103,10 +103,10 @@ def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
 def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["figures", "nothing"]) == 2
+    assert figures(["nothing"]) == 2
     assert "got 'nothing', expected rate-paper" in capsys.readouterr().err
-    assert main(["figures", "distance", "--data", str(tmp_path)]) == 1
-    assert main(["figures", "price", "--data", str(tmp_path)]) == 1
+    assert figures(["distance", "--data", str(tmp_path)]) == 1
+    assert figures(["price", "--data", str(tmp_path)]) == 1
     errors = capsys.readouterr().err.splitlines()
     assert errors == [
         f"wyner: {tmp_path / 'distance.csv'}: cannot be read: No such file or directory",
@@ -114,9 +114,7 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     ]
     shutil.copy(DATA / "price.csv", tmp_path)
     (tmp_path / "out").write_text("in the way")
-    assert (
-        main(["figures", "price", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
-    )
+    assert figures(["price", "--data", str(tmp_path), "--output", str(tmp_path / "out")]) == 1
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -132,8 +130,8 @@ def test_data_that_are_not_whole_are_told_in_a_line(
         header = whole.index(b"\n") + 1
         for data in (b"", whole[:header], whole[: header + 3], b"a,b\n1,2\n", b"a\n\xff\n"):
             path.write_bytes(data)
-            command = ["figures", name, "--data", str(tmp_path), "--output", str(tmp_path / "o")]
-            assert main(command) == 1, data
+            command = [name, "--data", str(tmp_path), "--output", str(tmp_path / "o")]
+            assert figures(command) == 1, data
             (line,) = capsys.readouterr().err.splitlines()
             assert line.startswith("wyner: ")
             assert str(path) in line

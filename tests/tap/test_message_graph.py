@@ -1,9 +1,17 @@
 """Beginnings that go on alike are taken together, the impossible ones among them."""
 
 import numpy as np
+import pytest
 
+from protocol.schemes.base import encrypt
+from protocol.schemes.framing import encode_frame
+from protocol.schemes.registry import make_scheme
+from protocol.schemes.table import StateTable
+from tap_service.inference.english import AnyBytes
+from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import Beam
 from tap_service.inference.message_graph import Graph
+from tap_service.inference.message_search import MessageSearch
 
 
 def test_a_beginning_that_nothing_heard_allows_leaves_the_others_finite() -> None:
@@ -19,3 +27,27 @@ def test_a_beginning_that_nothing_heard_allows_leaves_the_others_finite() -> Non
     assert np.isfinite(beam.level).all()
     assert beam.alpha[0].max() == 1.0
     assert beam.alpha[1].max() == 0.0
+
+
+@pytest.mark.parametrize("steps", [13, 14, 15, 16, 20, 29, 30])
+def test_a_message_whose_check_was_not_sent_yet_is_searched_for(steps: int) -> None:
+    """Its 16 symbols may be more than all steps so far."""
+    size, frame = 4, encode_frame(b"a", 4)
+    rng = np.random.default_rng(steps)
+    keys = rng.integers(0, size, steps)
+    verdicts = np.full((steps, size + 1), 0.01)
+    verdicts[np.arange(steps), keys + 1] = 1.0
+    verdicts /= verdicts.sum(axis=1, keepdims=True)
+    symbols = [frame[i] if i < len(frame) else 0 for i in range(steps)]
+    ciphers = [encrypt(symbols[k - 1], int(keys[k - 1]), size) for k in range(steps)]
+    states = size + 1
+    entry = np.eye(states)[0]
+    spread = np.repeat(verdicts[:, None], states, axis=1)
+    table = StateTable(make_scheme("pipelined", size))
+    lattice = Lattice(table, spread, np.array(ciphers), entry)
+    begin = np.full((steps + 1, states), -np.inf)
+    begin[0, 0] = 0.0
+    found = MessageSearch(lattice, AnyBytes(), 32).find(begin)
+    assert found is not None
+    assert {len(text) for text in found.payloads} <= {1}
+    assert np.isfinite(found.any)

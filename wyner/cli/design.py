@@ -5,6 +5,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from runtime.errors import DONE, Failure, UsageError
+from wyner.cli.alphas import ABOUT, show_alphas
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,8 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"refuse a design that will take longer (default: {PATIENCE_S:g} seconds)",
     )
+    parser.add_argument("--plot", metavar="F", help="draw what is shown, as F.png, F.pdf or F.svg")
     parser.add_argument(
-        "--plot", metavar="F", help="draw the sets and a run, as F.png, F.pdf or F.svg"
+        "--alphas",
+        nargs="?",
+        const="",
+        metavar="A,B,...",
+        help=f"instead: how many symbols the inputs can carry. {ABOUT} (default: 1.5 to 10 and "
+        "the scenario's)",
     )
 
 
@@ -53,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     from runtime.scenario_file import scenario_of
 
     scenario = scenario_of(args.scenario)
+    if args.alphas is not None:
+        return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
     begin = time.perf_counter()
     try:
         with shown_progress(args.patience) as progress:
@@ -88,7 +97,7 @@ def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
 
 
 def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:
-    from wyner.cli.plot import drawn_to
+    from wyner.cli.drawing import drawn_to
 
     def draw(figure: "Figure") -> str:
         from wyner.simulate.engine import SimulationError

@@ -9,46 +9,93 @@ from importlib.metadata import version
 from typing import Final
 
 from runtime.command import Parser, carry_out
+from runtime.errors import UsageError
 from runtime.services import SERVICES
 
-COMMANDS: Final = {
-    "up": "run controller, plant and tap on this machine and watch them",
-    "demo": "the whole story in three short runs: read, sealed, and the control",
-    "dashboard": "watch a running system",
-    "send": "hand a running controller a message to deliver",
-    "unsealed": "show the sealed messages that a plant has opened",
-    "design": "compute and show a scenario's sets, gains and expected rate",
-    "capacity": "show how many symbols a scenario's inputs can carry, over alpha",
-    "bound": "bits that any tap leaves who watches the machine through noise",
-    "fit": "identify a plant, calibrate D_c and certify it with fresh sessions",
-    "check": "replay a run's traces and say whether they obey the paper",
-    "report": "write a run's page: one file of HTML with figures, scores and clauses",
-    "replay": "decode a recorded capture",
-    "secrecy": "report what each eavesdropper got, beside what the paper's rule counts",
-    "export": "write a capture as MCAP, CSV or Parquet",
-    "scenarios": "list the shipped scenarios",
-    "new": "write a scenario file of one's own, with comments",
-    "sweep": "run a grid of experiments",
-    "plot": "draw a sweep's rows: rates, or what an eavesdropper got",
-    "figures": "draw the figures from their data",
-    "bench": "measure speed beside a reference, in one run",
-    "knowledge": "write what a scenario's eavesdropper knows",
-    "secret": "make the secret by which both ends sign key blocks",
-    "certs": "make certificates for mutual TLS",
-    "kme": "hand one side's keys to its application (ETSI GS QKD 014)",
-    "rotate": "take a fresh key into use at both ends, again and again",
-    "router": "run a Zenoh router, with access control where asked",
-    "status": "what a run's services last said, and what contradicts it",
-    "health": "say whether a service advances",
+COMMANDS: Final[dict[str, dict[str, str]]] = {
+    "run": {
+        "up": "controller, plant and tap here, watched",
+        "demo": "the whole story in three short runs",
+        "controller": "one service by itself",
+        "plant": "one service by itself",
+        "tap": "one service by itself",
+        "dashboard": "watch a running system",
+        "send": "hand a running controller a message",
+    },
+    "look": {
+        "check": "whether a run's traces obey the paper",
+        "score": "what each eavesdropper got; --decode",
+        "report": "a run as one page of HTML",
+        "export": "a capture as MCAP, CSV or Parquet",
+    },
+    "design": {
+        "new": "a scenario file of one's own, with comments",
+        "design": "sets, gains and rate; --alphas: how many symbols",
+        "bound": "bits left from any tap who sees through noise",
+        "fit": "a plant and a certified D_c from recordings",
+        "scenarios": "what is shipped; --knowledge: what she is told",
+        "sweep": "a grid of experiments; --plot its rows",
+    },
+    "operate": {
+        "router": "a Zenoh router, with access control",
+        "certs": "for mutual TLS; --secret to sign key blocks with",
+        "kme": "hand keys to applications (ETSI GS QKD 014)",
+        "rotate": "hand keys to applications (ETSI GS QKD 014)",
+        "status": "what a run's services last said; --healthy",
+        "bench": "speed beside a reference, in one run",
+    },
 }
-"""Subcommand, and its line in the help; the module is ``wyner.cli.NAME``. Services bring theirs."""
+"""Subcommands by group, with their lines in the help; the module is ``wyner.cli.NAME``. Services
+bring theirs. Neighbours of one line share it."""
+
+GONE: Final = {
+    "replay": "wyner score RUN --decode",
+    "secrecy": "wyner score RUN",
+    "unsealed": "wyner score RUN --unsealed",
+    "plot": "wyner sweep ROWS.csv --plot",
+    "capacity": "wyner design SCENARIO --alphas",
+    "knowledge": "wyner scenarios SCENARIO --knowledge",
+    "secret": "wyner certs --secret FILE",
+    "health": "wyner status RUN --healthy SERVICE",
+    "figures": "make figures",
+}
+"""Commands of former versions, and what does their work now."""
+
+
+def groups() -> dict[str, dict[str, str]]:
+    """Every subcommand and its line in the help, by group; a registered service's are run."""
+    ours = {name for group in COMMANDS.values() for name in group}
+    added = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command and n not in ours}
+    return {name: group | added if name == "run" else group for name, group in COMMANDS.items()}
 
 
 def commands() -> dict[str, str]:
-    """Every subcommand and its line in the help: those here, and each service's own."""
-    first, *others = COMMANDS
-    services = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command}
-    return {first: COMMANDS[first], **services, **{n: COMMANDS[n] for n in others}}
+    """Every subcommand and its line in the help."""
+    return {name: text for group in groups().values() for name, text in group.items()}
+
+
+def overview() -> str:
+    """The help: every command, by group, on one screen of 80 x 24."""
+    lines = [
+        "usage: wyner COMMAND ...          (wyner COMMAND --help says more; --version)",
+        "Send a secret message inside a control loop; measure what an eavesdropper gets.",
+        "",
+    ]
+    for group, its in groups().items():
+        shared: dict[str, list[str]] = {}
+        for name, text in its.items():
+            shared.setdefault(text, []).append(name)
+        for i, (text, names) in enumerate(shared.items()):
+            lines.append(f"{group if i == 0 else '':8}{', '.join(names):24}{text}".rstrip())
+    return "\n".join([*lines, ""])
+
+
+class _Whole(Parser):
+    """The command itself: its help is one screen."""
+
+    def format_help(self) -> str:
+        """All commands by group."""
+        return overview()
 
 
 def _add_parser(name: str, text: str, subparsers: "argparse._SubParsersAction[Parser]") -> None:
@@ -58,7 +105,7 @@ def _add_parser(name: str, text: str, subparsers: "argparse._SubParsersAction[Pa
     if name == "bench":  # it hands its arguments on, and makes a parser that takes any
         module.add_parser(subparsers)
         return
-    parser = subparsers.add_parser(name, help=text, description=None if here else text)
+    parser = subparsers.add_parser(name, description=None if here else text)
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
 
@@ -68,11 +115,7 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
 
     The others appear by name, so that starting one command does not import them all.
     """
-    parser = Parser(
-        prog="wyner",
-        description="Send a secret message inside a control loop, and measure what "
-        "an eavesdropper gets.",
-    )
+    parser = _Whole(prog="wyner")
     parser.add_argument("--version", action="version", version=f"wyner {version('wyner')}")
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=Parser
@@ -81,7 +124,7 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
         if command == name:
             _add_parser(command, text, subparsers)
         else:
-            subparsers.add_parser(command, help=text)
+            subparsers.add_parser(command)
     return parser
 
 
@@ -89,7 +132,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code and never lets a traceback out."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((a for a in arguments if not a.startswith("-")), None)
-    return carry_out(lambda: build_parser(name).parse_args(arguments))
+
+    def parsed() -> argparse.Namespace:
+        if name in GONE:
+            raise UsageError(f"{name}: is no command any more; `{GONE[name]}` does its work")
+        return build_parser(name).parse_args(arguments)
+
+    return carry_out(parsed)
 
 
 if __name__ == "__main__":

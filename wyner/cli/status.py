@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
 from runtime.health import look_at_line
+from wyner.cli.healthy import add_options, check_health
 
 if TYPE_CHECKING:
     from protocol.messages import ControllerStatus, PlantStatus
@@ -25,10 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read both statuses and print them."""
+    """Read both statuses and print them; or check one service's health."""
+    if args.service is not None or args.endpoint is not None:
+        return check_health(args)
     run_dir = _run_dir(args.run_dir)
     plant, controller = _statuses(run_dir)
     claim, distance = _claim(run_dir)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
+from wyner.cli.drawing import add_options, draw_sweep
 from wyner.shipped import SWEEPS
 
 if TYPE_CHECKING:
@@ -30,9 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Run the sweep in FILE (or a shipped one, by name) and add its rows to a CSV "
-        "file. Ctrl-C keeps what there is; --resume goes on."
+        "file. Ctrl-C keeps what there is; --resume goes on. With --plot, draw the rows; those of "
+        "a CSV file, or of its -rates.csv, without running anything."
     )
-    parser.add_argument("file", metavar="FILE", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "file", metavar="FILE", help="a TOML file or a shipped name; or the rows, FILE.csv"
+    )
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes or Dask workers (default: one a core)"
     )
@@ -44,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_options(parser)
 
 
 def _begin_worker() -> None:
@@ -151,7 +156,12 @@ def _progress(name: str) -> "Iterator[Progress | None]":
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sweep."""
+    """Run the sweep, draw its rows, or both."""
+    if Path(args.file).suffix == ".csv":
+        if args.plot is None:
+            raise UsageError(f"FILE: got rows, {args.file!r}, expected --plot with them")
+        print(draw_sweep(Path(args.file), args))
+        return DONE
     from runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
@@ -212,9 +222,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(_render(grid, summaries, stopped=stopped))
         print(f"{len(results.rows)} rows in {output}, {new} of them new")
-        print(f"rates and intervals, a row a point, in {ready}; `wyner plot {ready}` draws them")
+        print(
+            f"rates and intervals, a row a point, in {ready}; "
+            f"`wyner sweep {ready} --plot` draws them"
+        )
     for line in failures:
         print(f"wyner: {line}", file=sys.stderr)
+    if args.plot is not None and results.rows:
+        print(draw_sweep(output, args), file=sys.stderr if args.json else sys.stdout)
     return FAILED if failures else DONE
 
 

@@ -98,6 +98,10 @@ class Run:
         """The first part of an end's trace, also where it is there no more."""
         return self.folder / TRACES[side]
 
+    def has(self, side: Side) -> bool:
+        """Whether any part of an end's trace is there."""
+        return bool(parts_of(self.trace(side)))
+
     def parts_missing(self, side: Side) -> int:
         """The oldest parts of an end's trace that are gone.
 

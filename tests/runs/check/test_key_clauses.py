@@ -77,7 +77,7 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     audit = audit_keys(Run.load(run), read_evidence(run).scenario)
     assert audit is not None
     live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
-    assert main(["replay", str(run), "--score", str(run), "--json"]) == 0
+    assert main(["score", str(run), "--decode", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
     exact = {(block.session, block.number): block for block in audit.blocks}
@@ -90,7 +90,7 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
         assert hers["rows"] - hers["missed"] >= block.rows - block.missed
     assert live["bits"] == 0
     assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
-    assert main(["secrecy", str(run)]) == 0
+    assert main(["score", str(run)]) == 0
     out = capsys.readouterr().out
     holds = f"key-solver: holds 0 bits of 0 of {live['blocks']} key blocks; reads 0 of 176 bits"
     assert holds in out

@@ -172,7 +172,7 @@ def test_a_score_says_what_it_leaves_out(
     run = Path(shutil.copytree(bounded, tmp_path / "run"))
     (run / BELIEFS).parent.mkdir(exist_ok=True)
     (run / BELIEFS).write_text("{}")
-    assert main(["secrecy", str(run)]) == 0
+    assert main(["score", str(run)]) == 0
     assert (
         "of the plant's trace are gone: only what came after is scored" in capsys.readouterr().err
     )

@@ -49,7 +49,7 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     # each symbol of the message is right, and others stand between them: no frame fits
     assert any(line.endswith("100.0 % of bits, 1234 too many") for line in lines)
     assert any(line.endswith("guesses at no symbol of the loop") for line in lines)
-    assert any(line.endswith("17 steps were not looked at: wyner replay") for line in lines)
+    assert any(line.endswith("17 steps were not looked at: wyner score --decode") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()
     assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
     step = summary["delivered_k"]
@@ -92,7 +92,10 @@ def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
     assert summary["unguessed"] == 1234
     summary |= {"true_bits": 9.0, "strongest": "nearest-centre"}
     lines = render(summary).splitlines()
-    assert "Eve        1234 messages waited too long to be guessed at live: wyner replay" in lines
+    assert (
+        "Eve        1234 messages waited too long to be guessed at live: wyner score --decode"
+        in lines
+    )
     assert lines[-1].endswith("True: at most 9 (nearest-centre).")
 
 

@@ -21,7 +21,7 @@ from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
 
-ONE_RUN: Final = "shares of one run: no interval (wyner secrecy over runs has them)"
+ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
 

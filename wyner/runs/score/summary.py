@@ -131,13 +131,13 @@ def render(summary: dict[str, Any]) -> str:
     ]
     for name, tap in summary["taps"].items():
         if tap["steps_not_looked_at"]:
-            late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner replay"
+            late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner score --decode"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
     if summary["taps"]:
         lines.append(f"           {ONE_RUN}")
     if summary["unguessed"]:
         left = f"{summary['unguessed']} messages waited too long to be guessed at live"
-        lines.append(f"Eve        {left}: wyner replay")
+        lines.append(f"Eve        {left}: wyner score --decode")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
 

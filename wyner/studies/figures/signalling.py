@@ -13,7 +13,7 @@ PAPERS_START = "[4.0,-2.0]"
 
 
 def draw_table(figure: Figure, table: dict[str, Any]) -> None:
-    """What `wyner capacity` prints, as curves over alpha."""
+    """What `wyner design --alphas` prints, as curves over alpha."""
     axes = figure.subplots()
     rows = table["alphas"]
     alphas = [row["alpha"] for row in rows]

@@ -1,7 +1,7 @@
 """The secrecy study: which eavesdropper is measured under which condition, and a row for each run.
 
-``wyner figures --measure NAME`` adds to a figure's data the rows that they lack, for one run costs
-seconds to minutes here: a run that is in its file already is not measured again.
+``python -m wyner.studies.figures --measure NAME`` adds to a figure's data the rows that they lack,
+for one run costs seconds to minutes here: a run that is in its file already is not measured again.
 """
 
 import csv

@@ -1,15 +1,20 @@
-"""``wyner figures``: draw the figures from their data."""
+"""``python -m wyner.studies.figures``: draw the figures of docs/ from their data."""
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+from runtime.command import Parser, carry_out
 from runtime.errors import DONE, Failure, UsageError, needs
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = "Draw the figures of docs/, all or those named, as SVG and PNG."
+def build_parser() -> argparse.ArgumentParser:
+    """The program's options."""
+    parser = Parser(
+        prog="python -m wyner.studies.figures",
+        description="Draw the figures of docs/, all or those named, as SVG and PNG.",
+    )
     parser.add_argument("name", nargs="*", metavar="NAME", help="which (default: all)")
     parser.add_argument(
         "--measure",
@@ -23,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", metavar="D", help="folder to draw in (default: docs/figures, or figures)"
     )
+    parser.set_defaults(run=run)
+    return parser
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,3 +63,12 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise Failure(f"{error.filename}: cannot be written: {error.strerror}") from None
     return DONE
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return carry_out(lambda: build_parser().parse_args(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

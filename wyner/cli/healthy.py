@@ -1,4 +1,4 @@
-"""``wyner health``: say whether a service advances. For health checks and for a look by hand.
+"""``wyner status --healthy``: whether a service advances. For health checks, and by hand.
 
 A service that runs but whose loop stands still is not healthy. So the check looks twice: the
 service's own report must be fresh, and what it counts must grow between the two looks.
@@ -25,29 +25,29 @@ WITHIN_S = 3.0
 LOOK_S = 0.1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "Exit 0 when the service's report is fresh and what it counts has grown within "
-        "a few seconds: transitions of the controller and the plant, bytes mirrored by the tap. "
-        "For a router: when it takes a connection."
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a health check."""
+    group = parser.add_argument_group(
+        "health check",
+        "Exit 0 when a service's report is fresh and what it counts has grown within a few "
+        "seconds: transitions of the controller and the plant, bytes mirrored by the tap. For a "
+        "router: when it takes a connection.",
     )
-    what = parser.add_mutually_exclusive_group(required=True)
+    what = group.add_mutually_exclusive_group()
     what.add_argument(
-        "--service",
+        "--healthy",
+        dest="service",
         choices=[name for name in SERVICES if SERVICES[name].health],
-        help="a service that writes below --run-dir",
+        help="a service that writes below RUN_DIR",
     )
     what.add_argument("--endpoint", metavar="ENDPOINT", help="a router's, such as tcp/router:7447")
-    parser.add_argument("--run-dir", type=Path, metavar="D", help="the service's run folder")
-    parser.add_argument(
+    group.add_argument(
         "--within",
         type=float,
         default=WITHIN_S,
         metavar="S",
         help=f"seconds in which the count must grow (default: {WITHIN_S:g})",
     )
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def advances(look: Callable[[], Look], within_s: float) -> Look:
@@ -93,12 +93,12 @@ def takes_connections(endpoint: str, within_s: float) -> None:
         raise Failure(f"{endpoint}: no answer: {error}") from None
 
 
-def run(args: argparse.Namespace) -> int:
+def check_health(args: argparse.Namespace) -> int:
     """Look, and print one line, or one object."""
     if not 0 < args.within <= 60:
         raise UsageError(f"--within: got {args.within:g}, expected more than 0 and at most 60")
     if args.service is not None and args.run_dir is None:
-        raise UsageError("--service: expected --run-dir D as well")
+        raise UsageError("--healthy: expected RUN_DIR as well")
     loops = [] if args.endpoint is not None else loops_below(args.run_dir)
     wrong: dict[str, str] = {}
     try:

@@ -1,6 +1,8 @@
-"""``wyner secrecy``: report what each eavesdropper got, beside what the paper's rule counts."""
+"""``wyner score``: what each eavesdropper got, beside what the paper's rule counts."""
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,30 +15,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what she would have had."
+        "of them failed: nobody knows what she would have had. Of a capture alone, or with "
+        "--decode, show what each makes of it."
     )
     parser.add_argument(
-        "run_dirs", metavar="RUN_DIR", nargs="+", help="a run's directory, or one of several runs"
+        "runs", metavar="RUN", nargs="+", help="a run's folder, or one of several; or a capture"
     )
     parser.add_argument(
         "--eavesdropper",
         action="append",
         default=[],
         metavar="NAME[,NAME...]",
-        help="replay these on the captures, in place of what was said live",
+        help="these on the captures, in place of what was said live: names, or "
+        "path/to/file.py:Name",
     )
     parser.add_argument(
         "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
     )
     parser.add_argument("--figure", metavar="FILE", help="draw the report as SVG or PNG")
+    parser.add_argument(
+        "--decode", action="store_true", help="feed the capture to them, and show what they read"
+    )
+    parser.add_argument("--from", dest="first", type=int, metavar="K", help="first step to decode")
+    parser.add_argument("--to", dest="last", type=int, metavar="K", help="last step to decode")
+    parser.add_argument(
+        "--watch", action="store_true", help="watch the decoding, on the dashboard or in lines"
+    )
+    parser.add_argument(
+        "--unsealed", action="store_true", help="show the sealed messages that the plant opened"
+    )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
     from runtime.errors import reading
+    from wyner.cli.decode import decode
 
-    with reading(", ".join(args.run_dirs)):
+    with reading(", ".join(args.runs)):
+        if args.unsealed:
+            return _unsealed(Path(_only(args.runs, "--unsealed")), as_json=args.json)
+        if args.decode or args.watch or args.first is not None or args.last is not None:
+            return decode(args, Path(_only(args.runs, "--decode")))
+        if any(Path(one).is_file() for one in args.runs):
+            return decode(args, Path(_only(args.runs, "a capture")))
         return _run(args)
 
 
@@ -44,7 +66,6 @@ def _run(args: argparse.Namespace) -> int:
     import json
     import sys
     from collections import Counter
-    from pathlib import Path
 
     from runtime.errors import DONE, FAILED, Failure, UsageError, needs
     from runtime.run_folder import loops_below
@@ -59,11 +80,11 @@ def _run(args: argparse.Namespace) -> int:
             "--scenario: tells replayed eavesdroppers a model, expected --eavesdropper"
         )
     scores: list[RunScore] = []
-    given = [Path(text) for text in args.run_dirs]
+    given = [Path(text) for text in args.runs]
     run_dirs = [one for folder in given for one in loops_below(folder) or [folder]]
     for folder, times in Counter(path.resolve() for path in run_dirs).items():
         if times > 1:
-            raise UsageError(f"RUN_DIR: {folder}: given {times} times, expected each run once")
+            raise UsageError(f"RUN: {folder}: given {times} times, expected each run once")
     runs = []
     for run_dir in run_dirs:
         try:
@@ -100,6 +121,39 @@ def _run(args: argparse.Namespace) -> int:
     for name, audit in audits.items():
         _print_keys(name, audit, color=sys.stdout.isatty())
     return ending
+
+
+def _only(runs: Sequence[str], option: str) -> str:
+    from runtime.errors import UsageError
+
+    if len(runs) > 1:
+        raise UsageError(f"RUN: got {len(runs)} of them, expected one with {option}")
+    return runs[0]
+
+
+def _unsealed(run_dir: Path, *, as_json: bool) -> int:
+    """What came by ``wyner send --sealed``, in order."""
+    import base64
+    import json
+
+    from protocol.secret.records import StoreError
+    from protocol.text import readable
+    from runtime.errors import DONE, UsageError
+    from runtime.keys.sealed_book import SealedBook
+    from runtime.keys.store import KeyStore
+    from runtime.run_folder import PLANT_KEYS
+
+    try:
+        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
+            opened = SealedBook(store).opened()
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+    if as_json:
+        print(json.dumps([{"id": i, "payload": base64.b64encode(p).decode()} for i, p in opened]))
+    else:
+        for identifier, payload in opened:
+            print(f"{identifier}  {readable(payload)}")
+    return DONE
 
 
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":

@@ -1,6 +1,5 @@
-"""``wyner capacity``: how many symbols a scenario's inputs can carry, and at what price."""
+"""``wyner design --alphas``: how many symbols a scenario's inputs can carry, and at what price."""
 
-import argparse
 import json
 import math
 from pathlib import Path
@@ -26,52 +25,41 @@ VOID: Final = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "For SCENARIO and each alpha: the largest alphabet of which every transition "
-        "agrees, what the inputs and the plant's unstable modes leave of it, its bits, the best "
-        "bet on the scenario's own disturbance, the upper bounds, and what the alphabet adds to "
-        "state and input."
-    )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
-    parser.add_argument(
-        "--alpha", metavar="A,B,...", help="which alphas (default: 1.5 to 10 and the scenario's)"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--figure", metavar="FILE", help="draw it too, as FILE.svg or FILE.png")
+ABOUT: Final = (
+    "For each alpha: the largest alphabet of which every transition agrees, what the inputs and "
+    "the plant's unstable modes leave of it, its bits, the best bet on the scenario's own "
+    "disturbance, the upper bounds, and what the alphabet adds to state and input."
+)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Show the table."""
+def show_alphas(scenario: "Scenario", asked: str, *, as_json: bool, figure: str | None) -> int:
+    """Show the table; ``asked`` has the alphas, separated by commas, or is empty."""
     from controller_service.sets.design import SynthesisError
-    from runtime.scenario_file import scenario_of
     from wyner.studies.capacity.table import capacity
 
-    scenario = scenario_of(args.scenario)
-    alphas = _alphas(args.alpha, scenario.secrecy.alpha)
-    if args.figure and Path(args.figure).suffix not in (".svg", ".png"):
-        raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
+    alphas = _alphas(asked, scenario.secrecy.alpha)
+    if figure and Path(figure).suffix not in (".svg", ".png"):
+        raise UsageError(f"--plot: got {figure!r}, expected a name in .svg or .png")
     try:
         table = capacity(scenario, alphas)
     except SynthesisError as error:
-        raise UsageError(f"{args.scenario}: {error}") from None
+        raise UsageError(f"{scenario.name}: {error}") from None
     result = describe(scenario, table)
-    print(json.dumps(result) if args.json else render(result))
-    if args.figure:
-        save_table(args.figure, "wyner.studies.figures.signalling:draw_table", result)
+    print(json.dumps(result) if as_json else render(result))
+    if figure:
+        save_table(figure, "wyner.studies.figures.signalling:draw_table", result)
     return DONE
 
 
-def _alphas(text: str | None, own: float) -> list[float]:
-    if text is None:
+def _alphas(text: str, own: float) -> list[float]:
+    if not text:
         return sorted({*ALPHAS, own})
     try:
         alphas = sorted({float(part) for part in text.split(",")})
     except ValueError:
         alphas = []
     if not alphas or not all(1 <= a <= 1000 for a in alphas):
-        raise UsageError(f"--alpha: got {text!r}, expected numbers from 1 to 1000, as in 3.01,8")
+        raise UsageError(f"--alphas: got {text!r}, expected numbers from 1 to 1000, as in 3.01,8")
     return alphas
 
 

@@ -1,4 +1,4 @@
-"""``wyner plot``: a figure from any sweep's rows."""
+"""``wyner sweep --plot``: a figure of any sweep's rows; and how a command saves any figure."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import Failure, UsageError, needs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,31 +37,35 @@ UNITS: Final = {"s": "s", "hz": "Hz", "bits": "bit", "bytes": "bytes", "steps": 
 """Units that a field's name ends in."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "Draw the rows of FILE, a sweep's CSV file or its -rates.csv, with 95 % "
-        "intervals. What does not stand on the axes makes a curve each."
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a sweep's figure."""
+    group = parser.add_argument_group(
+        "figure",
+        "The rows with 95 %% intervals. What does not stand on the axes makes a curve each.",
     )
-    parser.add_argument("file", metavar="FILE.csv")
-    parser.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
-    parser.add_argument(
+    group.add_argument(
+        "--plot",
+        nargs="?",
+        const="",
+        metavar="F",
+        help="draw the rows, as F.png, F.pdf or F.svg (default: beside the rows)",
+    )
+    group.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
+    group.add_argument(
         "--y",
         metavar="COLUMN",
         action="append",
         help=f"default: {RATE}; or 'NAME keys right', 'NAME messages read' (repeatable)",
     )
-    parser.add_argument("--log", action="store_true", help="a logarithmic x axis")
-    parser.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
-    parser.add_argument(
+    group.add_argument("--log", action="store_true", help="a logarithmic x axis")
+    group.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
+    group.add_argument(
         "--size", default="6.4x4.2", metavar="WxH", help="in inches (default: 6.4x4.2)"
     )
-    parser.add_argument("--output", metavar="F", help="F.png, F.pdf or F.svg (default: FILE.png)")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Read, choose the columns, draw."""
-    path = Path(args.file)
+def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
+    """Read the rows, choose the columns, draw; returns the figure's file."""
     rows, fields = ready(path)
     x = args.x or _longest(rows, fields)
     ys: list[str] = args.y or [RATE]
@@ -70,15 +74,14 @@ def run(args: argparse.Namespace) -> int:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
             raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
     size = _size(args.size)
-    output = args.output or str(path.with_suffix(".png"))
+    output = args.plot or str(path.with_suffix(".png"))
 
     def draw(figure: "Figure") -> str:
         note = draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
         figure.suptitle(args.title)
         return note
 
-    print(drawn_to("--output", output, size, draw))
-    return DONE
+    return drawn_to("--plot", output, size, draw)
 
 
 def _size(text: str) -> tuple[float, float]:

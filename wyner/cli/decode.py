@@ -1,35 +1,13 @@
-"""``wyner replay``: decode a recorded capture."""
+"""``wyner score --decode``: feed a recorded capture to eavesdroppers, all on one transcript."""
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from wyner.dashboard.model import Arrival
     from wyner.runs.score.replay import Replay
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = "Feed a capture to eavesdroppers again, all on the same transcript."
-    parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
-    parser.add_argument(
-        "--eavesdropper",
-        action="append",
-        default=[],
-        metavar="NAME[,NAME...]",
-        help="which to run, by name or as path/to/file.py:Name (default: those that listened)",
-    )
-    parser.add_argument("--from", dest="first", type=int, metavar="K", help="first step to decode")
-    parser.add_argument("--to", dest="last", type=int, metavar="K", help="last step to decode")
-    parser.add_argument(
-        "--watch", action="store_true", help="watch it on the dashboard, or in lines in a pipe"
-    )
-    parser.add_argument("--score", metavar="RUN_DIR", help="compare with what really happened")
-    parser.add_argument(
-        "--scenario", metavar="S", help="tell them this scenario's model; the oracle needs it"
-    )
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 class ReplaySource:
@@ -75,11 +53,10 @@ WATCHED_AT_ONCE = 20
 """Transitions decoded between two looks while watching."""
 
 
-def run(args: argparse.Namespace) -> int:
+def decode(args: argparse.Namespace, path: Path) -> int:
     """Decode, and print what each eavesdropper made of it."""
     import json
     import sys
-    from pathlib import Path
 
     from runtime.errors import DONE, FAILED, UsageError
     from runtime.options import at_least
@@ -94,7 +71,6 @@ def run(args: argparse.Namespace) -> int:
     at_least("--from", args.first, 0)
     at_least("--to", args.last, args.first or 0)
     scenario = None if args.scenario is None else scenario_of(args.scenario)
-    path = Path(args.capture)
     try:
         names = names_of(args.eavesdropper) or tuple(
             CaptureReader(path).header.get("eavesdroppers") or DEFAULT
@@ -109,13 +85,13 @@ def run(args: argparse.Namespace) -> int:
     except CaptureError as error:  # of a part that came later
         raise UsageError(str(error)) from None
     report = replay.report()
-    if args.score is not None:
+    if path.is_dir() and (run := Run.load(path)).has("plant"):
         try:
-            truth = read_truth(Run.load(args.score)).between(args.first, args.last)
+            truth = read_truth(run).between(args.first, args.last)
         except RunError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.said())
-        report["score"] = summary_of(RunScore(Path(args.score).name, truth, taps))
+        report["score"] = summary_of(RunScore(run.name, truth, taps))
     if args.json:
         print(json.dumps(report))
     else:
