@@ -44,7 +44,7 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "link": (
         *_files("link", "tallies refusals keying events model fallback pacing timers"),
         *_files("link", "transcripts meeting predictions session_machine appearances"),
-        *_files("link", "last_keys plant_session controller_session"),
+        *_files("link", "last_keys plant_session controller_session session_tables"),
         *_files("runtime", "perform sealing"),
         "tests/secret/test_keyed_link.py",
         "tests/simulate/test_network.py",

@@ -1,20 +1,11 @@
 """The plant's table of a session is whole, and what a hello is called follows from the record."""
 
-from itertools import product
-from typing import get_args
-
 import pytest
 
 from protocol.link.plant_session import (
-    ANSWERS,
-    HEARD,
-    STATES,
     TABLE,
     TO_ANYONE,
     WORKING,
-    Answer,
-    Heard,
-    State,
     first_state,
     heard,
 )
@@ -25,25 +16,6 @@ S, T = "1" * 16, "2" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
 OURS, OTHER = "e" * 64, "f" * 64
 RECORD = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), controller=A, incarnation=2)
-
-
-def test_every_state_and_everything_heard_has_one_row() -> None:
-    assert set(TABLE) == set(product(get_args(State), get_args(Heard)))
-
-
-def test_every_name_is_explained_and_used() -> None:
-    assert tuple(STATES) == get_args(State)
-    assert tuple(HEARD) == get_args(Heard)
-    assert tuple(ANSWERS) == get_args(Answer)
-    assert {row.answer for row in TABLE.values()} == set(ANSWERS)
-    assert {row.next for row in TABLE.values()} == set(STATES)
-
-
-def test_every_state_is_reached_from_the_first() -> None:
-    reached: set[State] = {"looking"}
-    for _ in STATES:
-        reached |= {TABLE[state, name].next for state, name in TABLE if state in reached}
-    assert reached == set(STATES)
 
 
 def test_only_who_was_asked_and_accepts_is_worked_with() -> None:
