@@ -264,18 +264,19 @@ def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not
     None
 ):
     """From (4, -2) it takes some six steps until the facets of T_0 bound the input."""
-    said = np.zeros(0)
-    for seed in range(6):
-        run = simulate(24, seed, name="packed", payloads=[b"x"])
+    said: list[float] = []
+    for seed in range(1000, 1006):
+        run = simulate(200, seed, name="packed", payloads=[b"x" * 20])
         view = View(seed=seed, loss=0.5)
         heard = heard_by(run, view)
         inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
         alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
-        keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
-        known = [i for i, key in enumerate(keys) if key >= 0]
-        said = np.append(said, alone[known, [keys[i] + 1 for i in known]])
-    assert len(said) > 100
-    assert said.min() > 0.005  # never sure of another one
+        for i, t in enumerate(heard[:8]):
+            key = run.truth.keys.get((t.session, t.k), -1)
+            if key >= 0:
+                said.append(float(alone[i, key + 1]))
+    assert len(said) > 30
+    assert min(said) > 0.005  # never sure of another one
 
 
 # --- what she states ------------------------------------------------------------------------------
