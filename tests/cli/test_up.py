@@ -1,6 +1,5 @@
 """``wyner up``: who listens, and when a run is over."""
 
-from argparse import Namespace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +9,7 @@ import pytest
 from runtime.errors import UsageError
 from runtime.scenario_file import scenario_of
 from wyner.cli import up
+from wyner.deployment.one_machine import RunOptions
 
 
 def progress(returned: int | None) -> tuple[Any, SimpleNamespace]:
@@ -26,25 +26,25 @@ def test_a_run_is_over_with_its_plant_whatever_was_still_to_be_done(
     watching, plant = progress(None)
     asked: list[bool] = []
 
-    def errand() -> bool:
+    def background() -> bool:
         asked.append(True)
         return False
 
-    watching.errand = errand
+    watching.background = background
     assert not watching.over()
     plant.returned = 0
     assert watching.over()
     assert len(asked) == 2
 
 
-def test_a_run_goes_on_until_its_errand_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_goes_on_until_its_background_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(up, "GRACE_S", 0.0)
     watching, _plant = progress(None)
     watching._delivered = watching._received = 1
     watching._waiting = False
-    watching.errand = lambda: False
+    watching.background = lambda: False
     assert not watching.over()
-    watching.errand = lambda: True
+    watching.background = lambda: True
     assert watching.over()
 
 
@@ -59,7 +59,7 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
     mine = f"{tmp_path}/mine.py:Mine"
 
     def listening(asked: str | None) -> tuple[str, ...]:
-        return up._eavesdroppers(Namespace(eavesdropper=asked, scenario="sustained"), scenario)
+        return up._eavesdroppers(RunOptions(eavesdropper=asked), scenario)
 
     usual = listening(None)
     assert "list-decoder" in usual

@@ -200,7 +200,7 @@ def test_every_state_and_every_count_is_drawn(
 PANELS = {
     "picture": "Agreement at step",
     "key symbols and automata": "both ends",
-    "taps": "keys right",
+    "taps": "keys found",
     "loop": "bit/s",
     "message": "recovered ",
 }
@@ -504,7 +504,7 @@ def test_figures_of_the_table_keep_to_their_columns() -> None:
     line = next(line for line in shown(board, 80, 24).splitlines() if " WRONG" in line)
     assert line.endswith("       3 %  1234567 WRONG")
     assert len(line) == len(
-        next(row for row in shown(board, 80, 24).splitlines() if " hides/key " in row)
+        next(row for row in shown(board, 80, 24).splitlines() if " bits left " in row)
     )
 
 

@@ -1,6 +1,5 @@
 """What the tests of checks share: a law that is designed once, and a run that makes keys."""
 
-from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -10,7 +9,8 @@ import pytest
 
 from controller_service.laws import registry
 from wyner.cli.demo import SealedMessage
-from wyner.cli.up import conduct
+from wyner.cli.up import run_session
+from wyner.deployment.one_machine import RunOptions
 
 
 @contextmanager
@@ -30,20 +30,17 @@ def one_law() -> Iterator[None]:
 
 def run_with_keys(folder: Path, text: bytes, eavesdroppers: str) -> None:
     """All three services with signed keys, until a sealed ``text`` is delivered."""
-    options = Namespace(
+    options = RunOptions(
         scenario="keys",
         message="hi",
-        message_file=None,
         pace="fast",
         steps=100_000,
         until_delivered=True,
         eavesdropper=eavesdroppers,
-        story=False,
         headless=True,
         json=True,
         run_dir=str(folder),
         secret=True,
-        seed=None,
     )
-    outcome = conduct(options, lambda ops: SealedMessage(ops, text), stays=False)
+    outcome = run_session(options, lambda ops: SealedMessage(ops, text), stays=False)
     assert outcome.failure is None

@@ -1,6 +1,7 @@
 """The count of frames and types: calls become a tree, loops are opened, wrappers are found."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -72,3 +73,13 @@ def test_a_byte_is_followed_through_three_real_processes(
     for part in ("send", "queue", "decide", "decode"):
         found = next(line for line in text.splitlines() if line.startswith(part))
         assert not found.startswith(f"{part:<8}0 frames"), found
+    document = Path("docs/architecture.md").read_text(encoding="utf-8")
+    section = document.partition("## One byte, followed\n")[2].partition("\n## ")[0]
+    rows = [line.split("|")[2] for line in section.splitlines() if line.startswith("|")][2:]
+    way = [name for row in rows for name in re.findall(r"`([\w.]+)`", row)]
+    assert 25 < len(way) <= 50
+    entered = [line.split(":")[-1] for line in text.splitlines() if line.startswith("  ")]
+    at = 0
+    for name in way:
+        assert name in entered[at:], f"{name} is not entered there"
+        at = entered.index(name, at) + 1

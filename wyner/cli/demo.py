@@ -26,8 +26,8 @@ from runtime.ids import new_id
 from runtime.inbox import Inbox
 from runtime.options import run_dir_of
 from runtime.shipped import SCENARIOS
-from wyner.cli import up
-from wyner.cli.up import Errand, Outcome, conduct
+from wyner.cli.up import Background, Outcome, run_session
+from wyner.deployment.one_machine import RunOptions
 
 if TYPE_CHECKING:
     from wyner.dashboard.app import Stage
@@ -120,16 +120,21 @@ def _rows(line: str) -> list[str]:
     return wrap(line, max(40, shutil.get_terminal_size().columns - 1), subsequent_indent="   ")
 
 
-def _options(args: argparse.Namespace, scenario: str, folder: Path) -> argparse.Namespace:
-    """The options of ``wyner up`` for one of the runs."""
+def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: bool) -> RunOptions:
+    """What one of the runs is asked to be."""
     if not args.json:
         print(f"{TITLES[folder.name]}: {ABOUT[folder.name]}", file=sys.stderr, flush=True)
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser)
-    told = ["--scenario", scenario, "--run-dir", str(folder), "--message", SPOKEN, "--pace", PACE]
-    options = parser.parse_args([*told, "--steps", str(MOST_STEPS), "--until-delivered"])
-    options.headless, options.json, options.secret = args.headless, args.json, True
-    return options
+    return RunOptions(
+        scenario=scenario,
+        run_dir=str(folder),
+        message=SPOKEN,
+        pace=PACE,
+        steps=MOST_STEPS,
+        until_delivered=True,
+        headless=args.headless,
+        json=args.json,
+        secret=secret,
+    )
 
 
 Act = tuple[Outcome, str, bool]
@@ -139,9 +144,8 @@ def _spoken(
     args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
 ) -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
-    options = _options(args, "packed", folder)
-    options.secret = False
-    outcome = conduct(options, stays=False, title=TITLES["spoken"], stage=stage)
+    options = _options(args, "packed", folder, secret=False)
+    outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
@@ -159,17 +163,17 @@ def _sealed(
 ) -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
-    errands: list[SealedMessage] = []
+    messages: list[SealedMessage] = []
 
-    def begin(ops: Bus) -> Errand:
-        errands.append(SealedMessage(ops, payload))
-        return errands[0]
+    def begin(ops: Bus) -> Background:
+        messages.append(SealedMessage(ops, payload))
+        return messages[0]
 
-    options = _options(args, "keys", folder)
-    outcome = conduct(options, begin, stays=False, title=TITLES["sealed"], stage=stage)
+    options = _options(args, "keys", folder, secret=True)
+    outcome = run_session(options, begin, stays=False, title=TITLES["sealed"], stage=stage)
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
-    sent = bool(errands and errands[0].delivered)
+    sent = bool(messages and messages[0].delivered)
     told = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
     line = (
         f"2. Sealed:  {told}. A tap that loses 30 % holds {held} bits."
@@ -200,10 +204,10 @@ def _control(
     with tempfile.TemporaryDirectory() as where:
         scenario = Path(where) / "wired-tap.toml"
         scenario.write_text(text, encoding="utf-8")
-        options = _options(args, str(scenario), folder)
-        outcome = conduct(
+        options = _options(args, str(scenario), folder, secret=True)
+        outcome = run_session(
             options,
-            closing=lambda summary: [*before, line_of(summary)],
+            epilogue=lambda summary: [*before, line_of(summary)],
             title=TITLES["control"],
             stage=stage,
         )

@@ -28,6 +28,7 @@ from runtime.run_folder import (
     PLANT_JOURNAL,
 )
 from runtime.scenario_file import scenario_of
+from wyner.deployment.one_machine import RunOptions, lay_out
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
@@ -77,7 +78,23 @@ def run(args: argparse.Namespace) -> int:
     """Start, watch, stop, sum up."""
     from wyner.runs.score.summary import render
 
-    outcome = conduct(args)
+    outcome = run_session(
+        RunOptions(
+            scenario=args.scenario,
+            message=args.message,
+            message_file=args.message_file,
+            eavesdropper=args.eavesdropper,
+            run_dir=args.run_dir,
+            pace=args.pace,
+            steps=args.steps,
+            seed=args.seed,
+            secret=args.secret,
+            until_delivered=args.until_delivered,
+            headless=args.headless,
+            json=args.json,
+            story=args.story,
+        )
+    )
     summary = outcome.summary
     print(json.dumps(summary, ensure_ascii=False) if args.json else render(summary))
     if outcome.failure is not None:
@@ -101,14 +118,14 @@ class Outcome(NamedTuple):
     """Whether the screen was left before the run had come to its end."""
 
 
-Errand = Callable[[], bool]
+Background = Callable[[], bool]
 """Something to be done beside a run, a little at each call; True once it is done."""
 
 
-def conduct(
-    args: argparse.Namespace,
-    errand: "Callable[[Bus], Errand] | None" = None,
-    closing: Callable[[dict[str, Any]], Sequence[str]] | None = None,
+def run_session(
+    options: RunOptions,
+    background: "Callable[[Bus], Background] | None" = None,
+    epilogue: Callable[[dict[str, Any]], Sequence[str]] | None = None,
     *,
     stays: bool = True,
     title: str = "",
@@ -118,11 +135,10 @@ def conduct(
 
     Parameters
     ----------
-    args : argparse.Namespace
-        The command's options.
-    errand : callable, optional
+    options : RunOptions
+    background : callable, optional
         Takes the ops bus; the run is not over before what it gives is, or the plant has ended.
-    closing : callable, optional
+    epilogue : callable, optional
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
         Whether a last screen stays until a key is pressed.
@@ -135,26 +151,25 @@ def conduct(
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
-    from wyner.deployment.one_machine import lay_out
     from wyner.deployment.running import announced
     from wyner.runs.check.seal import seal
     from wyner.runs.run import Run
     from wyner.runs.score.summary import summarise, verdict_lines
 
-    at_least("--steps", args.steps, 1)
-    at_least("--seed", args.seed, 0)
+    at_least("--steps", options.steps, 1)
+    at_least("--seed", options.seed, 0)
     _take_signals()
-    pace_of(args.pace)
-    scenario = scenario_of(args.scenario)
-    payload = message_of(args.message, args.message_file) or DEFAULT_MESSAGE.encode()
+    pace_of(options.pace)
+    scenario = scenario_of(options.scenario)
+    payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
-    eavesdroppers = _eavesdroppers(args, scenario)
-    run_dir = run_dir_of(args.run_dir)
+    eavesdroppers = _eavesdroppers(options, scenario)
+    run_dir = run_dir_of(options.run_dir)
     traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
     if any((run_dir / path).exists() for path in traces_of_a_run):
         raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
     try:
-        supervisor, loop = lay_out(args, scenario, eavesdroppers, run_dir, payload)
+        supervisor, loop = lay_out(options, scenario, eavesdroppers, run_dir, payload)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
@@ -166,10 +181,10 @@ def conduct(
             note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
             summary.update(summarise(Run.load(run_dir), payload))
-        return (closing or verdict_lines)(summary)
+        return (epilogue or verdict_lines)(summary)
 
-    watching = _Progress(until_delivered=args.until_delivered, supervisor=supervisor)
-    screen = not args.headless and not args.json and has_screen()
+    watching = _Progress(until_delivered=options.until_delivered, supervisor=supervisor)
+    screen = not options.headless and not options.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
     ops_ends = [loop.plant_ops, loop.controller_ops]
@@ -183,21 +198,21 @@ def conduct(
             ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(ops, intel_bus, DEFAULT_LOOP)
-            if errand is not None:
-                watching.errand = errand(ops)
+            if background is not None:
+                watching.background = background(ops)
             if screen:
                 ending = run_dashboard(
                     source,
                     until=watching.over,
                     run_dir=run_dir,
-                    story=args.story,
+                    story=options.story,
                     conclude=conclude if stays else None,
                     title=title,
                     stage=stage,
                 )
             else:
-                out = sys.stderr if args.json else sys.stdout
-                ending = run_headless(source, until=watching.over, out=out, story=args.story)
+                out = sys.stderr if options.json else sys.stdout
+                ending = run_headless(source, until=watching.over, out=out, story=options.story)
     except Failure as error:
         failure = error
     except KeyboardInterrupt:
@@ -234,7 +249,7 @@ def _design(scenario: "Scenario") -> None:
         ) from None
 
 
-def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str, ...]:
+def _eavesdroppers(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]:
     """The scenario's eavesdroppers, and those asked for besides: true is what the best one leaves.
 
     Each is looked for before anything starts.
@@ -244,12 +259,13 @@ def _eavesdroppers(args: argparse.Namespace, scenario: "Scenario") -> tuple[str,
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.sandboxed import each_once, guarded
 
-    asked = () if args.eavesdropper is None else names_of([args.eavesdropper])
-    if args.eavesdropper is not None and not asked:
-        raise UsageError(f"--eavesdropper: got {args.eavesdropper!r}, expected at least one name")
+    text = options.eavesdropper
+    asked = () if text is None else names_of([text])
+    if text is not None and not asked:
+        raise UsageError(f"--eavesdropper: got {text!r}, expected at least one name")
     find_each(asked, guarded)
     its = scenario.tap.eavesdroppers
-    find_each(its, guarded, f"{args.scenario}: tap.eavesdroppers: ")
+    find_each(its, guarded, f"{options.scenario}: tap.eavesdroppers: ")
     if not its:
         view = View.model_validate(scenario.tap.model_dump(exclude={"eavesdroppers"}))
         its = default_names(scenario.knowledge(), clear=view.clear)
@@ -265,7 +281,7 @@ class _Progress:
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
-        self.errand: Errand = lambda: True
+        self.background: Background = lambda: True
         self._received = 0
         self._delivered = 0
         self._waiting = True
@@ -294,7 +310,7 @@ class _Progress:
         self._supervisor.poll()
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
-        done = self.errand()  # asked each time: it goes on while it is asked
+        done = self.background()  # asked each time: it goes on while it is asked
         arrived = 0 < self._delivered <= self._received and not self._waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived and done)):
             self._over_at = now + GRACE_S

@@ -6,11 +6,10 @@ from io import StringIO
 from pathlib import Path
 from typing import Final
 
-from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.text import Text
 
-_FONT_FACES: Final = re.compile(r"@font-face \{\{.*?\}\}\s*", re.DOTALL)
+_FONT_FACES: Final = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 
 
 def to_text(lines: Sequence[Text]) -> str:
@@ -32,7 +31,7 @@ def to_svg(lines: Sequence[Text], width: int, title: str = "wyner dashboard") ->
     )
     for line in lines:
         console.print(line, no_wrap=True, overflow="crop")
-    return console.export_svg(title=title, code_format=_FONT_FACES.sub("", CONSOLE_SVG_FORMAT))
+    return _FONT_FACES.sub("", console.export_svg(title=title))
 
 
 def save(lines: Sequence[Text], width: int, folder: Path) -> tuple[Path, Path]:

@@ -240,15 +240,15 @@ class _Column:
 
 
 _COLUMNS: Final = (
-    _Column("keys right %", 12, 0, lambda _, __, its: keys_right(its)),
-    _Column("of", 6, 6, lambda _, __, its: count(its.scored)),
-    _Column("hides/key", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
-    _Column("follows", 7, 4, lambda _, tap, __: _follows(tap)),
-    _Column("model off", 9, 5, lambda board, tap, _: _model_off(board, tap)),
-    _Column("text", 9, 2, lambda board, tap, _: _message_right(board, tap)),
-    _Column("has it since", 14, 1, lambda _, tap, __: _broke(tap)),
-    _Column("behind", 6, 7, lambda _, tap, __: count(tap.status.behind)),
-    _Column("holes", 6, 8, lambda _, tap, __: count(tap.status.lost)),
+    _Column("keys found %", 12, 0, lambda _, __, its: keys_right(its)),
+    _Column("keys", 6, 6, lambda _, __, its: count(its.scored)),
+    _Column("bits left", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
+    _Column("readings", 8, 4, lambda _, tap, __: _follows(tap)),
+    _Column("model error", 11, 5, lambda board, tap, _: _model_off(board, tap)),
+    _Column("text read", 9, 2, lambda board, tap, _: _message_right(board, tap)),
+    _Column("whole at step", 14, 1, lambda _, tap, __: _broke(tap)),
+    _Column("waiting", 7, 7, lambda _, tap, __: count(tap.status.behind)),
+    _Column("missed", 6, 8, lambda _, tap, __: count(tap.status.lost)),
 )
 """Left to right."""
 

@@ -1,9 +1,9 @@
 """The three services of a run on this machine: its folder, and the processes with their options."""
 
-import argparse
 import json
 import sys
 import time
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,8 +18,44 @@ from wyner.deployment.running import RunningLoop
 from wyner.deployment.supervisor import Child, Supervisor
 
 
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What a run on this machine is asked to be: the options of ``wyner up``.
+
+    Parameters
+    ----------
+    scenario : str
+        A file or a shipped name.
+    message, message_file, eavesdropper, run_dir : str, optional
+        As they are typed.
+    pace : str
+        ``realtime``, ``xN`` or ``fast``.
+    steps, seed : int, optional
+    secret : bool
+        Sign key blocks with a secret made for this run.
+    until_delivered : bool
+        End when the plant has the message.
+    headless, json, story : bool
+        Lines in place of a screen; one object at the end; pauses with captions.
+    """
+
+    scenario: str = "sustained"
+    message: str | None = None
+    message_file: str | None = None
+    eavesdropper: str | None = None
+    run_dir: str | None = None
+    pace: str = "realtime"
+    steps: int | None = None
+    seed: int | None = None
+    secret: bool = False
+    until_delivered: bool = False
+    headless: bool = False
+    json: bool = False
+    story: bool = False
+
+
 def lay_out(
-    args: argparse.Namespace,
+    options: RunOptions,
     scenario: Scenario,
     eavesdroppers: tuple[str, ...],
     run_dir: Path,
@@ -29,8 +65,7 @@ def lay_out(
 
     Parameters
     ----------
-    args : argparse.Namespace
-        The options of ``wyner up``.
+    options : RunOptions
     scenario : Scenario
     eavesdroppers : tuple of str
     run_dir : Path
@@ -45,7 +80,7 @@ def lay_out(
     scenario_file = run_dir / SCENARIO
     message_file = run_dir / MESSAGE
     knowledge_file = run_dir / KNOWLEDGE
-    write_atomically(scenario_file, scenario_file_of(args.scenario).read_bytes())
+    write_atomically(scenario_file, scenario_file_of(options.scenario).read_bytes())
     write_atomically(message_file, payload)
     knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
     write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
@@ -55,16 +90,16 @@ def lay_out(
         "numpy": version("numpy"),
         "python": sys.version.split()[0],
         **scenario.identity(),
-        "seed": args.seed,
-        "pace": args.pace,
+        "seed": options.seed,
+        "pace": options.pace,
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
     plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
     common = ["--run-dir", str(run_dir)]
-    seed = [] if args.seed is None else ["--seed", str(args.seed)]
-    steps = [] if args.steps is None else ["--steps", str(args.steps)]
-    secrets = _secrets(run_dir) if args.secret else {}
+    seed = [] if options.seed is None else ["--seed", str(options.seed)]
+    steps = [] if options.steps is None else ["--steps", str(options.steps)]
+    secrets = _secrets(run_dir) if options.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
     for name, value in knobs.items():
@@ -80,9 +115,9 @@ def lay_out(
                 "--scenario",
                 str(scenario_file),
                 "--pace",
-                args.pace,
+                options.pace,
                 "--plant-folder",
-                str(scenario_file_of(args.scenario).parent.resolve()),
+                str(scenario_file_of(options.scenario).parent.resolve()),
                 "--listen",
                 f"field={plant_field}",
                 "--connect",
@@ -103,7 +138,7 @@ def lay_out(
                 "--message-file",
                 str(message_file),
                 "--model-folder",
-                str(scenario_file_of(args.scenario).parent.resolve()),
+                str(scenario_file_of(options.scenario).parent.resolve()),
                 "--listen",
                 f"field={controller_field}",
                 "--connect",
