@@ -20,7 +20,7 @@ from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 CLIPPED: Final = 1e-7
 """Over the spread of the inputs: beyond this from its free part an input was clipped."""
 
-ENOUGH: Final = 24
+ENOUGH: Final = 12
 """Pairs of a state and its offer from which facets are learned."""
 
 
@@ -38,11 +38,11 @@ class PlanarLaw:
         Distance of neighbouring candidates, for D_c as large as D_e, where they stand at fixed
         offsets about one program's answer; 0 where each program makes one.
     width : float
-        D_c over D_e; 1 where the offsets are the true ones.
+        D_c over D_e.
     size : int
         M.
     scaled : bool
-        Whether offsets scale with D_c, so that ``width`` is to be found.
+        Whether facets scale with D_c, so that they say how wide it is.
     """
 
     free: Array
@@ -184,10 +184,11 @@ def learned_law(law: PlanarLaw, x: Array, u: Array) -> PlanarLaw:
     p, v = np.concatenate(points), np.concatenate(values)
     empty = np.empty((0, 3))
     if len(p) < ENOUGH:
-        return replace(law, high=empty, low=empty, width=1.0, scaled=False)
+        return replace(law, high=empty, low=empty, scaled=False)
     (pieces,) = LawPieces(p, v[:, None, None]).pieces
-    low = pieces * np.array([1.0, 1.0, -1.0])
-    return replace(law, high=pieces, low=low, width=1.0, scaled=False)
+    high = pieces / np.array([1.0, 1.0, law.width])  # the candidates' distance keeps its scale
+    low = high * np.array([1.0, 1.0, -1.0])
+    return replace(law, high=high, low=low, scaled=False)
 
 
 def _gain(k: Knowledge, A: Array, B: Array) -> Array | None:

@@ -384,6 +384,20 @@ def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not
     assert min(said) > 0.005  # never sure of another one
 
 
+def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
+    """The double integrator, whose inputs its bound clips: most keys of lost offers are sure."""
+    run = simulate(320, 1000, name="packed-double-integrator", payloads=[b"x" * 20])
+    view = View(seed=1000, loss=0.3)
+    heard = heard_by(run, view)
+    inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+    alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
+    keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
+    lost = [i for i, t in enumerate(heard) if t.candidates is None and keys[i] >= 0]
+    said = [float(alone[i, keys[i] + 1]) for i in lost]
+    assert len(said) > 80
+    assert np.mean(said) > 0.9
+
+
 # --- what she states ------------------------------------------------------------------------------
 
 
