@@ -154,14 +154,40 @@ class Lattice:
         out = np.empty((symbols + 1, self.steps + 1, self.states))
         out[0] = outside
         for r in range(1, symbols + 1):
-            level = max(float(out[r - 1].max()), 0.0)
-            values = np.exp(out[r - 1] - level)
-            now = self.left * np.exp(-level)
+            # a long silence is worth more than a float holds: each node has a level of its own
+            own = out[r - 1].max(axis=1)
+            values = np.exp(out[r - 1] - own[:, None])
+            level = np.zeros(self.steps + 1)
+            for g in range(self.wait):
+                level[: self.steps - g] = np.maximum(level[: self.steps - g], own[1 + g :])
+            now = self.left * np.exp(-level)[:, None]
             for g in range(self.wait):
                 rows = self.steps - g
-                now[:rows] += np.einsum("kef,kf->ke", self.uniform[:rows, :, g], values[1 + g :])
-            out[r] = _log(now) + level
+                part = np.einsum("kef,kf->ke", self.uniform[:rows, :, g], values[1 + g :])
+                now[:rows] += part * np.exp(own[1 + g :] - level[:rows])[:, None]
+            out[r] = _log(now) + level[:, None]
         return out
+
+    def none_after(self, begin: Array) -> float:
+        """Log weight that nothing but silence follows ``begin``, log weights of nodes."""
+        with np.errstate(divide="ignore"):
+            return float(np.logaddexp.reduce((self.idle_until(begin) + np.log(self.left)).ravel()))
+
+    def moved(self, weights: Array, symbol: int, low: int) -> Array:
+        """Rows of weights of a window's nodes, shape (R, count E), after a symbol.
+
+        The window begins at step ``low``; returns shape (R, (count + G) E), from step ``low`` + 1.
+        """
+        rows, E = len(weights), self.states
+        nodes = weights.reshape(rows, -1, E)
+        count = nodes.shape[1]
+        have = min(count, self.steps - low)
+        out = np.zeros((rows, count + self.wait, E))
+        by_step = nodes[:, :have].swapaxes(0, 1)
+        for g in range(self.wait):
+            part = by_step @ self.band[symbol, low : low + have, :, g]
+            out[:, g : g + have] += part.swapaxes(0, 1)
+        return out.reshape(rows, (count + self.wait) * E)
 
     def window(self, low: int, count: int) -> Array:
         """The band from ``count`` steps on from ``low`` as matrices, one a symbol.

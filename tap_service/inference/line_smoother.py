@@ -44,7 +44,7 @@ ROOM: Final = 1e-6
 """Over the support: rounding."""
 
 LOST: Final = -30.0
-"""Log evidence of a step that nothing explains."""
+"""Log evidence of a step that nothing explains, and the least that one step counts."""
 
 HOLDS: Final = 0.5
 """Share of the particles that must lie where the law's facets leave an input, or an offer that was
@@ -306,7 +306,7 @@ class LineSmoother:
             if gain <= LOST and t.candidates is not None:  # begin anew where its offer places it
                 cloud = self._begin(t)
             clouds.append(cloud)
-            evidence += gain
+            evidence += max(gain, LOST)  # where the law does not hold, chance says how much less
             if gain <= LOST:
                 self._doubt |= {i, i + 1}
             if before.candidates is None and not self._law.holds(clouds[i][0]).mean() > HOLDS:

@@ -22,7 +22,7 @@ from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import Lattice
-from tap_service.inference.message_search import BEAM, Found, MessageSearch
+from tap_service.inference.message_search import BEAM, REFUTED, Found, MessageSearch
 
 NOT_TEXT: Final = 0.02
 """Probability that a message is of any bytes at all."""
@@ -74,6 +74,9 @@ class Message:
         The step at which one under way should end, or -1.
     searching : bool
         Whether a wider search may find more.
+    refuted : bool
+        Whether no message that she takes for possible has its check, so that what she takes the
+        steps for is wrong somewhere.
     """
 
     session: str
@@ -85,6 +88,7 @@ class Message:
     rivals: int
     due_k: int = -1
     searching: bool = False
+    refuted: bool = False
 
 
 @dataclass(frozen=True)
@@ -238,6 +242,8 @@ class MessageReader:
         out: list[Message] = []
         first, session = steps[0].transition.k, steps[0].transition.session
         for _ in range(MOST_MESSAGES):
+            if search.silent(begin):
+                break
             found = search.find(begin)
             if found is None:
                 break
@@ -255,7 +261,7 @@ class MessageReader:
             out.append(message)
             if not message.whole:
                 break
-            begin = found.ends
+            begin = found.unchecked_ends if message.refuted else found.ends
         self._room = len(steps)
         stream, waits = self._stream(out)
         aligned = align(self._table, verdicts, ciphers, entry, stream, waits)
@@ -293,9 +299,7 @@ class MessageReader:
     ) -> Message | None:
         """What was found as a message, or None where there is likely none."""
         text, other = np.log(1 - NOT_TEXT), np.log(NOT_TEXT)
-        idle = lattice.idle_until(begin)
-        with np.errstate(divide="ignore"):
-            none = float(np.logaddexp.reduce((idle + np.log(lattice.left)).ravel()))
+        none = lattice.none_after(begin)
         listed = found.weights + text
         lost = found.plain + text + np.log(max(1 - found.kept, 1e-300))
         anything = found.any + other
@@ -310,26 +314,33 @@ class MessageReader:
         rest = p_lost + p_any + p_open
         left = float(entropies)
         if rest > 1e-9:
-            any_left = max(search.drawn(begin, np.random.default_rng(0)) - 8 * CHECK_BYTES, 0.0)
             # what she does not have is worth at least as much as she can follow
-            more = min(max(found.surprise, float(np.log2(search.beam))), any_left)
-            left += float(p_any * any_left + (p_lost + p_open) * more)
+            followed = float(np.log2(search.beam))
+            any_left = search.drawn(begin, np.random.default_rng(0)) - 8 * CHECK_BYTES
+            any_left = max(any_left, followed)
+            more = min(max(found.surprise, followed), any_left)
+            left += float(p_any * any_left + p_lost * more + p_open * (more + found.unsent))
             for p_part in (p_lost, p_any, p_open):
                 left -= float(p_part * np.log2(max(p_part, 1e-300)))
-        left = min(left, found.longest) if np.isfinite(left) else found.longest
-        is_whole = bool(len(p)) and float(p.sum() + p_lost) >= p_open
-        nodes = np.flatnonzero(np.isfinite(found.ends).any(axis=1))
-        k = first + (int(found.ends.max(axis=1).argmax()) - 1 if len(nodes) else lattice.steps - 1)
+        refuted = bool(p_lost > 0.5 and found.kept >= 1 - REFUTED)
+        left = min(left, found.longest) if np.isfinite(left) and not refuted else found.longest
+        is_whole = refuted or (bool(len(p)) and float(p.sum() + p_lost) >= p_open)
+        ends = (found.unchecked_ends if refuted else found.ends).max(axis=1)
+        k = first + (int(ends.argmax()) if np.isfinite(ends).any() else lattice.steps) - 1
+        payload = found.unchecked
+        if not refuted:
+            payload = found.payloads[0] if is_whole else found.under_way
         return Message(
             session,
             k if is_whole else first + lattice.steps - 1,
-            found.payloads[0] if is_whole else found.under_way,
-            float(p[0]) if is_whole else 0.0,
+            payload,
+            float(p[0]) if is_whole and not refuted else 0.0,
             left,
             is_whole,
             int((p > 1e-3 * p.max()).sum()) if len(p) else 0,
             -1 if is_whole or found.missing < 0 else first + lattice.steps - 1 + found.missing,
-            bool(p_lost > MISSED),
+            bool(p_lost > MISSED) and not refuted,
+            refuted,
         )
 
 

@@ -52,6 +52,13 @@ KEPT: Final = 200
 FEWEST: Final = 200
 """Messages drawn of a length at least."""
 
+CLEARLY: Final = float(np.log(20))
+"""Log ratio by which silence must be likelier than a message for none to be searched."""
+
+REFUTED: Final = 1e-3
+"""Share let go on the way up to which a message that is none of those kept refutes what she takes
+the steps for."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -79,8 +86,14 @@ class Found:
         Log weight of all such beginnings.
     missing : int
         Steps in which the likeliest of them should be over; -1 where there is none.
+    unsent : float
+        Bits of the likeliest of them that the transcript does not hold.
     longest : float
-        Bits that a message of the likeliest length holds, and those that its length does.
+        Bits that a message holds, its length's included, given what says how long it is.
+    unchecked : bytes
+        The likeliest message before checks were looked at.
+    unchecked_ends : array, shape (K + 1, E)
+        Log weight that it ends at each node, whatever its check.
     """
 
     payloads: tuple[bytes, ...]
@@ -93,7 +106,10 @@ class Found:
     under_way: bytes
     open: float
     missing: int
+    unsent: float
     longest: float
+    unchecked: bytes
+    unchecked_ends: Array
 
 
 class Opened:
@@ -103,6 +119,7 @@ class Opened:
         self.best = self.total = -np.inf
         self.text = b""
         self.missing = -1
+        self.unsent = 0.0
 
 
 class Ended:
@@ -112,6 +129,8 @@ class Ended:
         self.list: list[tuple[float, float, bytes, Array, int]] = []
         self.plain: dict[bytes, float] = {}
         self.total = self.listed = -np.inf
+        self.unchecked = (-np.inf, b"", np.zeros(0), 0)
+        """Log weight of the likeliest before its check, it, its nodes and their first step."""
 
     def add(self, text: bytes, score: float, plain: float, alpha: Array, low: int) -> None:
         """Add one with its log weights, its check's included and not, and where it ends."""
@@ -148,44 +167,65 @@ class MessageSearch:
     def starts(self, begin: Array) -> Array:
         """Log weight that a frame's start symbol was carried right before each node."""
         idle = self._lattice.idle_until(begin)
-        level = float(idle.max())
+        level = finite(idle.max(axis=1, keepdims=True))
         out = np.full_like(idle, -np.inf)
-        if level == -np.inf:
-            return out
         values = np.exp(idle - level)
         band = self._lattice.band[START]
         for g in range(self._lattice.wait):
             rows = self._lattice.steps - g
             w = np.einsum("ke,kef->kf", values[:rows], band[:rows, :, g])
             with np.errstate(divide="ignore"):
-                out[1 + g :] = np.logaddexp(out[1 + g :], np.log(w) + level)
+                out[1 + g :] = np.logaddexp(out[1 + g :], np.log(w) + level[:rows])
         return out + float(np.log(BEGINS))
+
+    def _all_lengths(self) -> tuple[NDArray[np.intp], Indices, Array]:
+        """Payloads' lengths, the symbols that follow the start symbol, and log probabilities."""
+        lengths = np.arange(1, self._longest + 1)
+        total = np.array([frame_length(int(n), self._size) - 1 for n in lengths])
+        prior = np.where(
+            lengths < 256, np.log(SHORT_SHARE / 255), np.log((1 - SHORT_SHARE) / 65280)
+        )
+        return lengths, total, np.asarray(prior, dtype=np.float64)
+
+    def _of_any_length(self, start: Array) -> Array:
+        """Log weight that a message of any length and bytes begins right before each node."""
+        _, total, prior = self._all_lengths()
+        best = np.full(start.shape, -np.inf)
+        for n, p in zip(total, prior, strict=True):
+            best = np.logaddexp(best, start + self._after(n) + p)
+        return best
+
+    def silent(self, begin: Array) -> bool:
+        """Whether silence alone after ``begin`` is clearly likelier than a message.
+
+        A message of any bytes and length, which costs no search.
+        """
+        message = float(np.logaddexp.reduce(self._of_any_length(self.starts(begin)).ravel()))
+        return self._lattice.none_after(begin) > message + CLEARLY
 
     def _lengths(self, start: Array) -> tuple[NDArray[np.intp], Array, Array, int] | None:
         """Likely lengths: they, their alphas and levels, and the first step of the window.
 
         None where the transcript holds no length.
         """
-        lengths = np.arange(1, self._longest + 1)
-        total = np.array([frame_length(int(n), self._size) - 1 for n in lengths])
-        prior = np.where(
-            lengths < 256, np.log(SHORT_SHARE / 255), np.log((1 - SHORT_SHARE) / 65280)
-        )
-        best = np.full(start.shape, -np.inf)
-        for n, p in zip(total, prior, strict=True):
-            best = np.logaddexp(best, start + self._after(n) + p)
+        lengths, total, prior = self._all_lengths()
+        best = self._of_any_length(start)
         near = np.flatnonzero((best > best.max() - FAR).any(axis=1))
         low, high = int(near[0]), int(near[-1])
         alpha = np.exp(start[low : high + 1] - start[low : high + 1].max())
-        level: Array = np.asarray(prior, dtype=np.float64) + float(start[low : high + 1].max())
+        level: Array = prior + float(start[low : high + 1].max())
         alphas = np.tile(alpha.reshape(1, -1), (len(lengths), 1))
         digits = np.array(
             [[n // self._size ** (self._header - 1 - j) % self._size for j in range(self._header)]
              for n in lengths.tolist()]
         )  # fmt: skip
         for j in range(self._header):
-            matrices = self._lattice.window(low, alphas.shape[1] // self._lattice.states)
-            alphas = np.stack([a @ matrices[d] for a, d in zip(alphas, digits[:, j], strict=True)])
+            # lengths that began alike are one row
+            _, rows, back = np.unique(
+                digits[:, : j + 1], axis=0, return_index=True, return_inverse=True
+            )
+            moved = [self._lattice.moved(alphas[[r]], int(digits[r, j]), low)[0] for r in rows]
+            alphas = np.stack(moved)[back.reshape(-1)]
             low += 1
             left = total - 1 - j
             score = self._weights(alphas, level, left, low)
@@ -275,12 +315,9 @@ class MessageSearch:
                 break
             if over.any():
                 hypotheses.take(np.flatnonzero(~over))
-        found = max(ended.list, key=lambda e: e[0], default=None)
-        size = int(lengths[likely.argmax()]) if found is None else len(found[2])
-        any_length = float(np.log2(len(lengths)))
-        return self._found(
-            ended, kept, opened, float(np.logaddexp.reduce(likely)), 8 * size + any_length
-        )
+        p = np.exp(likely - np.logaddexp.reduce(likely))
+        longest = float(p @ (8 * lengths - np.log2(np.maximum(p, 1e-300))))
+        return self._found(ended, kept, opened, float(np.logaddexp.reduce(likely)), longest)
 
     def _over(
         self, ended: "Ended", beam: Beam, sizes: Indices, totals: Indices, j: int, low: int
@@ -290,6 +327,8 @@ class MessageSearch:
         for row in np.flatnonzero(beam.count >= sizes).tolist():
             text = beam.text[row, : sizes[row]].tobytes()
             ended.plain.setdefault(text, scores[row])
+            if ended.plain[text] > ended.unchecked[0]:
+                ended.unchecked = (ended.plain[text], text, np.zeros(0), 0)
         over: Flags = totals == j + 1
         for row in np.flatnonzero(over).tolist():
             text = beam.text[row, : sizes[row]].tobytes()
@@ -304,6 +343,10 @@ class MessageSearch:
         share = np.exp(np.logaddexp.reduce(beam.score[rows]) - np.logaddexp.reduce(beam.score))
         count = max(int(share * DRAWN), FEWEST)
         drawn = graph.draw(rows, beam.score[rows], np.random.default_rng(0), count)
+        first = int(drawn.scores[:, -1].argmax())
+        if drawn.scores[first, -1] > ended.unchecked[0]:
+            node, text = int(drawn.nodes[first, -1]), drawn.texts[first].tobytes()
+            ended.unchecked = (float(drawn.scores[first, -1]), text, beam.alpha[node].copy(), low)
         texts, plain, nodes, mass = self._joined(drawn, beam, rows, low)
         ended.listed = float(np.logaddexp(ended.listed, mass))
         if not len(texts):
@@ -350,13 +393,15 @@ class MessageSearch:
             opened.best = float(weight[row])
             opened.text = beam.text[row, : beam.count[row]].tobytes()
             opened.missing = int(missing[row] / self._lattice.rate)
+            payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
+            opened.unsent = payload * float(np.log2(self._size))
         opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
 
     def _found(
         self, ended: "Ended", kept: float, opened: "Opened", likely: float, longest: float
     ) -> Found:
         """What a search gives back, with ``kept`` the log of what was not dropped."""
-        ends = np.full((self._lattice.steps + 1, self._lattice.states), -np.inf)
+        ends = self._nodes(np.zeros(0), 0)
         found = sorted(ended.list, key=lambda e: -e[0])[:KEPT]
         surprise = 0.0
         if found:
@@ -366,23 +411,43 @@ class MessageSearch:
             # what is not on the list is at best as likely as the least likely that is
             surprise -= rest * float(np.log2(max(p.min(), 1e-300)))
             _, _, _, alpha, at = found[0]
-            nodes = alpha.reshape(-1, self._lattice.states)[: self._lattice.steps + 1 - at]
-            with np.errstate(divide="ignore"):
-                ends[at : at + len(nodes)] = np.log(nodes)
+            ends = self._nodes(alpha, at)
         listed = ended.listed if self._single else ended.total
+        followed = np.isfinite(ended.total)
         return Found(
             tuple(e[2] for e in found),
             np.array([e[0] for e in found]),
             ended.total - kept,
-            float(np.exp(min(listed - ended.total, 0.0) + kept)) if found else 0.0,
+            float(np.exp(min(listed - ended.total, 0.0) + kept)) if followed else 0.0,
             surprise - kept / float(np.log(2)),
             ends,
             likely,
             opened.text,
             opened.total,
             opened.missing,
+            opened.unsent,
             longest,
+            ended.unchecked[1],
+            self._after_any_check(*ended.unchecked[2:]),
         )
+
+    def _nodes(self, alpha: Array, low: int) -> Array:
+        """Log weights of all nodes by those of a window from step ``low`` on."""
+        out = np.full((self._lattice.steps + 1, self._lattice.states), -np.inf)
+        nodes = alpha.reshape(-1, self._lattice.states)[: self._lattice.steps + 1 - low]
+        with np.errstate(divide="ignore"):
+            out[low : low + len(nodes)] = np.log(nodes)
+        return out
+
+    def _after_any_check(self, alpha: Array, low: int) -> Array:
+        """Log weights of the nodes after a check of any symbols."""
+        for _ in range(self._digits * CHECK_BYTES if len(alpha) else 0):
+            moved = [self._lattice.moved(alpha[None], m, low)[0] for m in range(self._size)]
+            alpha = np.mean(moved, axis=0)[: (self._lattice.steps - low) * self._lattice.states]
+            if not alpha.any():
+                break
+            alpha, low = alpha / alpha.max(), low + 1
+        return self._nodes(alpha, low)
 
     def drawn(self, begin: Array, rng: np.random.Generator, count: int = 24) -> float:
         """Entropy in bits of a message of any bytes, with its check.

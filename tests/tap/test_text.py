@@ -22,6 +22,7 @@ from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_reader import MessageReader, verdicts_of
+from tap_service.inference.message_search import Found, MessageSearch
 from wyner.runs.score.score import score
 from wyner.studies.secrecy.runs import SENTENCES as SHORT
 from wyner.studies.secrecy.runs import simulate
@@ -147,12 +148,21 @@ def test_alignment_is_bayes_rule(name: str) -> None:
 
 
 def stretch(
-    payload: bytes, size: int, scheme: str, seed: int, *, missed: float, agree: float
+    payload: bytes,
+    size: int,
+    scheme: str,
+    seed: int,
+    *,
+    missed: float,
+    agree: float,
+    second: bytes = b"",
 ) -> list[InferredStep]:
-    """A message between silence, every verdict known, some ciphertext symbols missed."""
+    """Messages between silence, every verdict known, some ciphertext symbols missed."""
     rng = random.Random(seed)
     machine = make_scheme(scheme, size)
     state, stream = machine.initial, [0] * 9 + list(encode_frame(payload, size))
+    if second:
+        stream += [0] * 9 + list(encode_frame(second, size))
     steps, sent = [], 0
     for k in range(100_000):
         pad = machine.pad(state)
@@ -212,6 +222,8 @@ def test_two_messages_and_one_under_way() -> None:
     assert not under_way.whole
     assert first.startswith(under_way.payload[:5])
     assert 0 < under_way.due_k - part[-1].transition.k < 80
+    unsent = len(first) - len(under_way.payload) - 1  # but for the byte that is begun
+    assert under_way.bits_left > 8 * unsent
     del second
 
 
@@ -223,6 +235,99 @@ def test_fewer_steps_than_a_check_has_symbols_hold_no_whole_message(
     reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
     messages = reader.read(heard[at : at + steps], (0.0, 1.0), {})
     assert all(not m.whole or m.probability < 0.5 for m in messages)
+
+
+def test_where_no_message_has_its_check_nothing_is_claimed_and_the_next_one_is_read() -> None:
+    """Ten steps are taken for other symbols, and all was heard: 27 bytes, 216 bits."""
+    first, second = b"Send the spare keys by noon", b"and burn what is left"
+    steps = stretch(first, 4, "pipelined", 1, missed=0.0, agree=1.0, second=second)
+    for i in range(40, 140, 10):
+        right = steps[i].samples
+        assert right is not None
+        steps[i] = InferredStep(steps[i].transition, np.roll(right, 1, axis=1))
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    one, two = reader.read(steps, (0.0, 1.0), {})
+    assert (one.refuted, one.probability, one.searching) == (True, 0.0, False)
+    assert one.bits_left == pytest.approx(8 * len(first), abs=0.1)
+    assert len(one.payload) == len(first)
+    assert 0 < sum(a != b for a, b in zip(one.payload, first, strict=True)) <= 10
+    assert (two.payload, two.refuted) == (second, False)
+    assert two.probability > 0.9
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_she_does_not_have_leaves_bits(seed: int) -> None:
+    """Twelve steps taken for the wrong symbols; asked before the message is over and after."""
+    payload = b"Send the keys"
+    steps = stretch(payload, 4, "pipelined", seed, missed=0.1, agree=1.0)
+    for i in random.Random(seed).sample(range(20, 80), 12):
+        samples = steps[i].samples
+        assert samples is not None
+        steps[i] = InferredStep(steps[i].transition, np.roll(samples, 1 + seed % 3, axis=1))
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
+    for part in (steps[:60], steps):
+        messages = reader.read(part, (0.0, 1.0), {})
+        assert messages
+        for message in messages:
+            assert message.probability < 0.5
+            assert message.bits_left > 3
+
+
+def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third missed: 1200 steps after a message are silence, and read without a search."""
+    payload = b"Send the spare keys by noon"
+    steps = stretch(payload, 4, "pipelined", 1, missed=0.3, agree=1.0)
+    rng, key, table = random.Random(1), 0, np.array([0.05, 0.5, 0.5, 0.5])
+    last = steps[-1].transition
+    begin, gauges = last.k + 1, steps[-1].samples
+    assert gauges is not None
+    key = int(gauges[0].argmin())
+    for k in range(begin, begin + 1200):
+        cipher = None if rng.random() < 0.3 else encrypt(0, key, 4)
+        t = Transition("s", k, (0.0,), None, cipher, (0.0,))
+        key = rng.randrange(4)
+        steps.append(InferredStep(t, np.roll(table, key)[None]))
+    searches: list[int] = []
+    find = MessageSearch.find
+
+    def counted(self: MessageSearch, begin: Array, beam: int | None = None) -> Found | None:
+        searches.append(1)
+        return find(self, begin, beam)
+
+    monkeypatch.setattr(MessageSearch, "find", counted)
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    (message,) = reader.read(steps, (0.0, 1.0), {})
+    assert (message.payload, message.whole) == (payload, True)
+    assert len(searches) == 1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
+    table, states = closed("pipelined", 4)
+    steps = stretch(b"Up", 4, "pipelined", seed, missed=0.5, agree=1.0)
+    _, after = verdicts_of(steps, (0.0, 1.0), 4, certain=True)
+    pads = table.pad[:states]
+    verdicts = np.where((pads >= 0)[:, None], after[:, pads], after[:, 0][:, None])
+    ciphers = [-1 if s.transition.cipher is None else s.transition.cipher for s in steps]
+    lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0])
+    begin = np.full((lattice.steps + 1, states), -np.inf)
+    begin[0, 0] = 0.0
+    assert not MessageSearch(lattice, english()).silent(begin)
+
+
+@pytest.mark.parametrize("seed", [1005, 1012])
+def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_not_hold(
+    seed: int,
+) -> None:
+    """From (4, -2): the first five steps are unlikely by the law under every scale."""
+    run = simulate(200, seed, name="packed", payloads=[b"x" * 20])
+    view = View(seed=seed, noise=0.05)
+    heard = heard_by(run, view)
+    inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+    alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
+    keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
+    said = [float(alone[i, key + 1]) for i, key in enumerate(keys) if key >= 0]
+    assert min(said) > 0.005  # never sure of another one
 
 
 def test_no_message_is_none() -> None:
