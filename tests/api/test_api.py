@@ -191,6 +191,15 @@ def test_eavesdroppers_of_the_ladder_and_of_ones_own_are_scored(runs: Simulated)
         eavesdrop(runs, ["nobody"])
 
 
+def test_where_nothing_was_agreed_there_is_no_share() -> None:
+    """It was 0.5: a blind tap looked as good as one who guesses right half the time."""
+    alike = design(vary(load("sustained"), {"secrecy.alpha": 1.0}))  # D_e is D_c: no key
+    (tap,) = eavesdrop(run(alike, runs=6, steps=40, seed=1), ["nearest-centre"])
+    assert (tap.agreements, tap.right) == (0, 0)
+    assert np.isnan(tap.keys.value)
+    assert not tap.keys.known
+
+
 def test_a_state_outside_every_set_stops_the_runs() -> None:
     far = vary(load("sustained"), {"plant.initial_state": [1e6, 0.0]})
     with pytest.raises(SimulationError, match=r"step 0: the state .* is outside T_"):

@@ -89,6 +89,24 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
     assert f"warning: {warning}" in capsys.readouterr().out
 
 
+def test_what_no_end_can_tell_of_its_store_and_what_waits_is_said(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both stores put back together give keys twice, and nobody there can know."""
+    begun = {"key_blocks_begun": 7, "key_blocks_waiting": 2}
+    folder = changed(run_dir, tmp_path, PLANT_STATUS, **begun)
+    shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
+    assert main(["status", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("stores ") and "put back together" in line for line in lines)
+    assert any(line.startswith("blocks ") and "7 begun" in line for line in lines)
+    assert any("blocks that wait for the other end: 2" in line for line in lines)
+    assert main(["status", str(folder), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["plant"]["key_blocks_waiting"] == 2
+    assert told["distance"] == pytest.approx(7e-12)
+
+
 @pytest.mark.parametrize(
     ("found", "warning"),
     [

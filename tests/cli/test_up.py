@@ -1,5 +1,6 @@
 """``wyner up``: who listens, and when a run is over."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 from runtime.errors import UsageError
 from runtime.scenario_file import scenario_of
 from wyner.cli import up
+from wyner.cli.main import main
 from wyner.deployment.one_machine import RunOptions
 
 
@@ -69,3 +71,16 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
         listening(f"{tmp_path}/mine.py:Shadow")
     with pytest.raises(UsageError, match="expected at least one name"):
         listening(",")
+
+
+@pytest.mark.parametrize(("failed", "code"), [([], 0), (["mine"], 1)])
+def test_a_run_whose_eavesdropper_failed_ends_with_1(
+    failed: list[str], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """What she would have had nobody knows: it is no success."""
+    summary = {"failed": failed, "delivered": True}
+    scenario = scenario_of("sustained")
+    outcome = up.Outcome(scenario, summary, None, interrupted=False, left=False)
+    monkeypatch.setattr(up, "run_session", lambda _options: outcome)
+    assert main(["up", "--json", "--until-delivered"]) == code
+    assert json.loads(capsys.readouterr().out)["failed"] == failed

@@ -27,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
     from wyner.runs.page import StepError, write_report
+    from wyner.runs.run import RunError
 
     try:
         with reading(str(args.run_dir)):
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         where = error.filename or args.run_dir
         raise UsageError(f"{where}: {error.strerror or error}") from None
-    except (StepError, TraceError) as error:
+    except (StepError, TraceError, RunError) as error:
         raise UsageError(str(error)) from None
     print(json.dumps({"run_dir": str(args.run_dir), "page": str(page)}) if args.json else page)
     return DONE
