@@ -153,6 +153,7 @@ def test_nobody_is_told_to_fetch_this_project_from_an_index() -> None:
         "wyner",
         "plant_service",
         "tap_service",
+        "attacker_service",
         "controller_service",
     ]
     for room in rooms:
