@@ -154,6 +154,7 @@ ROOMS: Final = (
     "controller_service",
     "plant_service",
     "tap_service",
+    "attacker_service",
     "wyner",
 )
 """The importable names, each of which imports those above it at most."""

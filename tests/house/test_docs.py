@@ -14,6 +14,7 @@ import pytest
 from protocol.messages import FIELD, INTEL, OPS
 from protocol.schemes.registry import SCHEMES, make_scheme
 from runtime.errors import UsageError
+from tools.diagrams import DOCUMENTS as GENERATED
 from tools.diagrams import (
     PARTS,
     ROOMS,
@@ -23,7 +24,6 @@ from tools.diagrams import (
     rooms,
     state_diagram,
 )
-from tools.diagrams import DOCUMENTS as GENERATED
 from wyner.cli.main import build_parser, commands
 from wyner.runs.check import CLAUSES
 
