@@ -24,7 +24,6 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import (
     NEW_JOURNAL,
-    Applied,
     FrameRefused,
     Interrupted,
     Missed,
@@ -553,7 +552,7 @@ class PlantCore:
             record.nonce,
         )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution
+            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution, coin, u
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -580,25 +579,23 @@ class PlantCore:
         judged = self.keying.heard(offer)
         self._coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
-        return self._counted_actions(
-            Applied(transition, coin, u), chunk, frame, contribution, judged
-        )
+        return self._counted_actions(transition, chunk, frame, contribution, judged)
 
     def _counted_actions(
         self,
-        applied: Applied,
+        transition: CountedTransition,
         chunk: str,
         frame: Frame | None,
         contribution: Contribution | None,
         judged: tuple[BlockResult, ...],
     ) -> Actions:
         """What is traced and saved of a transition, and what it means for keys."""
-        contradicted = None if self._telemetry is None else self._telemetry.counted(applied)
+        contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
         if frame is None:
             write = Save(self.record, later=not chunk, chunk=chunk)
-            actions = Actions((applied,), write)
+            actions = Actions((transition,), write)
         else:
-            actions = self._frame_ended(applied, chunk, frame)
+            actions = self._frame_ended(transition, chunk, frame)
         if contradicted is not None:
             notice = Notice(contradicted, "warning")
             actions = actions._replace(notices=(*actions.notices, notice))
@@ -620,9 +617,9 @@ class PlantCore:
         )
         return actions._replace(write=write, keys=tasks)
 
-    def _frame_ended(self, applied: Applied, chunk: str, frame: Frame) -> Actions:
+    def _frame_ended(self, transition: CountedTransition, chunk: str, frame: Frame) -> Actions:
         """A frame is whole: a message, or one that failed its check."""
-        record, k = self.record, applied.transition.k
+        record, k = self.record, transition.k
         write = Save(
             record,
             chunk=chunk,
@@ -632,14 +629,14 @@ class PlantCore:
         if not frame.intact:
             refused = FrameRefused(record.session, record.p)
             notice = Notice("a frame failed its check and was refused", "error")
-            return Actions((applied, refused), write, notices=(notice,))
+            return Actions((transition, refused), write, notices=(notice,))
         if self._telemetry is not None:
             self._telemetry.recovered(frame.payload, k)
         if self._finished:
             self._tell_stopped()
         publish, health = self._status(force=True)
         text = f"message recovered at step {k}: {len(frame.payload)} bytes"
-        events = (applied, Recovered(frame.payload))
+        events = (transition, Recovered(frame.payload))
         return Actions(events, write, publish, (Notice(text),), health)
 
     # --- steps without an offer -------------------------------------------------------------------

@@ -1,9 +1,11 @@
-"""What a side traces: one class an event, which says itself how it reads in a trace."""
+"""What a side traces: one class an event, which says itself how it reads in a trace.
+
+A transition is :class:`protocol.link.session.CountedTransition`.
+"""
 
 import base64
 from typing import Any, Final, NamedTuple, Protocol
 
-from protocol.link.session import CountedTransition
 from protocol.vectors import Vector
 
 NEW_JOURNAL: Final = "new journal"
@@ -26,21 +28,6 @@ class SessionBegan(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "session", "session": self.session, "reason": self.reason}
-
-
-class Applied(NamedTuple):
-    """A transition as the plant counted it, with b_r and the input that was in force."""
-
-    transition: CountedTransition
-    coin: int
-    u: Vector
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        event = self.transition.as_event()
-        event["coin"] = self.coin
-        event["u"] = self.u
-        return event
 
 
 class Missed(NamedTuple):

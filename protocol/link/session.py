@@ -135,7 +135,8 @@ class CountedTransition(NamedTuple):
     -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
     afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
     1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
-    predictions, of an f_c that is not linear.
+    predictions, of an f_c that is not linear. Only the plant knows ``coin``, its b_r, and
+    ``u``, the input that was in force: at the controller they are -1 and empty.
     """
 
     session: str
@@ -155,6 +156,8 @@ class CountedTransition(NamedTuple):
     tested: bool
     counts: int = 0
     predictions: tuple[Vector, ...] = ()
+    coin: int = NO_SYMBOL
+    u: Vector = ()
 
     @classmethod
     def of(
@@ -168,6 +171,8 @@ class CountedTransition(NamedTuple):
         carry: Carry,
         message_symbol: int,
         contribution: Contribution | None,
+        coin: int = NO_SYMBOL,
+        u: Vector = (),
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         carried = carry.pad != NO_SYMBOL
@@ -189,7 +194,14 @@ class CountedTransition(NamedTuple):
             scheme.tests(record.state),
             0 if contribution is None else contribution.counts,
             offer.predictions,
+            coin,
+            u,
         )
+
+    @property
+    def shared(self) -> Self:
+        """What both ends count alike: all but the coin and the input that it chose."""
+        return self._replace(coin=NO_SYMBOL, u=())
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
@@ -213,4 +225,7 @@ class CountedTransition(NamedTuple):
         }
         if self.predictions:
             event["predictions"] = self.predictions
+        if self.coin != NO_SYMBOL:
+            event["coin"] = self.coin
+            event["u"] = self.u
         return event

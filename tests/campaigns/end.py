@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
+from protocol.link.events import Event, FrameRefused, SessionBegan
 from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
@@ -275,9 +275,9 @@ class End:
         counted = self.view.counted
         if isinstance(event, SessionBegan) and counted:
             self.ended = event.session != counted[-1].session
-        mine = event.transition if isinstance(event, Applied) else event
-        if not isinstance(mine, CountedTransition):
+        if not isinstance(event, CountedTransition):
             return
+        mine = event.shared
         self.news.append(mine)
         if mine in counted:
             return

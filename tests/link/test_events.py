@@ -6,7 +6,6 @@ import pytest
 
 from protocol.agreement import AgreementResult
 from protocol.link.events import (
-    Applied,
     Delivered,
     Event,
     FrameRefused,
@@ -72,7 +71,7 @@ CENTRES = ((3.0,), (5.0,))
         (SessionBegan(None, "lost"), {"event": "session", "session": None, "reason": "lost"}),
         (TRANSITION, TOLD),
         (TRANSITION._replace(predictions=CENTRES), {**TOLD, "predictions": CENTRES}),
-        (Applied(TRANSITION, 0, (2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
+        (TRANSITION._replace(coin=0, u=(2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
         (Missed(**STEP), {"event": "missed", **STEP}),
         (
             Interrupted(**STEP),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.link.events import Applied, Event, Missed, Recovered
+from protocol.link.events import Event, Missed, Recovered
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Peer, Save, Write
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
@@ -225,13 +225,10 @@ class Pair:
         self.do(side, lambda: endpoint.start(self.now))
 
     def note(self, side: str, event: Event) -> None:
-        if isinstance(event, Applied):
-            t = event.transition
-            self.counted[side][t.session, t.j] = t
-        elif isinstance(event, Recovered):
+        if isinstance(event, Recovered):
             self.inbox.append(event.payload)
         elif isinstance(event, CountedTransition):
-            self.counted[side][event.session, event.j] = event
+            self.counted[side][event.session, event.j] = event.shared
 
     def do(self, side: str, act: Callable[[], Actions]) -> None:
         """One act of one side: if it is the fatal one, the side dies in it and comes back."""

@@ -9,7 +9,7 @@ from typing import Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Applied, Event
+from protocol.link.events import Event
 from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.session import CountedTransition, Rules
@@ -236,8 +236,8 @@ class World:
     def traced(self, side: Side, event: Event) -> None:
         if isinstance(event, BlockJudged):
             assert event.what == "confirmed", "the ends hold different blocks"
-        transition = event.transition if isinstance(event, Applied) else event
-        if isinstance(transition, CountedTransition):
+        if isinstance(event, CountedTransition):
+            transition = event.shared
             at = transition.session, transition.j
             self.counted[side][at] = transition
             other = self.counted[OTHER[side]].get(at)

@@ -10,7 +10,7 @@ from typing import Any
 
 from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
-from protocol.link.events import Applied, Event, Missed, SessionBegan
+from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
@@ -285,13 +285,13 @@ class PlantInHand:
         self.line.coin, self.line.x_next = coin, x_next
         applied = self.takes(offer)
         assert (applied.coin, applied.u) == (coin, offer.candidates[coin])
-        return applied.transition
+        return applied
 
-    def takes(self, offer: Offer) -> Applied:
+    def takes(self, offer: Offer) -> CountedTransition:
         """The offer is applied, and its step is over."""
         self._first = None
         self.hear(Offer, offer.wire())
-        (applied,) = [event for event in self.events if isinstance(event, Applied)]
+        (applied,) = [event for event in self.events if isinstance(event, CountedTransition)]
         kept = self.events[:], self.notices[:], self.saved[:], self.appended
         self._tick()
         self.events, self.notices, self.saved, self.appended = kept
