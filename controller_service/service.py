@@ -22,7 +22,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_keeper, refusal
+from runtime.key_opening import coin_keys, open_keeper, refusal
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
@@ -79,6 +79,7 @@ def open_controller(
             config.secret,
             record,
         )
+        for_coin = coin_keys(key_maker, scenario, record)
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
@@ -98,6 +99,7 @@ def open_controller(
         record=record,
         step=step,
         contributions=contributions,
+        coin_keys=for_coin,
         predict=predict,
         message=config.message,
         telemetry=ControllerTelemetry(

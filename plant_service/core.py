@@ -22,6 +22,7 @@ from plant_service.adapters.base import PlantError
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
+from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
     NEW_JOURNAL,
     FrameRefused,
@@ -52,7 +53,8 @@ from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
-from protocol.secret.tasks import Done
+from protocol.secret.records import Key
+from protocol.secret.tasks import CoinKeys, Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
 from runtime.journal import ReceiverStep
@@ -86,12 +88,13 @@ def hex_digits(size: int) -> int:
 class _Step:
     """The step under way, of which ``offer`` was taken and ``coin`` chose the input.
 
-    ``report`` is there from its end on, until it is counted.
+    ``keyed``: a key chose the coin. ``report`` is there from its end on, until it is counted.
     """
 
     payload: bytes
     offer: Offer
     coin: int
+    keyed: bool = False
     report: Measurement | None = None
 
     @property
@@ -124,6 +127,8 @@ class PlantCore:
         Symbols of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
+    coin_keys : iterable of Key
+        That the key store holds for the session's coin, in order.
     step : ReceiverStep, optional
         A step of the journal's that was read and not counted.
     begun : BegunStep, optional
@@ -166,6 +171,7 @@ class PlantCore:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
+        coin_keys: Iterable[Key] = (),
         step: ReceiverStep | None = None,
         begun: BegunStep | None = None,
         back: Vector | None = None,
@@ -190,7 +196,8 @@ class PlantCore:
         self._steps = steps
         self._step: _Step | None = None
         if step is not None:
-            self._step = _Step(b"", step.offer, step.coin, step.measurement)
+            keyed = bool(step.measurement.applied_key)
+            self._step = _Step(b"", step.offer, step.coin, keyed, step.measurement)
         self._begun, self._back = begun, back
         self._moved = record.k > 0 or step is not None or begun is not None
         self._left = True  # copy 0 of the newest measurement may have left
@@ -207,6 +214,8 @@ class PlantCore:
         self.keying = Keying(rules.schedule, nonces)
         said = record if step is None else step.measurement
         self.keying.begin(record.session, said.block, said.tag, contributions)
+        self.coins = AppliedCoins(rules.size, on=rules.keyed)
+        self.coins.begin(record.session, coin_keys, *_newest_coin(record, step, begun))
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
@@ -357,6 +366,9 @@ class PlantCore:
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The keeper of keys has done a task; rows that nobody needs any more go at once."""
         self._now = now
+        if isinstance(done, CoinKeys):
+            self.coins.done(done, now)
+            return NOTHING_TO_DO
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
     def appear(self, count: int) -> Actions:
@@ -411,7 +423,12 @@ class PlantCore:
             return NOTHING_TO_DO
         if self._measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self._measured_at)
-        return self._begin(_Step(payload, offer, self._coin.toss(record.transitions)))
+        # tossed in any case: whether a key chose is not to show in the time that it takes
+        coin, digit = self._coin.toss(record.transitions), self.coins.digit(offer)
+        step = _Step(payload, offer, coin)
+        if digit is not None:
+            step.coin, step.keyed = digit, True
+        return self._begin(step)
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -431,6 +448,10 @@ class PlantCore:
         if not all(map(rules.admissible, offer.candidates)):
             raise ValueError("offer.candidates: expected inputs in U")
         if wrong := rules.malformed_predictions(offer.predictions):
+            raise ValueError(wrong)
+        if wrong := rules.malformed_coin(
+            "offer.coin_key", offer.coin_key, offer.coin_from, offer.coin_last
+        ):
             raise ValueError(wrong)
         if offer.cipher >= rules.size:
             raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
@@ -468,7 +489,7 @@ class PlantCore:
             self._step = None
             interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
-        step.report = self._report(step.offer, x_next)
+        step.report = self._report(step, x_next)
         wire = step.report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
         if due:
@@ -480,9 +501,9 @@ class PlantCore:
             finish_step=True,
         )
 
-    def _report(self, offer: Offer, x_next: Vector) -> Measurement:
-        """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""
-        record = self.record
+    def _report(self, step: _Step, x_next: Vector) -> Measurement:
+        """Measurement(k + 1), once the step's offer has been applied: its copy 0."""
+        record, offer = self.record, step.offer
         block, tag = self.keying.word()
         self._left = False
         return Measurement(
@@ -496,7 +517,14 @@ class PlantCore:
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
+            applied_key=self._applied_key(offer.coin_key, keyed=step.keyed),
         )
+
+    def _applied_key(self, key: str | None, *, keyed: bool) -> str | None:
+        """What a measurement says of the coin; None where no coin is keyed."""
+        if not self.rules.keyed:
+            return None
+        return key if keyed else ""
 
     def _measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it.
@@ -517,6 +545,7 @@ class PlantCore:
             applied_copy=record.applied_copy,
             block=record.block,
             tag=record.tag,
+            applied_key=self._applied_key(record.coin_key, keyed=record.keyed),
         )
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
@@ -552,7 +581,18 @@ class PlantCore:
             record.nonce,
         )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution, coin, u
+            scheme,
+            record,
+            offer,
+            x_next,
+            verdict,
+            after,
+            carry,
+            symbol,
+            contribution,
+            coin,
+            u,
+            report.applied_key,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -573,6 +613,9 @@ class PlantCore:
             block=report.block,
             tag=report.tag,
             blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
+            coin_key=self.coins.key,
+            coin_from=self.coins.first,
+            keyed=step.keyed,
         )
         self._step = None
         self._state = TABLE[self._state, "offer applied"].next
@@ -601,7 +644,7 @@ class PlantCore:
             actions = actions._replace(notices=(*actions.notices, notice))
         if not self.keying.on:
             return actions
-        tasks = self.keying.tasks(judged)
+        tasks = (*self.keying.tasks(judged), *self.coins.tasks(self._now))
         if any(result.what == "unequal" for result in judged):
             self._state = TABLE[self._state, "blocks differ"].next
             self._begin_session()
@@ -673,6 +716,8 @@ class PlantCore:
             nonce=self.keying.nonce(),
             block=block,
             tag=tag,
+            coin_key=self.coins.key,
+            coin_from=self.coins.first,
         )
         self._left = False
 
@@ -813,9 +858,13 @@ class PlantCore:
             applied_copy=0,
             block=-1,
             tag=self.keying.no_tag,
+            coin_key="",
+            coin_from=-1,
+            keyed=False,
         )
         self._left = True
         self.keying.begin(session)
+        self.coins.begin(session)
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """A new session has begun, beside what is to be done ``before``."""
@@ -936,6 +985,20 @@ class PlantCore:
         """It is over, if it was not refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
+
+
+def _newest_coin(
+    record: ReceiverRecord, step: ReceiverStep | None, begun: BegunStep | None
+) -> tuple[str, int]:
+    """The newest key of the session that a coin may have come from, and its first step."""
+    last = None
+    if step is not None and step.measurement.applied_key:
+        last = step.offer
+    elif begun is not None and begun.offer.session == record.session:
+        last = begun.offer
+    if last is not None and last.coin_key and last.coin_from is not None:
+        return last.coin_key, last.coin_from
+    return record.coin_key, record.coin_from
 
 
 def _logged(text: str, level: Literal["info", "error"] = "info") -> Actions:

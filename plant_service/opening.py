@@ -1,6 +1,6 @@
 """The plant's core as its journal has it: a new one, or one that goes on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from plant_service.adapters.base import PlantAdapter, Stepped
@@ -13,6 +13,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
+from protocol.secret.records import Key
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -39,6 +40,7 @@ def open_core(
     folder: Path = Path(),
     seed: int | None = None,
     own: Stepped | PlantAdapter | None = None,
+    coin_keys: Iterable[Key] = (),
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -58,6 +60,8 @@ def open_core(
         For a plant with chance of its own.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
+    coin_keys : iterable of Key
+        As of :class:`plant_service.core.PlantCore`.
 
     Raises
     ------
@@ -97,6 +101,7 @@ def open_core(
             record=first,
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
+            coin_keys=coin_keys,
             step=step,
             begun=journal.begun() if plant.acts else None,
             back=x if plant.acts and record is not None else None,

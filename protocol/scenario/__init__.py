@@ -7,6 +7,7 @@ made from it, and never this.
 """
 
 from protocol.scenario.control import Control, Cost, Regulator
+from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
@@ -33,6 +34,7 @@ __all__ = [
     "Control",
     "ConvexSet",
     "Cost",
+    "DefenceTable",
     "Defender",
     "Disturbance",
     "Keys",

@@ -10,7 +10,8 @@ from typing import Final, NamedTuple
 
 from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import BlockRow, Side, StoreError
-from protocol.secret.tasks import Broken, Done, Judged, Task
+from protocol.secret.tasks import Broken, CoinTask, Done, Judged, Task
+from runtime.keys import coins
 from runtime.keys.ledger import Authentication, Made, spent_rows
 from runtime.keys.store import KeyStore
 
@@ -93,6 +94,8 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
     try:
         if isinstance(task, ClosedBlock):
             return key_maker.make_keys(task)
+        if isinstance(task, CoinTask):
+            return coins.serve(key_maker.store, task)
         key_maker.judge(task.session, task.judgement)
         number = task.judgement.number
         row = key_maker.store.block_tag(task.session, number)
