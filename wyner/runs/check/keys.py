@@ -7,6 +7,7 @@ from typing import Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import decrypt
+from wyner.runs.check.attacked import Labels
 from wyner.runs.check.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.runs.check.evidence import Evidence
 from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
@@ -32,6 +33,7 @@ class _Opinion:
         self._reader = e.plant if side == "plant" else e.controller
         self._session = ""
         self._automata = Automata(self._size)
+        self.labels = Labels()
 
     def _of_numbers(self, t: TracedTransition) -> tuple[set[int], list[float]]:
         """The keys that the raw numbers allow, and how far from each centre x(k+1) is.
@@ -69,7 +71,7 @@ class _Opinion:
             return ""
         if t.u != t.candidates[t.coin]:
             return f"applied {t.u}, (15) gives candidate b_r = {t.coin}"
-        inside = self._leaves or reached[t.coin] <= 1 + ROUNDING
+        inside = self._leaves or self.labels.lies(t.k) or reached[t.coin] <= 1 + ROUNDING
         return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
 
 
@@ -83,6 +85,7 @@ def paper(e: Evidence, tally: Tally) -> Judging:
     while (part := (yield)) is not None:
         for side, items in part.sides():
             for item in items:
+                opinions[side].labels.step(item)
                 if isinstance(item, Walked):
                     t = item.t
                     text = opinions[side].wrong(t)
@@ -113,13 +116,17 @@ def coin(e: Evidence, tally: Tally) -> Judging:
     """Equation (22): the key is b_r."""
     if not need(tally, plant_trace=e.plant):
         return
-    left = 0
-    leaves = may_leave(e)
+    left = spoofed = 0
+    leaves, labels = may_leave(e), Labels()
     while (part := (yield)) is not None:
         for item in part.plant:
+            labels.step(item)
             if not isinstance(item, Walked) or item.t.symbol == NO_SYMBOL:
                 continue
             t = item.t
+            if labels.lies(t.k):
+                spoofed += t.symbol != t.coin
+                continue
             assert t.coin is not None
             outside = leaves and t.gauges[t.coin] > 1 + EDGE
             left += outside and t.symbol != t.coin
@@ -127,6 +134,8 @@ def coin(e: Evidence, tally: Tally) -> Judging:
             tally.count(t.symbol == t.coin or outside, t.session, t.j, t.k, text)
     if left:
         tally.note = f"{left} unlike the coin, each with a disturbance outside D_c"
+    if spoofed:
+        tally.note = f"{spoofed} unlike the coin under attack"
 
 
 def _scheme(e: Evidence, side: str, tally: Tally) -> Judging:
@@ -170,7 +179,8 @@ def receiver(e: Evidence, tally: Tally) -> Judging:
         yield from _scheme(e, "plant", tally)
 
 
-_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in ("coin", "u"))
+PLANTS_OWN: Final = ("coin", "u", "true_x_next", "true_u", "attack_failed")
+_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in PLANTS_OWN)
 _shared: Final = attrgetter(*_SHARED)
 
 

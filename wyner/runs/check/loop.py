@@ -8,6 +8,8 @@ from protocol.agreement import predict
 from protocol.arrays import Array
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
+from protocol.vectors import Vector
+from wyner.runs.check.attacked import Labels, wanting
 from wyner.runs.check.clause import EDGE, Judging, Tally, may_leave, need
 from wyner.runs.check.evidence import Evidence
 from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
@@ -78,40 +80,64 @@ def switching(e: Evidence, tally: Tally) -> Judging:
 
 
 def reachable(e: Evidence, tally: Tally) -> Judging:
-    """Equations (6) and (14): the gauge of what happened is at most 1."""
+    """Equations (6) and (14): the gauge of what happened is at most 1.
+
+    Of an attacked plant that is its true state, which its labels name.
+    """
     if not need(tally, plant_trace=e.plant):
         return
     rule = e.rules.agreement
     left, largest, leaves = 0, 0.0, may_leave(e)
+    labels, truths, away = Labels(), 0, 0.0
+    true: Vector | None = None  # x(k), where a step before it was labelled
     while (part := (yield)) is not None:
         for item in part.plant:
-            if isinstance(item, Walked):
-                step: TracedTransition | MissedLine = item.t
-                assert item.t.coin is not None
-                applied = item.t.candidates[item.t.coin] == item.t.u
-                g = item.verdict.gauges[item.t.coin] if applied else _gauge(e, step)
-            elif isinstance(item, MissedLine):
-                step = item
-                if step.interrupted or e.rules.predicted:
-                    continue  # what was applied is not known, or where it leads nobody predicted
-                g = _gauge(e, step)
-            else:
+            step = labels.step(item)
+            if step is None:
                 continue
+            j = step.j if isinstance(step, TracedTransition) else -1
+            where = (step.session, j, step.k)
+            if text := labels.wrong(step):
+                tally.count(False, *where, text)
+            x, true = true or step.x, step.true_x_next
+            if isinstance(step, MissedLine) and step.interrupted:
+                continue  # what was applied is not known
+            if true is not None and step.true_u is not None and len(true) == len(step.x):
+                truths += 1
+                away = max(away, *(abs(a - b) for a, b in zip(true, step.x_next, strict=True)))
+                if e.rules.predicted:
+                    continue  # nobody predicted where the truth leads
+                g = _gauge(e, x, step.true_u, true)
+            elif labels.lies(step.k) or (e.rules.predicted and isinstance(step, MissedLine)):
+                continue
+            elif isinstance(item, Walked) and _chosen(item.t) == item.t.u:
+                assert item.t.coin is not None
+                g = item.verdict.gauges[item.t.coin]
+            else:
+                g = _gauge(e, step.x, step.u or (), step.x_next)
             largest = max(largest, g)
             inside = g <= 1 + EDGE
             left += not inside
-            j = step.j if isinstance(step, TracedTransition) else -1
             text = f"x(k+1) is outside Reach^c of the applied input: gauge {g:.6g}"
-            tally.count(inside or leaves, step.session, j, step.k, text)
+            tally.count(inside or leaves, *where, text)
+    if text := wanting(labels.attack, (e.manifest or {}).get("attack")):
+        tally.fail("", -1, -1, text)
     tally.note = f"largest gauge {largest:.6f}, alpha {rule.alpha:g}"
+    if truths:
+        tally.note += f"; {truths} of them the true state under attack, {away:.3g} away at most"
     if leaves:
         tally.note += f"; the disturbance may leave D_c here, and did in {left} steps"
 
 
-def _gauge(e: Evidence, step: TracedTransition | MissedLine) -> float:
+def _chosen(t: TracedTransition) -> Vector:
+    assert t.coin is not None
+    return t.candidates[t.coin]
+
+
+def _gauge(e: Evidence, x: Vector, u: Vector, x_next: Vector) -> float:
     rule = e.rules.agreement
-    centre = predict(rule.A, rule.B, step.x, step.u or ())
-    return rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])
+    centre = predict(rule.A, rule.B, x, u)
+    return rule.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
 
 
 def admissible(e: Evidence, tally: Tally) -> Judging:

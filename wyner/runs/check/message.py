@@ -322,6 +322,10 @@ def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
                     fresh.append(t)
 
 
+TRUTH: Final = ("true_x_next", "true_u", "attack_failed")
+"""What no journal holds."""
+
+
 def one_cipher(e: Evidence, tally: Tally) -> Judging:
     """Every offer made for a transition carries the same cipher symbol."""
     open_: dict[str, int] = {}  # decided after the last transition of a session
@@ -334,7 +338,7 @@ def one_cipher(e: Evidence, tally: Tally) -> Judging:
                     unlike = [
                         f
                         for f in TracedTransition.__dataclass_fields__
-                        if getattr(before, f) != getattr(after, f)
+                        if f not in TRUTH and getattr(before, f) != getattr(after, f)
                     ]
                     text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
                     tally.count(not unlike, after.session, after.j, after.k, text)
