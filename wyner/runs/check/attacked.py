@@ -51,9 +51,7 @@ class Labels:
         self._restarted = False
         x, u = step.true_x_next, step.true_u
         if attack is None or attack.at == "bus":
-            return (
-                "" if x is None and u is None else "a truth, and no attack on the plant"
-            )
+            return "" if x is None and u is None else "a truth, and no attack on the plant"
         if x is None or u is None:
             # counted from the journal, or interrupted: the truth went with the process
             dead = restarted or (isinstance(step, MissedLine) and step.interrupted)
