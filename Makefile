@@ -65,7 +65,7 @@ test-compose: $(STAMPS)/dev
 test-fast: $(STAMPS)/dev
 	$(BIN)/pytest -m "not slow" -n auto --dist loadfile --no-loadscope-reorder
 
-ROOM_protocol := protocol link schemes secret
+ROOM_protocol := protocol defence link schemes secret
 ROOM_runtime := runtime
 ROOM_controller := controller
 ROOM_plant := adapters

@@ -239,13 +239,13 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size = self
-        if not max(abs(t.j), abs(t.k)) <= LARGEST_INTEGER:
+        if abs(t.j) > LARGEST_INTEGER or abs(t.k) > LARGEST_INTEGER:
             return "j, k: expected numbers of 64 bits"
         if len(t.x) != n:
             return f"x: got {len(t.x)} numbers, expected {n}"
         if len(t.x_next) != n:
             return f"x_next: got {len(t.x_next)} numbers, expected {n}"
-        if len(t.candidates) != size or any(len(u) != m for u in t.candidates):
+        if list(map(len, t.candidates)) != [m] * size:
             return f"candidates: expected {size} of {m} inputs"
         if len(t.gauges) != size:
             return f"gauges: got {len(t.gauges)}, expected {size}"
