@@ -15,6 +15,7 @@ COPY runtime runtime
 COPY controller_service controller_service
 COPY plant_service plant_service
 COPY tap_service tap_service
+COPY attacker_service attacker_service
 COPY wyner wyner
 # setuptools came in with its hash above, so nothing is fetched here. What only builds or tests
 # (pip, the libraries' own test folders) stays out of the image.

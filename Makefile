@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
-PACKAGES := protocol runtime controller_service plant_service tap_service wyner benchmarks tools
+PACKAGES := protocol runtime controller_service plant_service tap_service attacker_service wyner benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-wyner test-house
+ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-house
 .PHONY: $(ROOM_TARGETS)
 .PHONY: demo dev test test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
@@ -14,7 +14,7 @@ help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          all tests, with ruff and mypy"
 	@echo "make test-fast     the tests without the slow ones"
-	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, wyner, house"
+	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make coverage      branch coverage of each room; protocol/ at 95 % or more"
@@ -65,11 +65,12 @@ test-compose: $(STAMPS)/dev
 test-fast: $(STAMPS)/dev
 	$(BIN)/pytest -m "not slow" -n auto --dist loadfile --no-loadscope-reorder
 
-ROOM_protocol := protocol link schemes secret
+ROOM_protocol := protocol defence link schemes secret
 ROOM_runtime := runtime
 ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
+ROOM_attacker := attacker
 ROOM_wyner := api cli dashboard deployment kme runs simulate studies system
 ROOM_house := house benchmarks campaigns examples tools
 
@@ -87,7 +88,7 @@ coverage: $(STAMPS)/dev
 	@$(BIN)/coverage run -m pytest -n auto --dist loadfile --no-loadscope-reorder; tests=$$?; \
 	$(BIN)/coverage combine --quiet; \
 	for room in protocol/schemes protocol/link protocol/secret runtime protocol/scenario \
-	  controller_service plant_service tap_service wyner; do \
+	  controller_service plant_service tap_service attacker_service wyner; do \
 	  printf '%s %s %%\n' $$room $$($(BIN)/coverage report --format=total --precision=1 --include "$$room/*"); done; \
 	$(BIN)/coverage report --format=total --include "protocol/*" --fail-under 95 && exit $$tests
 

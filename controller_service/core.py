@@ -12,7 +12,7 @@ The rules are those of :mod:`protocol.link.session`. Which plant's session is se
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import inf
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from pydantic import ValidationError
 
@@ -72,35 +72,19 @@ Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
 
 
-class Decision(NamedTuple):
-    """The decided symbol of the next transition; its fields are those of the record."""
-
-    cipher: int
-    message_symbol: int
-    framed: bool
-    message: int
-    offset: int
-
-
-class _Counted(NamedTuple):
-    """What a measurement makes of the transition that it reports: all that the next offer needs."""
-
-    verdict: AgreementResult
-    after: tuple[int, ...]
-    carry: Carry
-    following: Decision
-
-
 @dataclass(slots=True)
 class _Step:
     """A measurement that moved the loop on, until the record has followed it.
 
-    ``counted`` is None where it reports no new transition, ``offer`` where the law has no answer.
+    ``following`` is the record with all that the next offer needs: the automaton's next state, and
+    the next symbol decided. ``judged`` is None where the measurement reports no new transition,
+    ``offer`` until there is one, and where the law has no answer.
     """
 
     measurement: Measurement
-    counted: _Counted | None
-    offer: Offer | None
+    following: SenderRecord
+    judged: tuple[AgreementResult, Carry] | None = None
+    offer: Offer | None = None
 
 
 class ControllerCore:
@@ -203,7 +187,8 @@ class ControllerCore:
         self._aim()
         if step is not None:
             measurement, offer = step
-            self._step = _Step(measurement, self._report(measurement, offer.cipher), offer)
+            self._step = self._report(measurement, offer.cipher)
+            self._step.offer = offer
 
     @property
     def plant(self) -> str | None:
@@ -228,7 +213,7 @@ class ControllerCore:
     @property
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
-        counts = self._step is not None and self._step.counted is not None
+        counts = self._step is not None and self._step.judged is not None
         return self.record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
@@ -339,31 +324,31 @@ class ControllerCore:
             if measurement.applied_k == record.applied_k and measurement.x == record.x:
                 return self._offers(self.keying.again(before))
             return self._diverged(measurement)
-        counted = None
-        if measurement.applied_k != record.applied_k:
-            if before is None or measurement.applied_k != before.k or not measurement.x_after:
-                return self._diverged(measurement)
-            counted = self._report(measurement)
+        if measurement.applied_k != record.applied_k and (
+            before is None or measurement.applied_k != before.k or not measurement.x_after
+        ):
+            return self._diverged(measurement)
+        step = self._report(measurement)
         try:
             candidates = self._propose(measurement.x)
             predictions = self._predictions(measurement.x, candidates)
         except LookupError as error:
-            return self._without_offer(_Step(measurement, counted, None), str(error))
+            return self._without_offer(step, str(error))
         block, tag = self.keying.word()
-        offer = Offer(
+        step.offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             predictions=predictions,
-            cipher=record.cipher if counted is None else counted.following.cipher,
+            cipher=step.following.cipher,
             copy_number=self.keying.copy(),
             nonce=self.keying.nonce(),
             heard=measurement.copy_number,
             block=block,
             tag=tag,
         )
-        self._step = _Step(measurement, counted, offer)
-        return self._offers(offer, payload)
+        self._step = step
+        return self._offers(step.offer, payload)
 
     def _malformed_states(self, measurement: Measurement) -> str:
         """What is wrong with a measurement's vectors; nothing where they are the plant's."""
@@ -404,16 +389,16 @@ class ControllerCore:
         assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
         return tuple([self._predict(x, u) for u in candidates])
 
-    def _report(self, measurement: Measurement, decided: int | None = None) -> _Counted | None:
+    def _report(self, measurement: Measurement, decided: int | None = None) -> _Step:
         """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
 
-        None where it reports none that is new. ``decided`` is the cipher symbol of an answer that
-        was given before.
+        Where it reports none that is new the symbol decided before stays. ``decided`` is the cipher
+        symbol of an answer that was given before.
         """
         record = self.record
         offer = record.offer
         if offer is None or measurement.applied_k == record.applied_k:
-            return None
+            return _Step(measurement, record)
         verdict = self.rules.judge(
             record.x, offer.candidates, offer.predictions, measurement.x_after
         )
@@ -423,7 +408,7 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
-        return _Counted(verdict, after, carry, following)
+        return _Step(measurement, following, (verdict, carry))
 
     def _decide(
         self,
@@ -432,9 +417,10 @@ class ControllerCore:
         message: int,
         offset: int,
         decided: int | None = None,
-    ) -> Decision:
+    ) -> SenderRecord:
         """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
 
+        The record that follows has it, with where in the queue the next message symbol comes from.
         Both decisions are made in both states, and one is taken, so that neither takes longer.
         """
         size = self.rules.size
@@ -444,8 +430,22 @@ class ControllerCore:
         message_symbol = symbols[offset] if framed else IDLE
         pad = self.rules.scheme.pad(state)
         cipher = encrypt(message_symbol, pad, size)
-        carrying = Decision(cipher, message_symbol, framed, message, offset + framed)
-        cover = Decision(fresh, NO_SYMBOL, False, message, offset)
+        carrying = self.record._replace(
+            state=state,
+            cipher=cipher,
+            message_symbol=message_symbol,
+            framed=framed,
+            message=message,
+            offset=offset + framed,
+        )
+        cover = self.record._replace(
+            state=state,
+            cipher=fresh,
+            message_symbol=NO_SYMBOL,
+            framed=False,
+            message=message,
+            offset=offset,
+        )
         if pad == NO_SYMBOL:
             return cover
         return carrying
@@ -475,18 +475,18 @@ class ControllerCore:
         """Bring the record up to the answer given: the transition that it reports, if any."""
         self._step = None
         before, measurement, offer = self.record, step.measurement, step.offer
-        said = before
+        following = step.following
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
-            said = before._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+            following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
         results = self.keying.heard(measurement)
         self._blocks_differ = _unequal(results)
         actions = NOTHING_TO_DO
         contribution, delivered = None, False
-        if step.counted is None:  # no transition: the state, and the arrows from it, stay
-            self.record = said._replace(k=measurement.k, x=measurement.x, offer=offer)
+        if step.judged is None:  # no transition: the state, and the arrows from it, stay
+            self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
         else:
-            verdict, after, carry, following = step.counted
+            verdict, carry = step.judged
             applied = before.offer
             assert applied is not None
             contribution = self.keying.count(
@@ -502,23 +502,17 @@ class ControllerCore:
                 applied,
                 measurement.x_after,
                 verdict,
-                after,
+                following.state,
                 carry,
                 before.message_symbol,
                 contribution,
             )
-            self.record = said._replace(
-                state=after,
+            self.record = following._replace(
                 k=measurement.k,
                 applied_k=applied.k,
                 transitions=before.transitions + 1,
                 agreements=before.agreements + (1 if transition.symbol != NO_SYMBOL else 0),
                 p=transition.p,
-                cipher=following.cipher,
-                message_symbol=following.message_symbol,
-                framed=following.framed,
-                message=following.message,
-                offset=following.offset,
                 x=measurement.x,
                 offer=offer,
             )
@@ -606,9 +600,8 @@ class ControllerCore:
 
     def _adopt(self, session: str) -> None:
         """Begin a session; the frame under way starts again."""
-        fresh = self._no_session()._replace(session=session)
-        first = self._decide(fresh.state, 0, fresh.message, 0)
-        self.record = fresh._replace(cipher=first.cipher)
+        self.record = self._no_session()._replace(session=session)
+        self.record = self._decide(self.record.state, 0, self.record.message, 0)
         self._stale = 0
         self._aim()
         self.keying.begin(session)

@@ -51,6 +51,7 @@ apidoc_modules = [
         "controller_service",
         "plant_service",
         "tap_service",
+        "attacker_service",
         "wyner",
     )
 ]

@@ -24,7 +24,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import (
     NEW_JOURNAL,
-    Applied,
+    AttackBegan,
     FrameRefused,
     Interrupted,
     Missed,
@@ -37,7 +37,7 @@ from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
 from protocol.link.records import BegunStep, ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
     ControllerHello,
@@ -94,6 +94,7 @@ class _Step:
     offer: Offer
     coin: int
     report: Measurement | None = None
+    truth: Truth | None = None
 
     @property
     def u(self) -> Vector:
@@ -141,6 +142,8 @@ class PlantCore:
         Seconds without an applied offer after which the plant goes to its safe state: counted from
         :meth:`start` on, so that a plant that was started again is watched while its controller is
         away. One that has never moved has :data:`MEETING_S` at least to meet it.
+    attack : AttackBegan, optional
+        What is traced of an attack on this plant.
     nonces : NonceSource
     """
 
@@ -174,6 +177,7 @@ class PlantCore:
         steps: int | None = None,
         telemetry: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
+        attack: AttackBegan | None = None,
         nonces: NonceSource = fresh_nonce,
     ) -> None:
         self.rules = rules
@@ -185,6 +189,7 @@ class PlantCore:
         self._new_id = new_id
         self._now = now
         self._fresh = fresh
+        self._attack = () if attack is None else (attack,)
         # the step
         self._coin = coin
         self._fallback = fallback
@@ -264,7 +269,7 @@ class PlantCore:
         record = self.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
-            events=(SessionBegan(record.session, reason),),
+            events=(SessionBegan(record.session, reason), *self._attack),
             write=Save(record) if self._fresh else None,
             keys=self.keying.tasks(),
             finish_step=self._step is not None,
@@ -469,6 +474,7 @@ class PlantCore:
             self._step = None
             interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        step.truth = self.plant.truth
         step.report = self._report(step.offer, x_next)
         wire = step.report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
@@ -553,7 +559,18 @@ class PlantCore:
             record.nonce,
         )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution
+            scheme,
+            record,
+            offer,
+            x_next,
+            verdict,
+            after,
+            carry,
+            symbol,
+            contribution,
+            coin,
+            u,
+            step.truth,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -580,25 +597,23 @@ class PlantCore:
         judged = self.keying.heard(offer)
         self._coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
-        return self._counted_actions(
-            Applied(transition, coin, u), chunk, frame, contribution, judged
-        )
+        return self._counted_actions(transition, chunk, frame, contribution, judged)
 
     def _counted_actions(
         self,
-        applied: Applied,
+        transition: CountedTransition,
         chunk: str,
         frame: Frame | None,
         contribution: Contribution | None,
         judged: tuple[BlockResult, ...],
     ) -> Actions:
         """What is traced and saved of a transition, and what it means for keys."""
-        contradicted = None if self._telemetry is None else self._telemetry.counted(applied)
+        contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
         if frame is None:
             write = Save(self.record, later=not chunk, chunk=chunk)
-            actions = Actions((applied,), write)
+            actions = Actions((transition,), write)
         else:
-            actions = self._frame_ended(applied, chunk, frame)
+            actions = self._frame_ended(transition, chunk, frame)
         if contradicted is not None:
             notice = Notice(contradicted, "warning")
             actions = actions._replace(notices=(*actions.notices, notice))
@@ -620,9 +635,9 @@ class PlantCore:
         )
         return actions._replace(write=write, keys=tasks)
 
-    def _frame_ended(self, applied: Applied, chunk: str, frame: Frame) -> Actions:
+    def _frame_ended(self, transition: CountedTransition, chunk: str, frame: Frame) -> Actions:
         """A frame is whole: a message, or one that failed its check."""
-        record, k = self.record, applied.transition.k
+        record, k = self.record, transition.k
         write = Save(
             record,
             chunk=chunk,
@@ -632,14 +647,14 @@ class PlantCore:
         if not frame.intact:
             refused = FrameRefused(record.session, record.p)
             notice = Notice("a frame failed its check and was refused", "error")
-            return Actions((applied, refused), write, notices=(notice,))
+            return Actions((transition, refused), write, notices=(notice,))
         if self._telemetry is not None:
             self._telemetry.recovered(frame.payload, k)
         if self._finished:
             self._tell_stopped()
         publish, health = self._status(force=True)
         text = f"message recovered at step {k}: {len(frame.payload)} bytes"
-        events = (applied, Recovered(frame.payload))
+        events = (transition, Recovered(frame.payload))
         return Actions(events, write, publish, (Notice(text),), health)
 
     # --- steps without an offer -------------------------------------------------------------------
@@ -661,7 +676,7 @@ class PlantCore:
         if not self._moved:  # from its first step on the watchdog has its own time
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
-        missed = Missed(record.session, record.k, record.x, u, x_next)
+        missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
 
     def _missed(self, u: Vector, x_next: Vector) -> None:
@@ -710,7 +725,8 @@ class PlantCore:
             u = candidates[coin]
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
-        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
+        truth = self.plant.truth
+        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
     def _came_back(self, actions: Actions) -> Actions:
         """After ``actions``: the step in which the process of a plant that acts died is missed."""

@@ -9,8 +9,7 @@ from protocol.link.events import Timing
 from protocol.link.session import CountedTransition
 from protocol.scenario import Calibration
 from protocol.statistics import better_than
-
-Vector = tuple[float, ...]
+from protocol.vectors import Vector
 
 STEPS: Final = 1000
 """Steps that the figures are of, the newest."""
@@ -93,14 +92,14 @@ class ReachWatch:
         self.sessions = self.exceeded = 0
         self.outside = self.unexplained = 0
 
-    def counted(self, t: CountedTransition, coin: int) -> str | None:
+    def counted(self, t: CountedTransition) -> str | None:
         """Count one; a line the first time that the promise is contradicted.
 
         ``outside`` is exact, as the plant knows its coin; ``unexplained`` are those that no
         candidate explains, which the controller sees too.
         """
         gauges = t.verdict.gauges
-        out = gauges[coin] > INSIDE
+        out = gauges[t.coin] > INSIDE
         self.outside += out
         self.unexplained += t.verdict.unexplained
         c = self._calibration

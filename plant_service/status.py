@@ -7,7 +7,6 @@ from math import inf, isfinite
 from typing import Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.events import Applied
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S
 from protocol.link.records import ReceiverRecord
@@ -62,7 +61,7 @@ class PlantTelemetry:
         self.last_message = ""
         self.message_k = -1
         self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
-        self._tail: deque[tuple[CountedTransition, int]] = deque(maxlen=TAIL)
+        self._tail: deque[CountedTransition] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
         self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_refused = ""
@@ -79,11 +78,11 @@ class PlantTelemetry:
         """Count an offer that came so long after its measurement."""
         self._latencies[bisect_left(LATENCY_BOUNDS_S, seconds)] += 1
 
-    def counted(self, applied: Applied) -> str | None:
+    def counted(self, t: CountedTransition) -> str | None:
         """Take in a transition; a line the first time that the promise of D_c is contradicted."""
-        self._tail.append((applied.transition, applied.coin))
+        self._tail.append(t)
         self._new += 1
-        return self.watch.counted(applied.transition, applied.coin)
+        return self.watch.counted(t)
 
     def recovered(self, payload: bytes, k: int) -> None:
         """A message came through at step ``k``."""
@@ -125,9 +124,8 @@ class PlantTelemetry:
         self._seq += 1
         shown = TAIL if whole else max(TAIL_AT_LEAST, self._old + self._new)
         self._old, self._new = self._new, 0
-        steps = list(self._tail)[-shown:]
-        tail = [t for t, _ in steps]
-        pictured = next((t for t, _ in reversed(self._tail) if _can_be_drawn(t)), None)
+        tail = list(self._tail)[-shown:]
+        pictured = next(filter(_can_be_drawn, reversed(self._tail)), None)
         return PlantStatus.model_construct(
             seq=self._seq,
             t_ns=time.time_ns(),
@@ -173,7 +171,7 @@ class PlantTelemetry:
             tail_role=tuple([t.role for t in tail]),
             tail_symbol=tuple([t.symbol for t in tail]),
             tail_automaton=tuple([t.s for t in tail]),
-            tail_coin=tuple([coin for _, coin in steps]),
+            tail_coin=tuple([t.coin for t in tail]),
         )
 
 

@@ -73,15 +73,10 @@ class Inbox(Generic[T]):
         queue.Empty
             When none has come.
         """
-        if self._items:
-            return self._take()
         until = time.monotonic() + timeout
-        while self._news.acquire(timeout=max(until - time.monotonic(), 0.0)):
-            if self._items:  # not so when what was new then has been taken since
-                return self._take()
-        raise queue.Empty
-
-    def _take(self) -> T:
+        while not self._items:  # what was new may have been taken since
+            if not self._news.acquire(timeout=max(until - time.monotonic(), 0.0)):
+                raise queue.Empty
         item, cost = self._items.popleft()
         self._taken += cost  # by the one thread that takes
         return item

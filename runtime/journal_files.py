@@ -21,7 +21,6 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from protocol.agreement import NO_SYMBOL
 from protocol.link.peer import Append, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.secret.nonces import Contribution
@@ -208,9 +207,19 @@ class JournalFiles(ABC, Generic[R]):
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
         if isinstance(write, Append):
-            self._append(*write)
+            if self._rare and not (self._last is not None and self._last.begun):
+                self._save()
+            self._log(write)
+            if write.response:
+                self._body = None
             return
-        self._stage(write)
+        self._body = self.adapter.dump_json(write.record)
+        session = write.record.session
+        if session != self._rows_of:
+            self._rows_of, self._forget = session, True
+            self._logged.clear()
+        if write.contribution is not None or write.obsolete_rows:
+            self._rows.append(write)
         if write.for_tables:
             with self._transaction():
                 self._add_to_tables(write)
@@ -221,16 +230,6 @@ class JournalFiles(ABC, Generic[R]):
     @abstractmethod
     def _add_to_tables(self, save: Save) -> None:
         """Put what ``save`` has beside its record into this side's own tables."""
-
-    def _stage(self, save: Save) -> None:
-        """What ``save`` has goes with the next write, its record as what the next step follows."""
-        self._body = self.adapter.dump_json(save.record)
-        session = save.record.session
-        if session != self._rows_of:
-            self._rows_of, self._forget = session, True
-            self._logged.clear()
-        if save.contribution is not None or save.obsolete_rows:
-            self._rows.append(save)
 
     def _write_rows(self) -> None:
         """Within a transaction."""
@@ -254,7 +253,7 @@ class JournalFiles(ABC, Generic[R]):
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         """A rare write: all or nothing; the staged record is in it, and no step is left."""
-        last = self._following(b"", b"", NO_SYMBOL)
+        last = Step(self._next_number, self._staged)
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
@@ -267,18 +266,15 @@ class JournalFiles(ABC, Generic[R]):
         with self._named():
             self._steps.clear()
 
-    def _following(self, request: bytes, response: bytes, coin: int) -> Step:
-        assert self._body is not None, "the step before has not been counted"
-        number = 1 if self._last is None else self._last.number + 1
-        return Step(number, self._body, request, response, coin)
+    @property
+    def _next_number(self) -> int:
+        return 1 if self._last is None else self._last.number + 1
 
-    def _append(self, request: bytes, response: bytes, coin: int) -> None:
-        """The staged record and what followed it."""
-        if self._rare and not (self._last is not None and self._last.begun):
-            self._save()
-        self._log(self._following(request, response, coin))
-        if response:
-            self._body = None
+    @property
+    def _staged(self) -> bytes:
+        """The record that the next step follows."""
+        assert self._body is not None, "the step before has not been counted"
+        return self._body
 
     def _save(self) -> None:
         """The staged record, and nothing after it."""
@@ -286,7 +282,7 @@ class JournalFiles(ABC, Generic[R]):
             with self._transaction():
                 pass
         else:
-            self._log(self._following(b"", b"", NO_SYMBOL))
+            self._log(Append(b"", b""))
 
     @property
     def _rare(self) -> bool:
@@ -299,9 +295,10 @@ class JournalFiles(ABC, Generic[R]):
             or self._steps.size > LARGEST_STEP
         )
 
-    def _log(self, step: Step) -> None:
-        if len(self._rows) == 1:
-            step = step._replace(row=self._rows[0].contribution)
+    def _log(self, append: Append) -> None:
+        """The staged record and what followed it, if anything did."""
+        row = self._rows[0].contribution if len(self._rows) == 1 else None
+        step = Step(self._next_number, self._staged, *append, row)
         with self._named():
             self._steps.append(step)
         self._last = step

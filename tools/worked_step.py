@@ -54,7 +54,7 @@ def worked() -> Worked:
     first, second = (list(history.plant.values())[j] for j in (STEP, STEP + 1))
     if first.symbol < 0 or second.message_symbol < 0:
         raise ValueError(f"transition {STEP}: expected one that agrees")
-    return Worked(scenario, first, second, history.coins[first.session, first.j])
+    return Worked(scenario, first, second, first.coin)
 
 
 def _vector(v: Sequence[float]) -> str:

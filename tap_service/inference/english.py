@@ -5,7 +5,7 @@ beginning of the word in a list of words by their frequency, then in a text, and
 of the word and the word before it, in a list of pairs and then in the text. A level that has seen
 little leaves the rest to the one below it (Witten and Bell 1991). The counts are made from
 ``english.txt.xz``, ``words.txt.xz`` and ``pairs.txt.xz`` when they are first needed;
-docs/eavesdroppers.md says where these are from.
+NOTICE says where these are from.
 """
 
 import lzma

@@ -24,9 +24,10 @@ from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
-from protocol.link.events import Applied, Interrupted, Missed
+from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Append, Save
+from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
@@ -381,12 +382,12 @@ def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None
     record = bench.record
     assert (record.k, record.transitions, record.applied_k, record.missed) == (2, 0, -1, 1)
     assert record.u == event.u
-    counted = [e.transition for e in bench.events if isinstance(e, Applied)]
+    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
     assert [(t.session, t.j) for t in counted] == [(old, 0)]
     bench.accept(2.1)
     bench.do(bench.offer(2.2))
     bench.do(bench.endpoint.wake(3.0))
-    counted = [e.transition for e in bench.events if isinstance(e, Applied)]
+    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
     assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session, 0)]
 
 
@@ -617,6 +618,7 @@ def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None
 def transition(gauges: tuple[float, ...]) -> Any:
     class Counted:
         verdict = AgreementResult(gauges, -1)
+        coin = 0
 
     return Counted()
 
@@ -634,7 +636,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     told = []
     for step in range(200):
         out = step % 20 == 0  # every second session of ten steps
-        told.append(watch.counted(transition((1.5, 2.0) if out else (0.5, 2.0)), 0))
+        told.append(watch.counted(transition((1.5, 2.0) if out else (0.5, 2.0))))
     lines = [line for line in told if line]
     assert (watch.outside, watch.unexplained, watch.sessions, watch.exceeded) == (10, 10, 20, 10)
     assert len(lines) == 1
@@ -642,7 +644,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     assert watch.doubt
     kept = ReachWatch(promise)
     for step in range(2000):
-        kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)), 0)
+        kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)))
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
 
 

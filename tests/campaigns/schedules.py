@@ -20,8 +20,9 @@ from typing import Any, Final, NamedTuple
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
-from protocol.agreement import predict
-from protocol.link.events import Applied, Event, Interrupted, Missed
+from protocol.agreement import NO_SYMBOL, predict
+from protocol.link.events import Event, Interrupted, Missed
+from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.scenario.keys import Keys
@@ -192,13 +193,14 @@ class Watched(Simulation):
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
         device = self._device
-        if device is None or not isinstance(event, Applied | Missed | Interrupted):
+        if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
-        t = event.transition if isinstance(event, Applied) else event
-        assert t.session == self._plant.record.session, "counted in another session"
+        if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
+            return  # the controller's
+        assert event.session == self._plant.record.session, "counted in another session"
         if device.u is None:  # of a life before, or before an input was known
             return
-        assert t.x_next == device.x, "a step led elsewhere than its trace says"
+        assert event.x_next == device.x, "a step led elsewhere than its trace says"
         assert event.u == device.u, "a step had another input than its trace says"
         self.cut += isinstance(event, Interrupted)
 

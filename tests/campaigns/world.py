@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Applied, Event
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Event
 from protocol.link.peer import Actions, Notice, Outgoing
 from protocol.link.session import CountedTransition
 from protocol.messages import Offer
@@ -92,10 +93,9 @@ class World:
         del where[:-REMEMBERED]
 
     def _counted(self, event: Event) -> None:
-        if isinstance(event, Applied):
-            self.got[event.transition.session, event.transition.j] = event.transition
-        elif isinstance(event, CountedTransition):
-            self.sent[event.session, event.j] = event
+        if isinstance(event, CountedTransition):
+            counted = self.sent if event.coin == NO_SYMBOL else self.got
+            counted[event.session, event.j] = event.shared
 
     def _perform(self, endpoint: ControllerCore | PlantCore, actions: Actions) -> None:
         mine = isinstance(endpoint, PlantCore)

@@ -280,7 +280,7 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
 def test_a_page_names_what_is_there(page: Path) -> None:
     root = PAGES.parents[1]
     for target in re.findall(
-        r"`((?:protocol|controller_service|plant_service|tap_service|wyner|tests)/[\w/]*\.?\w+/?)`",
+        r"`((?:protocol|controller_service|plant_service|tap_service|attacker_service|wyner|tests)/[\w/]*\.?\w+/?)`",
         page.read_text(),
     ):
         assert (root / target).exists(), target

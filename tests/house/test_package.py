@@ -1,4 +1,4 @@
-"""The wheel: six names, and what the command needs, away from the source tree."""
+"""The wheel: seven names, and what the command needs, away from the source tree."""
 
 import json
 import os
@@ -15,7 +15,15 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILT = shutil.ignore_patterns("build", "*.egg-info", "__pycache__", ".*", "tests")
-NAMES = {"protocol", "runtime", "controller_service", "plant_service", "tap_service", "wyner"}
+NAMES = {
+    "protocol",
+    "runtime",
+    "controller_service",
+    "plant_service",
+    "tap_service",
+    "attacker_service",
+    "wyner",
+}
 
 
 def not_source(folder: str, names: list[str]) -> set[str]:

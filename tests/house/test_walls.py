@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from fnmatch import fnmatch
 from functools import cache
 from graphlib import TopologicalSorter
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SERVICES = ("controller_service", "plant_service", "tap_service")
+SERVICES = ("controller_service", "plant_service", "tap_service", "attacker_service")
 ROOMS = (*SERVICES, "protocol", "runtime", "wyner", "benchmarks", "tools")
 
 MODULES = [
@@ -84,13 +85,27 @@ def test_there_is_something_to_look_at() -> None:
     assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
 
 
+BESIDES: dict[str, set[str]] = defaultdict(
+    set, attacker_service={"tap_service"}, plant_service={"attacker_service"}
+)
+"""An attacker knows what this run's eavesdropper knows; a plant names her process, no more."""
+
+
 # --- rooms ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("service", SERVICES)
 def test_a_service_imports_the_protocol_the_shell_and_itself_only(service: str) -> None:
     for path in inside(service):
-        assert rooms_of(path) <= {"protocol", "runtime", service}, name_of(path)
+        assert rooms_of(path) <= {"protocol", "runtime", service} | BESIDES[service], name_of(path)
+
+
+def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
+    """Her code, and her eavesdropper, run in a process of their own."""
+    naming = [p for p in inside("plant_service") if "attacker_service" in rooms_of(p)]
+    assert [name_of(p) for p in naming] == ["plant_service.attacked"]
+    loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
+    assert not [n for n in loaded if n.startswith(("attacker_service", "tap_service"))]
 
 
 def test_the_protocol_imports_no_other_room() -> None:
@@ -117,7 +132,7 @@ def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
     """What a clause is to find wrong in the protocol, it may not ask the protocol."""
     path = ROOT / "wyner" / "runs" / "check" / "paper.py"
     assert not rooms_of(path)
-    assert {name.split(".")[0] for name in imports_of(path)} == {"collections", "typing"}
+    assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}
 
 
 SHELL = {
@@ -162,7 +177,7 @@ def test_the_protocol_is_pure() -> None:
 
 def test_the_rooms_of_the_protocol_stand_on_one_another() -> None:
     """Each imports those before it; what stands in no room is below all, or of the rooms named."""
-    order = ("schemes", "secret", "messages", "scenario", "link")
+    order = ("schemes", "secret", "defence", "messages", "scenario", "link")
     allowed = {room: set(order[:place]) for place, room in enumerate(order)}
     allowed |= {"knowledge": {"secret"}, "topics": {"messages"}}
     seen = set()
@@ -187,8 +202,8 @@ def test_the_dashboard_looks_on_through_messages_only() -> None:
 
 
 def test_the_main_modules_reach_down_only() -> None:
-    for service in SERVICES:
-        assert rooms_of(ROOT / service / "__main__.py") <= {"protocol", "runtime"}
+    for path in ROOT.glob("*_service/__main__.py"):
+        assert rooms_of(path) <= {"protocol", "runtime"}
 
 
 def test_nothing_runs_in_a_circle() -> None:

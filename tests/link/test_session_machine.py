@@ -18,7 +18,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Applied, Event, FrameRefused, SessionBegan
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Outgoing, Save, Write
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Offer, PlantHello
@@ -128,15 +129,15 @@ class Link(RuleBasedStateMachine):
     def plant_counted(self, event: Event) -> None:
         if self.acts:
             self.device.look(event, alive=not self.started)
-        if isinstance(event, Applied):
+        if isinstance(event, CountedTransition):
             session = self.plant.record.session
-            assert event.transition.session == session, "a step counts in another session"
+            assert event.session == session, "a step counts in another session"
         self.counted(event)
 
     def counted(self, event: Event) -> None:
         assert not isinstance(event, FrameRefused)
-        if isinstance(event, Applied):
-            t = event.transition
+        if isinstance(event, CountedTransition) and event.coin != NO_SYMBOL:
+            t = event.shared
             assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
         elif isinstance(event, SessionBegan) and event.session is not None:
             grown = any(session != event.session for session, _ in self.got)

@@ -14,7 +14,6 @@ import pytest
 
 from plant_service.core import CHUNK_SYMBOLS
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer
@@ -239,7 +238,7 @@ class Ends:
             )
         assert self.sender.finish_step() == Done(
             save=delivered is not None,
-            transition=counted,
+            transition=None if counted is None else counted.shared,
             delivered=delivered,
             contribution=contribution,
         )
@@ -292,6 +291,8 @@ class Ends:
             s=1 if agreed == NO_SYMBOL else 2,
             tested=tested,
             counts=counts,
+            coin=coin,
+            u=offer.candidates[coin],
         )
         frame, partial, chunk = self.frame(p, carried, m)
         self.kept = before._replace(
@@ -317,7 +318,7 @@ class Ends:
             record, step = self.receiver.record, self.receiver.dies_over(offer, coin, x_next)
             self.receiver = PlantInHand(self.rules, PLANT, record, self.chunks, rows, step)
             self.woke = self.keys
-            counted = [e.transition for e in self.receiver.events if isinstance(e, Applied)]
+            counted = [e for e in self.receiver.events if isinstance(e, CountedTransition)]
         else:
             counted = [self.receiver.applied(offer, coin, x_next)]
         assert counted == [self.uncounted]

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.events import Applied
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
@@ -274,8 +273,8 @@ class Link:
             case ["plant", "restarts"]:
                 self.receiver = self.new_receiver(*self.saved_receiver)
                 for event in self.receiver.events:
-                    if isinstance(event, Applied):
-                        self.tell("plant", event.transition, f"b_r={event.coin}, ")
+                    if isinstance(event, CountedTransition):
+                        self.tell("plant", event, f"b_r={event.coin}, ")
             case ["plant", "forgets"]:
                 self.sessions += 1
                 first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))

@@ -5,13 +5,13 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.link.events import Applied, Event, Missed, Recovered
+from protocol.link.events import Event, Missed, Recovered
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Peer, Save, Write
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Status
 from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import BlockVerdict, Done, Task
+from protocol.secret.tasks import Done, Task
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
@@ -20,7 +20,7 @@ from tools.rehearsal import Rehearsal
 
 STEP = Append(b"heard", b"said")
 RECORD = Save(SenderRecord(), later=True)
-VERDICT = BlockVerdict("1" * 16, BlockResult(0, "confirmed"))
+VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
     arrival.message
     for arrival in next(Rehearsal().arrivals(10))
@@ -225,13 +225,10 @@ class Pair:
         self.do(side, lambda: endpoint.start(self.now))
 
     def note(self, side: str, event: Event) -> None:
-        if isinstance(event, Applied):
-            t = event.transition
-            self.counted[side][t.session, t.j] = t
-        elif isinstance(event, Recovered):
+        if isinstance(event, Recovered):
             self.inbox.append(event.payload)
         elif isinstance(event, CountedTransition):
-            self.counted[side][event.session, event.j] = event
+            self.counted[side][event.session, event.j] = event.shared
 
     def do(self, side: str, act: Callable[[], Actions]) -> None:
         """One act of one side: if it is the fatal one, the side dies in it and comes back."""

@@ -124,13 +124,11 @@ def simulate(case: Case, folder: Path, faults: Faults | None = None) -> Path:
     for first in range(0, case.steps, WINDOW):
         simulation.run(steps=min(first + WINDOW, case.steps))
         simulation.run(until=lambda: len(history.controller) >= len(history.plant))
-        for at, transition in history.plant.items():
-            coin = history.coins[at]
-            u = transition.candidates[coin]
-            plant.write(transition.as_event() | {"coin": coin, "u": u})
+        for transition in history.plant.values():
+            plant.write(transition.as_event())
         for transition in history.controller.values():
             controller.write(transition.as_event())
-        for kept in (history.plant, history.controller, history.coins, history.offered):
+        for kept in (history.plant, history.controller, history.offered):
             kept.clear()
     for payload in history.inbox:
         plant.write({"event": "recovered", "payload": base64.b64encode(payload).decode()})

@@ -58,7 +58,7 @@ def test_without_faults_nothing_is_missed_and_time_does_not_pass(
     assert len(history.plant) == len(history.controller) == 2000
     assert history.missed == 0
     assert history.inbox == [b"abc"]
-    assert all(t.symbol == history.coins[at] for at, t in history.plant.items() if t.symbol >= 0)
+    assert all(t.symbol == t.coin for t in history.plant.values() if t.symbol >= 0)
 
 
 def test_a_seed_replays(sustained: Scenario, sustained_law: CandidateLaw) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, OperatedPlant
-from protocol.link.events import Applied, Event, Interrupted, Missed
-from protocol.link.session import Rules
+from protocol.link.events import Event, Interrupted, Missed
+from protocol.link.session import CountedTransition, Rules
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.vectors import Vector
 from runtime.memory_journal import MemoryPlantJournal
@@ -63,11 +63,10 @@ class LineDevice(Operated):
 
         ``alive``: by this process, which knows what it had applied.
         """
-        if not isinstance(event, Applied | Missed | Interrupted):
+        if not isinstance(event, CountedTransition | Missed | Interrupted):
             return
-        t = event.transition if isinstance(event, Applied) else event
         if alive and self.over is not None:
-            assert t.x_next == (self.x,), "a step led elsewhere than its trace says"
+            assert event.x_next == (self.x,), "a step led elsewhere than its trace says"
             assert event.u == (self.over,), "a step had another input than its trace says"
 
 

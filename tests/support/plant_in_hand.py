@@ -10,12 +10,12 @@ from typing import Any
 
 from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
-from protocol.link.events import Applied, Event, Missed, SessionBegan
+from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
@@ -33,6 +33,7 @@ class ScriptedLine(Coin):
     """A plant that goes where it is told, by a coin that falls as it is told."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self) -> None:
         self.coin = 0
@@ -285,13 +286,13 @@ class PlantInHand:
         self.line.coin, self.line.x_next = coin, x_next
         applied = self.takes(offer)
         assert (applied.coin, applied.u) == (coin, offer.candidates[coin])
-        return applied.transition
+        return applied
 
-    def takes(self, offer: Offer) -> Applied:
+    def takes(self, offer: Offer) -> CountedTransition:
         """The offer is applied, and its step is over."""
         self._first = None
         self.hear(Offer, offer.wire())
-        (applied,) = [event for event in self.events if isinstance(event, Applied)]
+        (applied,) = [event for event in self.events if isinstance(event, CountedTransition)]
         kept = self.events[:], self.notices[:], self.saved[:], self.appended
         self._tick()
         self.events, self.notices, self.saved, self.appended = kept

@@ -15,10 +15,10 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
-from protocol.link.events import Applied, Recovered, SessionBegan
+from protocol.link.events import Recovered, SessionBegan
 from protocol.link.fallback import Fallback
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import rules_of
+from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
@@ -194,7 +194,7 @@ class SmallRun:
     def _counted(self, *, saved: bool = False) -> None:
         """Trace what the plant counted; ``saved``: what came of it was saved, too."""
         for event in self.receiver.events:
-            if isinstance(event, Applied):
+            if isinstance(event, CountedTransition):
                 self._plant_trace.write(event.as_event())
             elif saved:
                 assert isinstance(event, Recovered | SessionBegan), event

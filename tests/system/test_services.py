@@ -21,9 +21,8 @@ from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
-from protocol.link.events import Applied
 from protocol.link.peer import Save
-from protocol.link.session import rules_of
+from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -397,10 +396,9 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     plant = PlantInHand(rules_of(sustained), "1" * 16, record)
     offer = Offer(session="2" * 16, k=0, candidates=((0.5,), (0.0,)), cipher=0)
     plant.applied(offer, 1, (0.0, 0.0))
-    (applied,) = [event for event in plant.events if isinstance(event, Applied)]
+    (applied,) = [event for event in plant.events if isinstance(event, CountedTransition)]
     gauges = (float("inf"), 1.0)
-    transition = applied.transition._replace(verdict=AgreementResult(gauges, -1))
-    news.counted(applied._replace(transition=transition))
+    news.counted(applied._replace(verdict=AgreementResult(gauges, -1)))
     status = news.status(plant.record, plant.deframer, plant.keying, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 

@@ -226,12 +226,12 @@ def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
 
 
 def test_the_documented_eavesdropper_runs(tmp_path: Path) -> None:
-    text = (Path(__file__).resolve().parents[2] / "docs" / "eavesdroppers.md").read_text()
+    text = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "eavesdropper.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(code.splitlines()) <= 40
     file = tmp_path / "mine.py"
     file.write_text(code)
-    kind = named(f"{file}:Momentum")
+    kind = named(f"{file}:Near")
     run = simulate(300, 1)
     said = said_about(kind(run.scenario.knowledge()), heard_by(run, View(loss=0.05)))
     scored = score(run.truth, said)

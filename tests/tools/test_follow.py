@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from controller_service.core import Decision
 from protocol.link.peer import Actions, Append
+from protocol.link.records import SenderRecord
 from protocol.messages import Offer, SendCommand
 from tools import follow
 
@@ -29,7 +29,7 @@ def test_a_wrapper_of_the_byte_or_of_its_symbol_is_found_at_any_depth() -> None:
     assert carried.look([SendCommand(id="a", payload=follow.BYTE.encode())])
     assert carried.tags == {"byte"}
     carried = follow.Carried()
-    assert carried.look(Decision(1, 0, True, 0, 3))
+    assert carried.look(SenderRecord(cipher=1, message_symbol=0))
     assert carried.tags == {"symbol"}
     carried = follow.Carried()
     assert not carried.look((1.0, "other", b"bytes", None, Append(b"", b"")))

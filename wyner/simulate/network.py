@@ -18,7 +18,8 @@ from controller_service.core import ControllerCore
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
-from protocol.link.events import Applied, Event, Missed
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Event, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -48,7 +49,6 @@ class History:
 
     plant: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     controller: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
-    coins: dict[tuple[str, int], int] = field(default_factory=dict)
     rewritten: list[tuple[str, int]] = field(default_factory=list)
     offered: list[tuple[int, bool, Offer]] = field(default_factory=list)
     inbox: list[bytes] = field(default_factory=list)
@@ -277,11 +277,8 @@ class Simulation:
     def traced(self, event: Event) -> None:
         """Note what a side counted."""
         if isinstance(event, CountedTransition):
-            self._counted(self.history.controller, event)
-        elif isinstance(event, Applied):
-            t = event.transition
-            self._counted(self.history.plant, t)
-            self.history.coins[t.session, t.j] = event.coin
+            at_plant = event.coin != NO_SYMBOL
+            self._counted(self.history.plant if at_plant else self.history.controller, event)
         elif isinstance(event, Missed):
             self.history.missed += 1
 

@@ -14,9 +14,8 @@ from typing import Any, Final
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin
-from protocol.link.events import Applied
 from protocol.link.pacing import Pacing
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
@@ -81,8 +80,7 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
             )
             pending = None
             if core.unfinished:
-                events = core.finish_step().events
-                for event in events:
+                for event in core.finish_step().events:
                     if isinstance(event, CountedTransition):
                         pending = event.as_event()
             record = core.record
@@ -122,8 +120,8 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
         if core.start(0.0).finish_step:
-            events = core.finish_step().events
-            (pending,) = [event.as_event() for event in events if isinstance(event, Applied)]
+            counted = [e for e in core.finish_step().events if isinstance(e, CountedTransition)]
+            pending = counted[0].as_event()
         record = core.record
         return Kept(
             session=record.session,
@@ -142,6 +140,7 @@ class _Unmoved:
     """The plant of a journal that is read: nothing moves it."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def prepare(self, k: int) -> None:
         """No step comes."""

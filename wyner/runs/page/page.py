@@ -17,7 +17,7 @@ from protocol.text import readable
 from runtime.files import write_atomically
 from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
-from wyner.runs.check.clause import Finding
+from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
@@ -99,7 +99,7 @@ def _said(run: Run) -> list[Said] | str:
 def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     """The whole page."""
     recorded = _Recorded(e.scenario, step)
-    findings = check(e, recorded.take)
+    results = check(e, recorded.take)
     if step is not None and recorded.windows.step() is None:
         raise StepError(f"--step: got {step}, expected one of the run's: 0 to {recorded.newest}")
     s = e.scenario
@@ -111,13 +111,13 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
-        f"<p>Clauses of the check, below: {_counts(findings)}.</p>",
+        f"<p>Clauses of the check, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded)),
         *_section("One step", _one_step(e, recorded)),
         *_section("Keys against taps", keys),
-        *_section("Clauses of the check", _clauses(findings)),
+        *_section("Clauses of the check", _clauses(results)),
         *_section("The run", _about(e)),
     ]
     return (
@@ -128,9 +128,9 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     )
 
 
-def _counts(findings: Sequence[Finding]) -> str:
-    results = [f.result for f in findings]
-    return ", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
+def _counts(results: Sequence[Result]) -> str:
+    kinds = [r.result for r in results]
+    return ", ".join(f"{kinds.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
 
 
 def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
@@ -349,14 +349,14 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
 
 
-def _clauses(findings: Sequence[Finding]) -> Iterator[str]:
-    yield f"<p>{_counts(findings)}</p>"
+def _clauses(results: Sequence[Result]) -> Iterator[str]:
+    yield f"<p>{_counts(results)}</p>"
     body = []
-    for f in findings:
-        first = "" if f.tally.first is None else f"; first: {f.tally.first.text}"
-        note = f.tally.skipped or f"{f.tally.counted} {f.clause.of}"
-        note += f"; {f.tally.note}" if f.tally.note else ""
-        body.append((f.result, f.clause.name, f.clause.source, f.clause.says, note + first))
+    for r in results:
+        first = "" if r.counter.first is None else f"; first: {r.counter.first.text}"
+        note = r.counter.skipped or f"{r.counter.counted} {r.clause.of}"
+        note += f"; {r.counter.note}" if r.counter.note else ""
+        body.append((r.result, r.clause.name, r.clause.source, r.clause.says, note + first))
     yield _table(("result", "clause", "source", "says", "looked at"), body)
 
 

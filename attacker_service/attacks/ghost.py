@@ -1,0 +1,69 @@
+"""`ghost`: reports a quiet plant of its own, moved by what she believes was applied."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from attacker_service.base import UNKNOWN, Model, SensorAttack, Told
+from attacker_service.base import Options as CommonOptions
+from attacker_service.sight import Sight, chosen
+from protocol.arrays import Array, Integers
+from protocol.scenario.attack import Known
+
+
+class Ghost(SensorAttack):
+    """x'(k+1) = A x'(k) + B u_b' + d', with d' drawn within D_c.
+
+    b' is the coin that she holds, else the one that fits to what she sees of the plant, else a
+    guess, evenly among the candidates. Without an offer no input moved it.
+    """
+
+    class Options(CommonOptions):
+        """``share``: how much of D_c the ghost's own disturbance fills."""
+
+        share: Annotated[float, Field(ge=0, le=1)] = 0.5
+
+    name: ClassVar[str] = "ghost"
+    knows: ClassVar[frozenset[Known]] = frozenset({"model", "bus"})
+    options: Options
+
+    def __init__(
+        self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
+    ) -> None:
+        super().__init__(model, options, rng)
+        sees = self.options.sees
+        self._sight = None if sees is None else Sight(self.model, sees)
+
+    def watch(self, reading: Array) -> None:
+        """Note where the plant stands."""
+        if self._sight is not None:
+            self._sight.stand(reading)
+
+    def sensor(self, told: Told) -> Array:
+        """The next state of the quiet plant."""
+        d = self._disturbance(told.shown.shape)
+        if told.candidates is None:
+            u = np.zeros((*told.shown.shape[:-1], self.model.B.shape[1]))
+        else:
+            u = chosen(told.candidates, self._coins(told, told.candidates))
+        if self._sight is not None and told.seen is not None:
+            self._sight.step(u, told.seen)
+        return self.model.predict(told.shown, u) + d
+
+    def _coins(self, told: Told, candidates: Array) -> Integers:
+        """What she takes for applied in each run."""
+        runs, size = candidates.shape[:-2], candidates.shape[-2]
+        if self._sight is not None and told.seen is not None:
+            guess: Integers = self._sight.coins(candidates, told.seen)
+        else:
+            guess = self.rng.integers(size, size=runs)
+        held = np.full(runs, UNKNOWN) if told.coins is None else told.coins
+        return np.where(held == UNKNOWN, guess, held)
+
+    def _disturbance(self, shape: tuple[int, ...]) -> Array:
+        """What passes for a disturbance: in any direction, as far as ``share`` of D_c."""
+        way = self.rng.standard_normal(shape)
+        far = self.options.share * self.rng.random(shape[:-1]) ** (1 / shape[-1])
+        return way * (far / self.model.gauge(way))[..., None]

@@ -1,0 +1,117 @@
+"""The keyed coin: the plant's choice in step k is a digit of a key that both ends hold.
+
+Without a key the choice is the plant's own, and the controller can only ask whether *some*
+candidate explains x(k+1). With one it knows which candidate must, and asks for that one.
+Predictions are packed, so that one x(k+1) is within D_c of one of them at most: who fabricates it
+and does not know the digit passes with probability 1/M, and with M^-n over n steps. An honest step
+never fails.
+
+A digit belongs to a step k of the plant, which has one life and never repeats a k: digit k - first.
+An offer that is repeated finds the same digit, and a step that is missed or interrupted leaves its
+digit unused for ever. Counting transitions instead would save those digits, and show one twice:
+a device that dies within a step has applied it, and no transition counts it.
+
+Once x(k+1) is out, the digit is public: everybody sees which candidate explains it.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+from protocol.agreement import INSIDE
+
+WORD_BITS: Final = 32
+"""A key is read in words of so many bits, big-endian."""
+
+KEY_BITS: Final = 256
+
+
+@lru_cache(maxsize=64)
+def digits_per_word(size: int) -> tuple[int, int]:
+    """Digits that a word gives, and how many of its values give any.
+
+    A word below the largest multiple of M^t gives t digits, and none above it. t is the one that
+    gives the most in the mean: 16 of M = 4 and no word without, 18 of M = 3 and 0.8 % without.
+    """
+    if not 2 <= size <= 1 << WORD_BITS:
+        raise ValueError(f"size: got {size}, expected 2 to {1 << WORD_BITS}")
+    best, most = (1, size), 0
+    digits, power = 0, size
+    while power <= 1 << WORD_BITS:
+        digits += 1
+        values = (1 << WORD_BITS) // power * power
+        if digits * values > most:
+            best, most = (digits, values), digits * values
+        power *= size
+    return best
+
+
+def digits(key: bytes, size: int) -> tuple[int, ...]:
+    """Base-M digits of a key, M = ``size``: uniform and independent, exactly.
+
+    A word is thrown away where keeping it would favour some digits, so the number of digits varies
+    with the key: 128 of M = 4 always, 144 of M = 3 at most. M that is a power of two throws none
+    away.
+
+    Parameters
+    ----------
+    key : bytes, 32 of them
+        Uniform bits.
+    size : int
+        M, 2 at the least.
+
+    Raises
+    ------
+    ValueError
+        When the key has another length, or ``size`` is below 2.
+    """
+    if len(key) * 8 != KEY_BITS:
+        raise ValueError(f"key: got {len(key)} bytes, expected {KEY_BITS // 8}")
+    count, values = digits_per_word(size)
+    out = []
+    for at in range(0, len(key), WORD_BITS // 8):
+        word = int.from_bytes(key[at : at + WORD_BITS // 8])
+        if word < values:
+            for _ in range(count):
+                word, digit = divmod(word, size)
+                out.append(digit)
+    return tuple(out)
+
+
+class KeyDigits(NamedTuple):
+    """The choices of the steps that one key serves.
+
+    Parameters
+    ----------
+    key_id : str
+    first : int
+        The step that its first digit belongs to.
+    digits : tuple of int
+    """
+
+    key_id: str
+    first: int
+    digits: tuple[int, ...]
+
+    def digit(self, k: int) -> int | None:
+        """The candidate of step ``k``; None where the key has no digit for it."""
+        at = k - self.first
+        return self.digits[at] if 0 <= at < len(self.digits) else None
+
+    @property
+    def end(self) -> int:
+        """The first step after those that it serves."""
+        return self.first + len(self.digits)
+
+
+def fails(gauges: Sequence[float], digit: int) -> bool:
+    """Whether a transition is not the keyed candidate's: g(x(k+1) - f_c(x(k), v + p_b)) > 1.
+
+    Parameters
+    ----------
+    gauges : sequence of float, M of them
+        :attr:`protocol.agreement.AgreementResult.gauges`, with its tolerance.
+    digit : int
+        b.
+    """
+    return not gauges[digit] <= INSIDE
