@@ -46,7 +46,7 @@ from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.records import Key
-from protocol.secret.tasks import CoinKeys, Done, Judged, Task
+from protocol.secret.tasks import CoinKeys, Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import USAGE
@@ -305,7 +305,7 @@ class ControllerCore:
         if isinstance(done, CoinKeys):
             self.coins.done(done, now)
             return NOTHING_TO_DO
-        if isinstance(done, Judged) and done.what == "confirmed":
+        if isinstance(done, BlockResult) and done.what == "confirmed":
             self.coins.confirmed()
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 

@@ -25,6 +25,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
     NEW_JOURNAL,
+    AttackBegan,
     FrameRefused,
     Interrupted,
     Missed,
@@ -37,7 +38,7 @@ from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
 from protocol.link.records import BegunStep, ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
     ControllerHello,
@@ -96,6 +97,7 @@ class _Step:
     coin: int
     keyed: bool = False
     report: Measurement | None = None
+    truth: Truth | None = None
 
     @property
     def u(self) -> Vector:
@@ -145,6 +147,8 @@ class PlantCore:
         Seconds without an applied offer after which the plant goes to its safe state: counted from
         :meth:`start` on, so that a plant that was started again is watched while its controller is
         away. One that has never moved has :data:`MEETING_S` at least to meet it.
+    attack : AttackBegan, optional
+        What is traced of an attack on this plant.
     nonces : NonceSource
     """
 
@@ -179,6 +183,7 @@ class PlantCore:
         steps: int | None = None,
         telemetry: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
+        attack: AttackBegan | None = None,
         nonces: NonceSource = fresh_nonce,
     ) -> None:
         self.rules = rules
@@ -190,6 +195,7 @@ class PlantCore:
         self._new_id = new_id
         self._now = now
         self._fresh = fresh
+        self._attack = () if attack is None else (attack,)
         # the step
         self._coin = coin
         self._fallback = fallback
@@ -272,7 +278,7 @@ class PlantCore:
         record = self.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
-            events=(SessionBegan(record.session, reason),),
+            events=(SessionBegan(record.session, reason), *self._attack),
             write=Save(record) if self._fresh else None,
             keys=self.keying.tasks(),
             finish_step=self._step is not None,
@@ -489,6 +495,7 @@ class PlantCore:
             self._step = None
             interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        step.truth = self.plant.truth
         step.report = self._report(step, x_next)
         wire = step.report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
@@ -592,6 +599,7 @@ class PlantCore:
             contribution,
             coin,
             u,
+            step.truth,
             report.applied_key,
         )
         self.record = record._replace(
@@ -701,7 +709,7 @@ class PlantCore:
         if not self._moved:  # from its first step on the watchdog has its own time
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
-        missed = Missed(record.session, record.k, record.x, u, x_next)
+        missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
 
     def _missed(self, u: Vector, x_next: Vector) -> None:
@@ -752,7 +760,8 @@ class PlantCore:
             u = candidates[coin]
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
-        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
+        truth = self.plant.truth
+        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
     def _came_back(self, actions: Actions) -> Actions:
         """After ``actions``: the step in which the process of a plant that acts died is missed."""

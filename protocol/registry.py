@@ -102,6 +102,11 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         return len(self._all())
 
+    @property
+    def served(self) -> bool:
+        """Whether this process knows entries: a room that provides them was imported."""
+        return self.what in _PROVIDERS or bool(self._entries)
+
     def _all(self) -> dict[str, T]:
         modules = _PROVIDERS.get(self.what, [])
         while modules:

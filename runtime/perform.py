@@ -1,4 +1,4 @@
-"""The one place that knows in which order things are done: save, publish, settle, trace, tell.
+"""The one place that knows the order of a step: save, publish, count, trace, tell.
 
 A step is one write, one message, and then the rest: the shell saves what was heard and is about to
 be said, publishes it, and lets the endpoint count while the partner works. What was counted is
@@ -18,7 +18,7 @@ alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes`
 from typing import Literal, Protocol
 
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice, Peer, Write
+from protocol.link.peer import Actions, Notice, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 
@@ -45,8 +45,15 @@ class Ports(Protocol):
         """Replace the status in the run's folder."""
 
 
-def perform(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
+class Finishing(Protocol):
+    """An end of the link, or of sealed messages."""
+
+    def finish_step(self) -> Actions:
+        """What can wait until the message is on its way."""
+
+
+def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
+    """Carry out ``actions`` of ``endpoint``, and what it does to finish its step after them."""
     while True:
         for event in actions.events:
             ports.trace(event)

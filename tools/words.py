@@ -18,7 +18,7 @@ LIMIT: Final = 20_000
 """Words of all pages together."""
 README_LIMIT: Final = 600
 """Words of the page that a stranger reads first."""
-GENERATED_PAGES: Final = ("scenario-reference.md",)
+GENERATED_PAGES: Final = ("scenario-reference.md", "command-reference.md")
 
 _GENERATED: Final = re.compile(r"<!-- (?:generated|begin)\b.*?<!-- end\b.*?-->", re.DOTALL)
 _WORD: Final = re.compile(r"\S*\w\S*")

@@ -233,4 +233,4 @@ class AppliedCoins(_Coins):
         super().done(done, now)
         if self._wanted in self._digits or self._wanted == self._newest:
             self._wanted = ""
-        self._again_at = now + LACKING_S
+        self._again_at = -inf if done.keys else now + LACKING_S

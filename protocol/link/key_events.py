@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.secret.blocks import Stored
-from protocol.secret.tasks import Broken, CoinKeys, Done, Judged
+from protocol.secret.blocks import BlockResult, Stored
+from protocol.secret.tasks import Broken, CoinKeys, Done
 
 
 class BlockStored(NamedTuple):
@@ -23,18 +23,6 @@ class BlockStored(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "block", **self._asdict()}
-
-
-class BlockJudged(NamedTuple):
-    """The partner's word on a key block is on disk: it was confirmed, or it differed."""
-
-    session: str
-    number: int
-    what: str
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "judged", **self._asdict()}
 
 
 class Appearances(NamedTuple):
@@ -81,8 +69,8 @@ def key_events(done: Done) -> tuple[Event, ...]:
     """What goes to the trace when the keeper has done a task."""
     if isinstance(done, Stored):
         return (BlockStored(done.session, done.number, done.keys, done.signed),)
-    if isinstance(done, Judged):
-        return (BlockJudged(done.session, done.number, done.what),)
+    if isinstance(done, BlockResult):
+        return (done,)
     return ()
 
 
@@ -90,7 +78,7 @@ def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
     """What goes to the log."""
     if isinstance(done, Broken):
         return (Notice(f"no key is made from here on: {done.reason}", "error"),)
-    if isinstance(done, Judged):
+    if isinstance(done, BlockResult):
         name = f"key block {done.number} of session {done.session}"
         if done.what == "unequal":
             return (Notice(f"{name} differs from the partner's: erased", "error"),)

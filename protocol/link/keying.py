@@ -19,7 +19,7 @@ from protocol.secret.nonces import (
     fresh_nonce,
 )
 from protocol.secret.records import Side
-from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
+from protocol.secret.tasks import Broken, Done, Task
 
 NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
 
@@ -171,7 +171,7 @@ class Keying:
         blocks = self.blocks
         if blocks is None or self.broken:
             return ()
-        tasks: list[Task] = [BlockVerdict(blocks.session, judgement) for judgement in judged]
+        tasks: list[Task] = [*judged]
         while (closed := blocks.to_keep()) is not None:
             tasks.append(closed)
         return tuple(tasks)
@@ -185,7 +185,7 @@ class Keying:
             if done.session == self.blocks.session:
                 self._became(done.number, _why_not(done))
             judged = self.blocks.stored(done)
-        elif self.blocks is not None and isinstance(done, Judged):
+        elif self.blocks is not None and isinstance(done, BlockResult):
             self.blocks.judged(done.session, done.number)
             if done.what == "unequal" and done.session == self.blocks.session:
                 self._became(done.number, f"block {done.number} differs from the partner's")

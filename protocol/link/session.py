@@ -163,6 +163,29 @@ def rules_of(scenario: Scenario) -> Rules:
     )
 
 
+class Truth(NamedTuple):
+    """What a step really came to, where an attack says otherwise.
+
+    Parameters
+    ----------
+    x_next : tuple of float, shape (n,)
+        The true state after the step.
+    u : tuple of float, shape (m,)
+        The input that was really applied.
+    failed : str
+        Why the attack is over, in the step in which it failed.
+    """
+
+    x_next: Vector
+    u: Vector
+    failed: str = ""
+
+    def fields(self) -> dict[str, Any]:
+        """As fields of a trace's line."""
+        told = {"true_x_next": self.x_next, "true_u": self.u}
+        return told | {"attack_failed": self.failed} if self.failed else told
+
+
 class CountedTransition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
@@ -172,10 +195,11 @@ class CountedTransition(NamedTuple):
     afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
     1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
     predictions, of an f_c that is not linear. Only the plant knows ``coin``, its b_r, and
-    ``u``, the input that was in force: at the controller they are -1 and empty. ``coin_key`` is the
-    key that the plant's coin came from, empty where it was private, and None where no coin is
-    keyed. Only the controller knows ``expected``, the candidate that its own copy of that key
-    chose: it is -1 where the transition is unwatched.
+    ``u``, the input that was in force: at the controller they are -1 and empty. ``truth`` is there
+    where the plant is attacked, for whoever judges the run. ``coin_key`` is the key that the
+    plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
+    coin was private, None and -1 where no coin is keyed. Only the controller knows ``expected``,
+    the candidate that its own copy of that key chose: it is -1 where the transition is unwatched.
     """
 
     session: str
@@ -197,7 +221,9 @@ class CountedTransition(NamedTuple):
     predictions: tuple[Vector, ...] = ()
     coin: int = NO_SYMBOL
     u: Vector = ()
+    truth: Truth | None = None
     coin_key: str | None = None
+    coin_from: int = -1
     expected: int = NO_SYMBOL
 
     @classmethod
@@ -214,6 +240,7 @@ class CountedTransition(NamedTuple):
         contribution: Contribution | None,
         coin: int = NO_SYMBOL,
         u: Vector = (),
+        truth: Truth | None = None,
         coin_key: str | None = None,
         expected: int = NO_SYMBOL,
     ) -> Self:
@@ -239,14 +266,16 @@ class CountedTransition(NamedTuple):
             offer.predictions,
             coin,
             u,
+            truth,
             coin_key,
+            offer.coin_from if coin_key and offer.coin_from is not None else -1,
             expected,
         )
 
     @property
     def shared(self) -> Self:
-        """What both ends count alike: all but the coin, the input that it chose, and its test."""
-        return self._replace(coin=NO_SYMBOL, u=(), expected=NO_SYMBOL)
+        """What both ends count alike: all but the coin and its input, the truth, and the test."""
+        return self._replace(coin=NO_SYMBOL, u=(), truth=None, expected=NO_SYMBOL)
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
@@ -275,6 +304,8 @@ class CountedTransition(NamedTuple):
             event["u"] = self.u
         if self.coin_key is not None:
             event["coin_key"] = self.coin_key
+        if self.coin_key:
+            event["coin_from"] = self.coin_from
         if self.expected != NO_SYMBOL:
             event["expected"] = self.expected
-        return event
+        return event if self.truth is None else event | self.truth.fields()

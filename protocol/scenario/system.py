@@ -11,6 +11,7 @@ from pydantic import Field, SerializeAsAny, model_validator
 from protocol.brief import Brief
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.knowledge import Knowledge
+from protocol.scenario.attack import Attack
 from protocol.scenario.control import Control
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Defender
@@ -59,6 +60,8 @@ class Scenario(Brief, ScenarioTable):
     """What the operator claims that she misses; distilled keys rest on it."""
     defence: DefenceTable = DefenceTable()
     """How the controller tests what it is told."""
+    attack: Attack | None = None
+    """Who lies about the plant, if anybody does."""
 
     def brief(self) -> dict[str, object]:
         """Name, sizes and what it runs under."""
@@ -255,7 +258,7 @@ class Scenario(Brief, ScenarioTable):
         to the controller alone, those of a kind of plant to the plant.
         """
         apart = {"plant", "control"}
-        untold = {"description", "source", "tap"}
+        untold = {"description", "source", "tap", "attack"}
         if self.defence == DefenceTable():
             untold.add("defence")
         rest = self.model_dump(mode="json", exclude={*untold, *apart})

@@ -6,22 +6,6 @@ from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import Key
 
 
-class BlockVerdict(NamedTuple):
-    """A block is confirmed, or differs: the key maker is to write it down."""
-
-    session: str
-    judgement: BlockResult
-
-
-class Judged(NamedTuple):
-    """The key maker has written a verdict to disk."""
-
-    session: str
-    number: int
-    what: str
-    keys: int
-
-
 class Broken(NamedTuple):
     """The store cannot be used any more. No key is made from here on; the loop goes on."""
 
@@ -53,5 +37,5 @@ class CoinKeys(NamedTuple):
     pending: bool = False
 
 
-Task = ClosedBlock | BlockVerdict | CoinTask
-Done = Stored | Judged | Broken | CoinKeys
+Task = ClosedBlock | BlockResult | CoinTask
+Done = Stored | BlockResult | Broken | CoinKeys

@@ -1,6 +1,7 @@
 """A user's plant stays a guest: whatever its code does, it stops itself alone, in its limits."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -82,8 +83,8 @@ def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: P
     first.start(None)
     first.close()
     for process in sandbox._idle.values():
-        process._child.kill()
-        process._child.wait()
+        os.kill(process._child.pid, signal.SIGKILL)
+        process._child.wait(20.0)
     second = opened(tmp_path, "pass")
     assert len(stepped(second, 2)) == 3
     second.close()

@@ -1,6 +1,7 @@
 """The live service on buses in memory, and as a process over real Zenoh."""
 
 import base64
+import gc
 import json
 import logging
 import os
@@ -222,9 +223,11 @@ def test_a_wrong_choice_is_told_before_anything_starts(
 
 
 @pytest.mark.slow
-def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
+def test_memory_stays_flat_over_many_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import tracemalloc
 
+    # pytest keeps every record of a log, and a part that is dropped is told of
+    monkeypatch.setattr(logging.root.manager, "disable", logging.CRITICAL)
     run = simulate(2500, 4)
     limits = Limits(part_bytes=100_000, total_bytes=400_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
@@ -236,11 +239,13 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
                 # the same loop again, as another session
                 wire.send(message.model_copy(update={"session": f"{turn:016x}"}))
                 wire.service.work(0)
+            gc.collect()
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
     wire.finish()
-    assert sizes[3] - sizes[2] < 150_000
+    # message symbols are kept up to a bound that is not reached here: 18 kB a turn
+    assert sizes[3] - sizes[2] < 40_000
     assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 400_000
 
 
@@ -268,11 +273,9 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
     assert wire.service._heavy is not None
     child = wire.service._heavy.process
-    assert child.pid is not None
-    os.kill(child.pid, signal.SIGINT)  # while it is still being loaded
+    assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.exitcode == 0
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert child.wait(5.0) == 0
 
 
 @pytest.mark.slow
@@ -296,7 +299,6 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     said = wire.statuses[-1]
     assert wire.service._heavy is not None
     process = wire.service._heavy.process
-    assert process.pid is not None
     with log_of("tap") as told_of:
         os.kill(process.pid, signal.SIGKILL)
         for message in run.messages[half:]:
@@ -328,7 +330,6 @@ def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
     wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
     assert wire.service._heavy is not None
     process = wire.service._heavy.process
-    assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)  # before it has said a word
     for message in run.messages:
         wire.send(message)

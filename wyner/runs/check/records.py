@@ -16,7 +16,10 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TracedTransition:
-    """A transition as one side's trace holds it; ``coin`` and ``u`` are the plant's alone.
+    """A transition as one side's trace holds it; from ``coin`` on the fields are the plant's alone.
+
+    ``coin_key`` and ``coin_from`` are there where the coin is keyed; ``expected`` is the
+    controller's alone. The last three are there where the plant is attacked.
 
     A model would take three times the room, and a run has millions.
     """
@@ -38,8 +41,14 @@ class TracedTransition:
     s: int
     counts: int
     predictions: tuple[Vector, ...] = ()
+    coin_key: str | None = None
+    coin_from: int = -1
+    expected: int = -1
     coin: int | None = None
     u: Vector | None = None
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -58,6 +67,9 @@ class MissedLine:
     x_next: Vector
     candidates: tuple[Vector, ...] = ()
     coin: int = -1
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
 
     @property
     def interrupted(self) -> bool:
@@ -132,6 +144,21 @@ class AppearancesLine:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AlarmLine:
+    """A transition's test failed at the controller, and made an alarm."""
+
+    event: Literal["alarm"]
+    session: str
+    j: int
+    k: int
+    reading: Vector
+    coin_key: str
+    candidate: int
+    expected: Vector
+    gauge: float
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TimingLine:
     """How punctual the plant was."""
 
@@ -143,6 +170,18 @@ class TimingLine:
     overruns: int
 
 
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AttackLine:
+    """The plant is attacked: every parameter."""
+
+    event: Literal["attack"]
+    kind: str
+    at: Literal["sensor", "bus", "actuator"]
+    onset: int
+    knows: tuple[str, ...]
+    options: dict[str, Any]
+
+
 EventLine = (
     SessionLine
     | QueuedLine
@@ -151,7 +190,9 @@ EventLine = (
     | BlockStoredLine
     | BlockJudgedLine
     | AppearancesLine
+    | AlarmLine
     | TimingLine
+    | AttackLine
 )
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
@@ -160,6 +201,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "missed": TypeAdapter(MissedLine),
         "interrupted": TypeAdapter(MissedLine),
         "timing": TypeAdapter(TimingLine),
+        "attack": TypeAdapter(AttackLine),
         "session": TypeAdapter(SessionLine),
         "recovered": TypeAdapter(RecoveredLine),
         "refused": TypeAdapter(Refused),
@@ -170,6 +212,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "controller": {
         "transition": TypeAdapter(TracedTransition),
         "session": TypeAdapter(SessionLine),
+        "alarm": TypeAdapter(AlarmLine),
         "sent": TypeAdapter(QueuedLine),
         "delivered": TypeAdapter(QueuedLine),
         "block": TypeAdapter(BlockStoredLine),
@@ -253,8 +296,12 @@ class Shape(NamedTuple):
             return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
         if not 0 <= t.counts <= 3:
             return f"counts: got {t.counts}, expected 0 to 3"
+        if plant and t.expected != -1:
+            return "expected: only in the controller's trace"
         if not plant and (t.coin is not None or t.u is not None):
             return "coin, u: expected in the plant's trace only"
+        if not plant and (t.true_x_next is not None or t.true_u is not None):
+            return "true_x_next, true_u: expected in the plant's trace only"
         if plant and (t.u is None or len(t.u) != m):
             return f"u: expected {m} inputs"
         if plant and (t.coin is None or not 0 <= t.coin < size):
