@@ -157,7 +157,7 @@ def test_the_defence_of_the_page_runs(
     monkeypatch.setattr(tables, "OWN_RUNS", 50)
     assert main(["--defence", "edge.py:Edge"]) == 0
     said = capsys.readouterr().out
-    assert "ghost, key secret: unseen after 1: 1 (above 0.9286)" in said
+    assert "ghost, key secret: unseen after 1: 1 (above 0.9287)" in said
     assert "honest steps alarmed" not in said
     assert "--defence edge.py:Edge" in PAGE.read_text()
 
