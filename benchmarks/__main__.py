@@ -26,6 +26,7 @@ BENCHMARKS: Final = {
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
     "overload": Benchmark("benchmarks.overload", "too many loops, and what comes after"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
+    "attacked": Benchmark("benchmarks.attacked", "attacked runs together beside one alone"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
     "qp": Benchmark("benchmarks.qp", "one step's programs, by solver"),
 }

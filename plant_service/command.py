@@ -30,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let a plant run again that was sent to its safe state",
     )
     parser.add_argument(
+        "--attack",
+        metavar="KIND@STEP",
+        help="attack this plant from a step on, in place of the scenario's [attack]",
+    )
+    parser.add_argument(
         "--secret",
         metavar="F",
         help="sign key blocks by this file, as `wyner certs --secret` writes it",
@@ -40,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
     from plant_service.service import PlantConfig, PlantService, run_plants
-    from runtime.scenario_file import keep_scenario, scenario_of
+    from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
     at_least("--steps", args.steps, 1)
@@ -54,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
         with buses_of(args, "plant") as (stopping, field, ops):
             return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
     scenario, pace = scenario_of(args.scenario), pace_of(args.pace)
+    attack = attack_option(args.attack, scenario.attack, args.steps)
     if args.check:
         return DONE
     config = PlantConfig(
@@ -61,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         loop=loop_of(args),
         pace=pace,
         steps=args.steps,
+        attack=attack,
         seed=args.seed,
         bounds=bounds,
         secret=None if args.secret is None else Path(args.secret),

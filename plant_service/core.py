@@ -24,6 +24,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import (
     NEW_JOURNAL,
+    AttackBegan,
     FrameRefused,
     Interrupted,
     Missed,
@@ -36,7 +37,7 @@ from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
 from protocol.link.records import BegunStep, ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
     ControllerHello,
@@ -93,6 +94,7 @@ class _Step:
     offer: Offer
     coin: int
     report: Measurement | None = None
+    truth: Truth | None = None
 
     @property
     def u(self) -> Vector:
@@ -140,6 +142,8 @@ class PlantCore:
         Seconds without an applied offer after which the plant goes to its safe state: counted from
         :meth:`start` on, so that a plant that was started again is watched while its controller is
         away. One that has never moved has :data:`MEETING_S` at least to meet it.
+    attack : AttackBegan, optional
+        What is traced of an attack on this plant.
     nonces : NonceSource
     """
 
@@ -173,6 +177,7 @@ class PlantCore:
         steps: int | None = None,
         telemetry: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
+        attack: AttackBegan | None = None,
         nonces: NonceSource = fresh_nonce,
     ) -> None:
         self.rules = rules
@@ -184,6 +189,7 @@ class PlantCore:
         self._new_id = new_id
         self._now = now
         self._fresh = fresh
+        self._attack = () if attack is None else (attack,)
         # the step
         self._coin = coin
         self._fallback = fallback
@@ -263,7 +269,7 @@ class PlantCore:
         record = self.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
-            events=(SessionBegan(record.session, reason),),
+            events=(SessionBegan(record.session, reason), *self._attack),
             write=Save(record) if self._fresh else None,
             keys=self.keying.tasks(),
             finish_step=self._step is not None,
@@ -468,6 +474,7 @@ class PlantCore:
             self._step = None
             interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        step.truth = self.plant.truth
         step.report = self._report(step.offer, x_next)
         wire = step.report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
@@ -552,7 +559,18 @@ class PlantCore:
             record.nonce,
         )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution, coin, u
+            scheme,
+            record,
+            offer,
+            x_next,
+            verdict,
+            after,
+            carry,
+            symbol,
+            contribution,
+            coin,
+            u,
+            step.truth,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -658,7 +676,7 @@ class PlantCore:
         if not self._moved:  # from its first step on the watchdog has its own time
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
-        missed = Missed(record.session, record.k, record.x, u, x_next)
+        missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
 
     def _missed(self, u: Vector, x_next: Vector) -> None:
@@ -707,7 +725,8 @@ class PlantCore:
             u = candidates[coin]
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
-        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
+        truth = self.plant.truth
+        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
     def _came_back(self, actions: Actions) -> Actions:
         """After ``actions``: the step in which the process of a plant that acts died is missed."""

@@ -11,6 +11,7 @@ from typing import Protocol
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
+from protocol.link.session import Truth
 from protocol.scenario import Scenario
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
@@ -28,10 +29,13 @@ class Plant(Protocol):
     device : bool
         The plant moves by itself. A step without an offer goes on under the input in force, and
         the fallback is applied for the step after it.
+    truth : Truth or None
+        What the step that ended last really came to, where the plant is attacked.
     """
 
     acts: bool
     device: bool
+    truth: Truth | None
 
     def prepare(self, k: int) -> None:
         """Draw ahead what step ``k``, the next one, needs; nobody waits for it now."""
@@ -110,6 +114,7 @@ class LinearModel:
     """
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self, scenario: Scenario, disturbances: Disturbances) -> None:
         self._A, self._B = scenario.plant_model
@@ -160,6 +165,8 @@ class OperatedPlant:
     enters : {"state", "input", "none"}
         Where the simulated disturbance reaches the plant.
     """
+
+    truth: Truth | None = None
 
     def __init__(self, operated: Operated, disturbances: Disturbances, enters: str) -> None:
         self.operated = operated

@@ -9,10 +9,12 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
+from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.status import PlantTelemetry
 from protocol.link.pacing import STATUS_S, Pacing
+from protocol.scenario import Attack
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
 from runtime.bus import Bus
@@ -43,10 +45,14 @@ from runtime.scenario_file import keep_scenario, scenario_of
 
 @dataclass(frozen=True, slots=True)
 class PlantConfig(EndConfig):
-    """What the plant service is started with; ``steps`` ends it when k reaches that number."""
+    """What the plant service is started with; ``steps`` ends it when k reaches that number.
+
+    ``attack`` is on this plant, or on its bus.
+    """
 
     pace: Pace
     steps: int | None = None
+    attack: Attack | None = None
 
 
 def open_plant(
@@ -117,6 +123,7 @@ def _opened(
         telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
+        attack=config.attack,
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
@@ -149,6 +156,8 @@ class PlantService(EndService[PlantCore]):
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log, opened = logger("plant"), open_plant(config, clock())
+        if isinstance(opened[0].plant, AttackedPlant):
+            field = opened[0].plant.overheard(field, config.loop)
         try:
             super().__init__(config, opened, OpeningEnd, log, field, ops, stopping, clock)
         except BaseException:

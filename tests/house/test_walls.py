@@ -85,8 +85,10 @@ def test_there_is_something_to_look_at() -> None:
     assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
 
 
-BESIDES: dict[str, set[str]] = defaultdict(set, attacker_service={"tap_service"})
-"""An attacker knows what this run's eavesdropper knows."""
+BESIDES: dict[str, set[str]] = defaultdict(
+    set, attacker_service={"tap_service"}, plant_service={"attacker_service"}
+)
+"""An attacker knows what this run's eavesdropper knows; a plant names her process, no more."""
 
 
 # --- rooms ----------------------------------------------------------------------------------------
@@ -96,6 +98,14 @@ BESIDES: dict[str, set[str]] = defaultdict(set, attacker_service={"tap_service"}
 def test_a_service_imports_the_protocol_the_shell_and_itself_only(service: str) -> None:
     for path in inside(service):
         assert rooms_of(path) <= {"protocol", "runtime", service} | BESIDES[service], name_of(path)
+
+
+def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
+    """Her code, and her eavesdropper, run in a process of their own."""
+    naming = [p for p in inside("plant_service") if "attacker_service" in rooms_of(p)]
+    assert [name_of(p) for p in naming] == ["plant_service.attacked"]
+    loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
+    assert not [n for n in loaded if n.startswith(("attacker_service", "tap_service"))]
 
 
 def test_the_protocol_imports_no_other_room() -> None:
