@@ -93,12 +93,12 @@ class AttackServer:
 
     def _told(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Told:
         offer = None if self._offers is None else self._offers.at(k - 1)
-        sees = attack.options.sees
+        sees, coins = attack.options.sees, self._coins
         return Told(
             k=k,
             shown=shown,
             candidates=None if offer is None else np.asarray(offer.candidates),
-            coins=np.asarray(UNKNOWN),
+            coins=np.asarray(UNKNOWN if coins is None or offer is None else coins.of(offer)),
             seen=None if sees is None else true + sees * self._noise.standard_normal(true.shape),
         )
 

@@ -92,6 +92,8 @@ def open_core(
         if attacker is not None and attacker.at != "bus":
             x = scenario.initial_state if x is None else x
             plant = AttackedPlant(plant, attacker, x)
+        if attacker is not None and telemetry is not None:
+            telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)
         return PlantCore(
             rules_of(scenario),
