@@ -19,10 +19,10 @@ from protocol.text import Shown, readable
 from protocol.vectors import Vector
 
 TAIL: Final = 64
-"""Transitions shown in a whole status, and at most in any."""
+"""Most transitions shown in a status; a whole status has as many."""
 
 TAIL_AT_LEAST: Final = 8
-"""In any status: a dashboard that lost some lacks nothing."""
+"""Least transitions in a status, so that a dashboard that lost one lacks nothing."""
 
 RATE_S: Final = 0.5
 """Seconds over which the rate of steps is taken."""
@@ -31,13 +31,13 @@ MODEL_S: Final = 1.0
 """Seconds between two publications of the plant's model, where statuses come often."""
 
 MODEL_AFTER: Final = 4
-"""Where they come seldom, the model is published with every 4th status."""
+"""Statuses from one publication of the model to the next, where statuses come seldom."""
 
 Phase = Literal["greeting", "running", "stopped", "refused"]
 
 
 class PlantTelemetry:
-    """What is worth telling beside the record; :meth:`status` puts both together.
+    """What a status has beside the record; :meth:`status` puts both together.
 
     ``phase``, ``detail``, ``late``, ``attack``, ``last_message`` and ``message_k`` are set from
     outside; ``model`` is what does not change, as it travels.
@@ -211,5 +211,5 @@ def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
 
 
 def _can_be_drawn(t: CountedTransition) -> bool:
-    """A message holds finite numbers only; gauges of huge states are not."""
+    """Whether its gauges are finite: a message holds no other numbers."""
     return t.tested and all(map(isfinite, t.verdict.gauges))
