@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let a plant run again that was sent to its safe state",
     )
     parser.add_argument(
+        "--attack",
+        metavar="KIND@STEP",
+        help="attack this plant from a step on, in place of the scenario's [attack]",
+    )
+    parser.add_argument(
         "--secret",
         metavar="F",
         help="sign key blocks by this file, as `wyner certs --secret` writes it",
@@ -45,6 +50,7 @@ class PlantOptions(ServiceOptions):
     scenario: str = "sustained"
     pace: str = "realtime"
     steps: int | None = None
+    attack: str | None = None
     plant_folder: str | None = None
     clear_safe: bool = False
     secret: str | None = None
@@ -64,7 +70,7 @@ def run_plant(options: PlantOptions) -> int:
         When an option's value is wrong.
     """
     from plant_service.service import PlantConfig, PlantService, run_plants
-    from runtime.scenario_file import keep_scenario, scenario_of
+    from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
     at_least("--steps", options.steps, 1)
@@ -78,6 +84,7 @@ def run_plant(options: PlantOptions) -> int:
         with buses_of(options, "plant") as (stopping, field, ops):
             return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
+    attack = attack_option(options.attack, scenario.attack, options.steps)
     if options.check:
         return DONE
     config = PlantConfig(
@@ -85,6 +92,7 @@ def run_plant(options: PlantOptions) -> int:
         loop=loop_of(options),
         pace=pace,
         steps=options.steps,
+        attack=attack,
         seed=options.seed,
         bounds=bounds,
         secret=None if options.secret is None else Path(options.secret),

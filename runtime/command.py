@@ -1,4 +1,4 @@
-"""What is around every command: its signals, its output, and its errors in a line each."""
+"""What every command shares: signals, output, and errors of one line each."""
 
 import _thread
 import argparse
@@ -88,13 +88,13 @@ def entered(command: Callable[[], int]) -> int:
 
 
 AGAIN_S: Final = 0.02
-"""After so long an interrupt that could not be raised is tried again."""
+"""Seconds after which an interrupt that could not be raised is raised again."""
 
 
 def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
-    """An interrupt that came where none can be raised, as in a finaliser, is tried again.
+    """Raise an interrupt again that came where none can be raised, as in a finaliser.
 
-    Later, from another thread: here, where none can be raised either, it would be lost again.
+    It is raised `AGAIN_S` later, from another thread: here it would be lost again.
     """
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         again = threading.Timer(AGAIN_S, _thread.interrupt_main)

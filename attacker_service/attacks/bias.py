@@ -24,12 +24,11 @@ class Bias(Ghost):
         ``share`` of D_c is how large it is.
         """
 
-        sees: Annotated[float | None, Field(ge=0, le=0)] = None
+        sees: Annotated[float | None, Field(ge=0, le=0)] = 0.0
         share: Annotated[float, Field(ge=0, le=1)] = 0.9
         direction: tuple[float, ...] = ()
 
     name: ClassVar[str] = "bias"
-    must_see: ClassVar[bool] = True
     options: Options
 
     def _disturbance(self, shape: tuple[int, ...]) -> Array:

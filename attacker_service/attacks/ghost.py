@@ -6,10 +6,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import UNKNOWN, Known, Model, SensorAttack, Told
+from attacker_service.base import UNKNOWN, Model, SensorAttack, Told
 from attacker_service.base import Options as CommonOptions
 from attacker_service.sight import Sight, chosen
 from protocol.arrays import Array, Integers
+from protocol.scenario.attack import Known
 
 
 class Ghost(SensorAttack):

@@ -76,7 +76,7 @@ def test_noise_between_her_and_the_plant_gets_her_caught() -> None:
 
 
 def test_the_limit_one_who_sees_all_is_never_caught() -> None:
-    bias = Bias(model(), {"sees": 0.0}, rng())
+    bias = Bias(model(), NONE, rng())
     seen = spoofed(bias, 100, runs=500, sees=0.0)
     assert not seen.alarms.any()
     assert seen.off[-1].min() > 20 > seen.off[0].max()
@@ -133,7 +133,6 @@ def test_without_an_offer_the_ghost_rolls_on() -> None:
     ("kind", "known", "options", "line"),
     [
         ("ghost", None, NONE, "attack.knows: ghost needs 'model'"),
-        ("bias", model(), NONE, "attack.sees: bias needs the noise with which she sees"),
         ("bias", model(), {"sees": 0.1}, "attack.sees: bias: got 0.1: "),
         ("ghost", model(), {"share": 2}, "attack.share: ghost: got 2: "),
         ("replay", None, {"share": 2}, "attack.share: replay: got 2: "),

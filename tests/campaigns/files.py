@@ -87,11 +87,11 @@ def _fleet(run: Path) -> None:
 
 
 def _secret(run: Path) -> None:
-    from runtime.key_opening import open_keeper
+    from runtime.key_opening import open_key_maker
 
     keys = load_scenario(ROOT / "runtime/scenarios/keys.toml")
     (run / "k.sqlite3").unlink(missing_ok=True)
-    open_keeper(run / "k.sqlite3", "plant", keys, None, run / "secret")
+    open_key_maker(run / "k.sqlite3", "plant", keys, None, run / "secret")
 
 
 def _knowledge(run: Path) -> None:

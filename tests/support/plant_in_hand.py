@@ -15,7 +15,7 @@ from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
@@ -33,6 +33,7 @@ class ScriptedLine(Coin):
     """A plant that goes where it is told, by a coin that falls as it is told."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self) -> None:
         self.coin = 0

@@ -1,6 +1,7 @@
 """The live service on buses in memory, and as a process over real Zenoh."""
 
 import base64
+import gc
 import json
 import logging
 import os
@@ -222,9 +223,11 @@ def test_a_wrong_choice_is_told_before_anything_starts(
 
 
 @pytest.mark.slow
-def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
+def test_memory_stays_flat_over_many_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import tracemalloc
 
+    # pytest keeps every record of a log, and a part that is dropped is told of
+    monkeypatch.setattr(logging.root.manager, "disable", logging.CRITICAL)
     run = simulate(2500, 4)
     limits = Limits(part_bytes=100_000, total_bytes=400_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
@@ -236,11 +239,13 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
                 # the same loop again, as another session
                 wire.send(message.model_copy(update={"session": f"{turn:016x}"}))
                 wire.service.work(0)
+            gc.collect()
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
     wire.finish()
-    assert sizes[3] - sizes[2] < 150_000
+    # message symbols are kept up to a bound that is not reached here: 18 kB a turn
+    assert sizes[3] - sizes[2] < 40_000
     assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 400_000
 
 

@@ -27,10 +27,11 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_JOURNAL,
 )
-from runtime.scenario_file import scenario_of
+from runtime.scenario_file import attack_option, scenario_of
 from wyner.deployment.one_machine import RunOptions, lay_out
 
 if TYPE_CHECKING:
+    from protocol.link.events import AttackBegan
     from protocol.scenario import Scenario
     from runtime.bus import Bus
     from wyner.dashboard.app import Stage
@@ -65,6 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
+    parser.add_argument(
+        "--attack",
+        metavar="KIND@STEP",
+        help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
+    )
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
     parser.add_argument(
         "--secret",
@@ -89,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             steps=args.steps,
             seed=args.seed,
             secret=args.secret,
+            attack=args.attack,
             until_delivered=args.until_delivered,
             headless=args.headless,
             json=args.json,
@@ -164,12 +171,13 @@ def run_session(
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = _eavesdroppers(options, scenario)
+    attack = _attack(options, scenario)
     run_dir = run_dir_of(options.run_dir)
     traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
     if any((run_dir / path).exists() for path in traces_of_a_run):
         raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
     try:
-        supervisor, loop = lay_out(options, scenario, eavesdroppers, run_dir, payload)
+        supervisor, loop = lay_out(options, scenario, eavesdroppers, run_dir, payload, attack)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
@@ -273,6 +281,18 @@ def _eavesdroppers(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]
         return each_once((*its, *asked))
     except KnowledgeError as error:
         raise UsageError(f"--eavesdropper: {error}") from None
+
+
+def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
+    """The attack with every parameter, made once before anything starts."""
+    from attacker_service.asking import Attacker
+
+    attack = attack_option(options.attack, scenario.attack, options.steps)
+    if attack is None:
+        return None
+    attacker = Attacker(scenario, attack, options.seed)
+    attacker.close()
+    return attacker.began
 
 
 class _Progress:

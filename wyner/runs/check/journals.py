@@ -15,7 +15,7 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin
 from protocol.link.pacing import Pacing
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
@@ -140,6 +140,7 @@ class _Unmoved:
     """The plant of a journal that is read: nothing moves it."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def prepare(self, k: int) -> None:
         """No step comes."""

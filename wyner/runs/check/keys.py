@@ -10,6 +10,7 @@ import numpy as np
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import decrypt
 from protocol.secret.records import Side
+from wyner.runs.check.attacked import lies, rewrites
 from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
@@ -61,7 +62,8 @@ class _Opinion:
             return ""
         if t.u != t.candidates[t.coin]:
             return f"applied {t.u}, (15) gives candidate b_r = {t.coin}"
-        inside = self._leaves or reached[t.coin] <= 1 + ROUNDING
+        attack = None if self._reader is None else self._reader.attack
+        inside = self._leaves or lies(attack, t.k) or reached[t.coin] <= 1 + ROUNDING
         return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
 
 
@@ -133,13 +135,17 @@ class Coin(Clause):
 
     def __init__(self, evidence: Evidence, counter: Counter) -> None:
         super().__init__(evidence, counter)
-        self._left, self._leaves = 0, may_leave(evidence)
+        self._left, self._leaves, self._spoofed = 0, may_leave(evidence), 0
 
     def feed(self, part: Part) -> None:
+        assert self.evidence.plant is not None
         for item in part.plant:
             if not isinstance(item, Walked) or item.t.symbol == NO_SYMBOL:
                 continue
             t = item.t
+            if lies(self.evidence.plant.attack, t.k):
+                self._spoofed += t.symbol != t.coin
+                continue
             assert t.coin is not None
             outside = self._leaves and t.gauges[t.coin] > 1 + EDGE
             self._left += outside and t.symbol != t.coin
@@ -149,6 +155,8 @@ class Coin(Clause):
     def finish(self) -> None:
         if self._left:
             self.counter.note = f"{self._left} unlike the coin, each with a disturbance outside D_c"
+        if self._spoofed:
+            self.counter.note = f"{self._spoofed} unlike the coin under attack"
 
 
 class _Scheme(Clause):
@@ -210,7 +218,15 @@ class Receiver(_Scheme):
     side = "plant"
 
 
-_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in ("coin", "u"))
+OWN: Final = ("coin", "u", "true_x_next", "true_u", "attack_failed")
+"""What the plant alone knows."""
+
+_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in OWN)
+_UNWRITTEN: Final = tuple(
+    name for name in _SHARED if name not in ("x", "candidates", "x_next", "gauges", "predictions")
+)
+"""What an attack on the bus has no say in."""
+
 _shared: Final = attrgetter(*_SHARED)
 
 
@@ -248,11 +264,14 @@ class InStep(Clause):
             self._lacking = a
             self._ahead += 1
             return
-        text = ""
+        text, names = "", _SHARED
         if _shared(a) != _shared(b):
-            unlike = [name for name in _SHARED if getattr(a, name) != getattr(b, name)]
-            mine, other = getattr(a, unlike[0]), getattr(b, unlike[0])
-            text = f"{', '.join(unlike)}: the plant has {mine}, the controller {other}"
+            if self.evidence.plant is not None and rewrites(self.evidence.plant.attack, a.k):
+                names = _UNWRITTEN
+            unlike = [name for name in names if getattr(a, name) != getattr(b, name)]
+            if unlike:
+                mine, other = getattr(a, unlike[0]), getattr(b, unlike[0])
+                text = f"{', '.join(unlike)}: the plant has {mine}, the controller {other}"
         self.counter.count(not text, a.session, a.j, a.k, text)
 
     def finish(self) -> None:

@@ -9,6 +9,7 @@ from protocol.arrays import Array
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
+from wyner.runs.check.attacked import lies, unlike_manifest, wrong_labels
 from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
@@ -16,6 +17,8 @@ from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
+
+Step = TracedTransition | MissedLine
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
@@ -105,7 +108,10 @@ class Switching(Clause):
 
 
 class Reachable(Clause):
-    """Equations (6) and (14): the gauge of what happened is at most 1."""
+    """Equations (6) and (14): the gauge of what happened is at most 1.
+
+    Of an attacked plant that is its true state, which its labels name.
+    """
 
     name = "reachable"
     source = "(6), (14)"
@@ -116,42 +122,82 @@ class Reachable(Clause):
     def __init__(self, evidence: Evidence, counter: Counter) -> None:
         super().__init__(evidence, counter)
         self._left, self._largest, self._leaves = 0, 0.0, may_leave(evidence)
+        self._true: Vector | None = None  # x(k), where the step before it was labelled
+        self._restarted = True
+        self._truths, self._away = 0, 0.0
 
     def feed(self, part: Part) -> None:
-        e = self.evidence
+        assert self.evidence.plant is not None
         for item in part.plant:
-            if isinstance(item, Walked):
-                t = item.t
-                assert t.coin is not None
-                applied = t.candidates[t.coin] == t.u
-                g = item.verdict.gauges[t.coin] if applied else _gauge(e, t)
-                self._judge(t, t.j, g)
-            elif isinstance(item, MissedLine) and not item.interrupted and not e.rules.predicted:
-                self._judge(item, -1, _gauge(e, item))
-            # else what was applied is not known, or where it leads nobody predicted
+            if isinstance(item, Break):
+                self._restarted = True
+            if not isinstance(item, Walked | MissedLine):
+                continue
+            step = item.t if isinstance(item, Walked) else item
+            attack = self.evidence.plant.attack
+            if text := wrong_labels(attack, step, restarted=self._restarted):
+                self._restarted = False
+                self.counter.count(False, *_place(step), text)
+                continue
+            self._restarted = False
+            gauge = self._gauge_of(item, step)
+            if gauge is not None:
+                self._judge(step, gauge)
 
-    def _judge(self, step: TracedTransition | MissedLine, j: int, gauge: float) -> None:
+    def _gauge_of(self, item: Walked | MissedLine, step: Step) -> float | None:
+        """How far the true state came from where the input led; None where nobody knows."""
+        e, true, x = self.evidence, step.true_x_next, self._true or step.x
+        self._true = true
+        if isinstance(step, MissedLine) and (step.interrupted or e.rules.predicted):
+            return None  # what was applied is not known, or where it leads nobody predicted
+        if true is not None and step.true_u is not None:
+            self._truths += 1
+            apart = [abs(a - b) for a, b in zip(true, step.x_next, strict=True)]
+            self._away = max(self._away, *apart)
+            return None if e.rules.predicted else _gauge(e, x, step.true_u, true)
+        if e.plant is not None and lies(e.plant.attack, step.k):
+            return None  # the truth went with the plant's process
+        if isinstance(item, Walked):
+            assert item.t.coin is not None
+            if item.t.candidates[item.t.coin] == item.t.u:
+                return item.verdict.gauges[item.t.coin]
+        return _gauge(e, step.x, step.u or (), step.x_next)
+
+    def _judge(self, step: Step, gauge: float) -> None:
         self._largest = max(self._largest, gauge)
         inside = gauge <= 1 + EDGE
         self._left += not inside
         text = (
             "" if inside else f"x(k+1) is outside Reach^c of the applied input: gauge {gauge:.6g}"
         )
-        self.counter.count(inside or self._leaves, step.session, j, step.k, text)
+        self.counter.count(inside or self._leaves, *_place(step), text)
 
     def finish(self) -> None:
-        alpha = self.evidence.rules.agreement.alpha
+        e = self.evidence
+        assert e.plant is not None
+        if text := unlike_manifest(e.plant.attack, (e.manifest or {}).get("attack")):
+            self.counter.fail("", -1, -1, text)
+        alpha = e.rules.agreement.alpha
         self.counter.note = f"largest gauge {self._largest:.6f}, alpha {alpha:g}"
+        if self._truths:
+            self.counter.note += (
+                f"; {self._truths} of them the true state under attack, {self._away:.3g} from "
+                "what was reported at most"
+            )
         if self._leaves:
             self.counter.note += (
                 f"; the disturbance may leave D_c here, and did in {self._left} steps"
             )
 
 
-def _gauge(e: Evidence, step: TracedTransition | MissedLine) -> float:
+def _place(step: Step) -> tuple[str, int, int]:
+    return step.session, step.j if isinstance(step, TracedTransition) else -1, step.k
+
+
+def _gauge(e: Evidence, x: Vector, u: Vector, x_next: Vector) -> float:
     rule = e.rules.agreement
-    centre = predict(rule.A, rule.B, step.x, step.u or ())
-    return rule.gauge([a - b for a, b in zip(step.x_next, centre, strict=True)])
+    centre = predict(rule.A, rule.B, x, u)
+    return rule.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
 
 
 class Admissible(Clause):

@@ -373,6 +373,10 @@ class OneTimePad(Clause):
             fresh.append(t)
 
 
+TRUTH: Final = ("true_x_next", "true_u", "attack_failed")
+"""What no journal holds."""
+
+
 class OneCipher(Clause):
     """Every offer made for a transition carries the same cipher symbol."""
 
@@ -400,7 +404,7 @@ class OneCipher(Clause):
         unlike = [
             f
             for f in TracedTransition.__dataclass_fields__
-            if getattr(before, f) != getattr(after, f)
+            if f not in TRUTH and getattr(before, f) != getattr(after, f)
         ]
         text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
         self.counter.count(not unlike, after.session, after.j, after.k, text)
