@@ -19,8 +19,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--measure",
         action="store_true",
-        help="make their data anew before; to those of a secrecy-* figure, whose runs take long, "
-        "only what they lack is added",
+        help="make their data anew before; to those of a secrecy-* figure and of undetected, whose "
+        "runs take long, only what they lack is added",
     )
     parser.add_argument(
         "--data", metavar="D", help="folder of the data (default: what the documents show)"
