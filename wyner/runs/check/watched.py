@@ -50,7 +50,7 @@ class KeyedCoins(Clause):
     """Each keyed coin is the digit that belongs to its step, of a key of both ends."""
 
     name = "keyed-coin"
-    source = "rule 11"
+    source = "rule 12"
     says = "coins are digits of keys that both stores gave, in order, none twice"
     of = "coins"
     needs = ("plant",)
@@ -134,7 +134,7 @@ class Alarms(Clause):
     """Every alarm is right and none is missing."""
 
     name = "alarms"
-    source = "rule 11"
+    source = "rule 12"
     says = "an alarm is told where its test failed, and nowhere else"
     of = "tests"
     needs = ("controller",)
@@ -209,7 +209,9 @@ class Alarms(Clause):
             abs(p - q) <= PREDICTED * max(1.0, abs(q))
             for p, q in zip(line.expected, centre, strict=True)
         )
-        return "" if near else f"the alarm expects {line.expected}, f_c of its candidate is {centre}"
+        return (
+            "" if near else f"the alarm expects {line.expected}, f_c of its candidate is {centre}"
+        )
 
     def finish(self) -> None:
         controller = self.evidence.controller
