@@ -294,7 +294,10 @@ class ControllerCore:
             self._starting = False
             # Saved first: no other process may greet as this life of the journal.
             actions = Actions(
-                write=Save(self.record), publish=(self._greeting(),), keys=self._key_tasks()
+                write=Save(self.record),
+                publish=(self._greeting(),),
+                keys=self._key_tasks(),
+                notices=(self._refusal(HALTED),) if self.record.halted else (),
             )
         return actions._replace(finish_step=self._starting or self._blocks_differ)
 

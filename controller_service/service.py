@@ -44,10 +44,12 @@ class ControllerConfig(EndConfig):
     """What the controller service is started with.
 
     ``message`` is queued once in a journal's life, however often the service is started with it.
+    ``clear_alarm``: offers go on that an alarm has ended.
     """
 
     law: OnlineLaw
     message: bytes | None = None
+    clear_alarm: bool = False
 
 
 def open_controller(
@@ -70,6 +72,8 @@ def open_controller(
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         record, step = journal.load(), journal.step()
+        if record is not None and config.clear_alarm:
+            record = record._replace(halted=False)
         contributions = journal.contributions(None if record is None else record.session)
         key_maker = open_key_maker(
             config.run_dir / CONTROLLER_KEYS,

@@ -505,6 +505,18 @@ class ControllerStatus(_Status):
     key_blocks_waiting: Count = 0
     appearances: Count = 1
 
+    def alarm_sentence(self) -> str:
+        """The alarms and the last one, in words; empty where there is none."""
+        if not self.alarms:
+            return ""
+        read, expected = (
+            ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
+        )
+        return (
+            f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
+            f"({expected})"
+        )
+
 
 Status = PlantStatus | ControllerStatus
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from plant_service.core import PlantCore
-from protocol.link.session import CountedTransition
+from protocol.link.session import CountedTransition, Truth
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
@@ -64,7 +64,7 @@ class Ghost:
     """A sensor that shows what candidate 0 would have led to, whatever was applied."""
 
     acts = device = False
-    truth = None
+    truth: Truth | None = None
 
     def __init__(self, core: PlantCore) -> None:
         self.core = core

@@ -79,11 +79,11 @@ class KeyedCoins(Clause):
             return
         column = "use" if side == "controller" else "there"
         rows = store.rows(f"SELECT id, {column}, body FROM key WHERE {column} LIKE 'coin %'")
-        self._uses[side] = {name: use for name, use, _ in rows}
+        self._uses[side] = {key: use for key, use, _ in rows}
         size = self.evidence.rules.size
-        for name, _, body in rows:
+        for key, _, body in rows:
             if body is not None and len(body) == 4 * WORDS:
-                self._digits[name] = base_digits(bytes(body), size)
+                self._digits[key] = base_digits(bytes(body), size)
 
     def feed(self, part: Part) -> None:
         for plant, controller in part.pairs:
