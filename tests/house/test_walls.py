@@ -140,6 +140,16 @@ def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
     assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}
 
 
+def test_a_parsed_command_line_stays_where_it_was_parsed() -> None:
+    """Commands hand on dataclasses of options; nobody makes a parsed command line up."""
+    for path in [*MODULES, *sorted((ROOT / "tests").rglob("*.py"))]:
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"\bNamespace\(", text.replace("SimpleNamespace(", "")), path
+        command = path.name in ("command.py", "__main__.py") and path.parent.name != "runtime"
+        if not command and path.parent.name != "cli":
+            assert "argparse.Namespace" not in text or path == Path(__file__), path
+
+
 SHELL = {
     "asyncio",
     "ctypes",

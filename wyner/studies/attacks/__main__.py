@@ -26,7 +26,6 @@ def build_parser() -> argparse.ArgumentParser:
         help="try this defence against every attack instead, and print the shares unseen",
     )
     parser.add_argument("--output", metavar="FILE", help="file of the rows (default: the shipped)")
-    parser.set_defaults(run=run)
     return parser
 
 
@@ -62,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
-    return carry_out(lambda: build_parser().parse_args(arguments))
+    return carry_out(lambda: run(build_parser().parse_args(arguments)))
 
 
 if __name__ == "__main__":
