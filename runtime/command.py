@@ -27,14 +27,13 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
-def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
-    """Parse, and call ``args.run(args)``; returns the exit code, and lets no traceback out.
+def carry_out(command: Callable[[], int]) -> int:
+    """Parse a command line and do what it says; returns the exit code, and lets no traceback out.
 
     Set ``WYNER_TRACEBACK=1`` to see where an unexpected error came from.
     """
     try:
-        args = parse()
-        code = int(args.run(args))
+        code = command()
         sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
         return code
     except UsageError as error:
@@ -108,15 +107,14 @@ def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
 def serve(name: str) -> int:
     """Run a service by its own command, with the arguments of this process."""
 
-    def parse() -> argparse.Namespace:
+    def command() -> int:
         row = SERVICES[name]
         module = importlib.import_module(row.command)
         parser = Parser(prog=f"wyner {name}", description=row.summary)
         module.add_arguments(parser)
-        parser.set_defaults(run=module.run)
-        return parser.parse_args()
+        return int(module.run(parser.parse_args()))
 
-    return entered(lambda: carry_out(parse))
+    return entered(lambda: carry_out(command))
 
 
 SAID_BY: Final = "WYNER_SAID_BY"

@@ -64,11 +64,11 @@ def loader(load: Callable[[Path], object]) -> Callable[[Path], int]:
     """Something that a command calls before it does more, within what is around each command."""
 
     def called(run: Path) -> int:
-        def answer(_args: argparse.Namespace) -> int:
+        def answer() -> int:
             load(run)
             return 0
 
-        return carry_out(lambda: argparse.Namespace(run=answer))
+        return carry_out(answer)
 
     return called
 

@@ -34,6 +34,7 @@ class AttackCounts:
     alarms: list[int] = field(default_factory=list)
     watched: int = 0
     unwatched: int = 0
+    _sent: dict[int, list[float]] = field(default_factory=dict)
 
     def plant(self, event: dict[str, Any]) -> None:
         """Take an event of the plant's trace."""
@@ -43,6 +44,8 @@ class AttackCounts:
         if true is not None and self.attack is not None and event["k"] + 1 >= self.attack["onset"]:
             pairs = zip(true, event["x_next"], strict=True)
             self.off[event["k"] + 1] = max(abs(a - b) for a, b in pairs)
+        elif self.attack is not None and event["event"] == "transition":
+            self._sent[event["k"] + 1] = event["x_next"]
         self.failed = event.get("attack_failed") or self.failed
 
     def controller(self, event: dict[str, Any]) -> None:
@@ -51,6 +54,9 @@ class AttackCounts:
             self.alarms.append(event["k"] + 1)
         if event["event"] == "transition" and self.attack is not None:
             late = event["k"] + 1 >= self.attack["onset"]
+            if late and self.attack["at"] == "bus" and event["k"] + 1 in self._sent:
+                pairs = zip(self._sent[event["k"] + 1], event["x_next"], strict=True)
+                self.off[event["k"] + 1] = max(abs(a - b) for a, b in pairs)
             self.watched += late and event.get("expected", -1) >= 0
             self.unwatched += late and event.get("expected", -1) < 0
 
