@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from attacker_service.base import UNKNOWN
+from protocol.defence.key_digits import digits
 from protocol.knowledge import Knowledge
 from protocol.messages import FIELD, FieldMessage, Offer
 from tap_service.capture.channel import View, WiretapChannel
@@ -50,6 +52,7 @@ class Coins:
     def __init__(self, knowledge: Knowledge, view: Mapping[str, Any]) -> None:
         seen = View.model_validate(dict(view))
         self._size = knowledge.candidates
+        self._digits: dict[str, tuple[int, ...]] = {}
         self._channel = WiretapChannel(seen)
         self._transcript = Transcript()
         self._solver: KeySolver | None
@@ -68,6 +71,18 @@ class Coins:
             for transition in settled:
                 self._solver.observe(transition)
 
-    def key(self, name: str) -> bytes | None:
-        """A key by its id, where she can compute all of it."""
-        return None if self._solver is None else self._solver.key(name)
+    def of(self, offer: Offer) -> int:
+        """The candidate that she knows to be applied of an offer; :data:`UNKNOWN` without the key.
+
+        Which key chooses it, and with which digit, stands in the offer.
+        """
+        name, first = getattr(offer, "coin_key", None), getattr(offer, "coin_from", None)
+        if not name or first is None or self._solver is None:
+            return UNKNOWN
+        if name not in self._digits:
+            key = self._solver.key(name)
+            if key is None:
+                return UNKNOWN
+            self._digits[name] = digits(key, self._size)
+        place, found = offer.k - first, self._digits[name]
+        return found[place] if 0 <= place < len(found) else UNKNOWN

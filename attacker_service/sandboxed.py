@@ -4,10 +4,11 @@ The plant asks it for a reading or an input, the bus for a message. What an atta
 onset is the truth.
 """
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
+from attacker_service import LACKS
 from attacker_service.attacks import named
 from attacker_service.base import (
     UNKNOWN,
@@ -23,8 +24,6 @@ from attacker_service.holdings import TYPES, Coins, Offers
 from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from runtime.sandbox import serve
-
-LACKS: Final = "lacks"
 
 
 class AttackServer:
@@ -55,6 +54,10 @@ class AttackServer:
         if lacking:
             needs = " and ".join(map(repr, lacking))
             raise AttackError(f"attack.knows: {kind.name} needs {needs}")
+        if kind.at == "bus" and not brief["linear"]:
+            raise AttackError(
+                f"attack.kind: {kind.name} expects a linear f_c: offers carry no more"
+            )
         rng = np.random.default_rng(brief["seed"])
         model = None
         if "model" in knows:
@@ -93,12 +96,12 @@ class AttackServer:
 
     def _told(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Told:
         offer = None if self._offers is None else self._offers.at(k - 1)
-        sees = attack.options.sees
+        sees, coins = attack.options.sees, self._coins
         return Told(
             k=k,
             shown=shown,
             candidates=None if offer is None else np.asarray(offer.candidates),
-            coins=np.asarray(UNKNOWN),
+            coins=np.asarray(UNKNOWN if coins is None or offer is None else coins.of(offer)),
             seen=None if sees is None else true + sees * self._noise.standard_normal(true.shape),
         )
 
@@ -115,13 +118,16 @@ class AttackServer:
 
     # --- the bus ----------------------------------------------------------------------------------
 
-    def _message(self, attack: BusAttack, what: str, k: int, vector: Any, applied: bool) -> object:
+    def _message(
+        self, attack: BusAttack, what: str, k: int, true: Any, beside: tuple[bool, ...]
+    ) -> object:
         if k < self._onset:
-            return vector
+            return true
         if what == "offer":
-            return np.asarray(attack.toward_plant(k, np.asarray(vector)), float).tolist()
-        x = np.asarray(vector)
-        return np.asarray(attack.toward_controller(k, x, np.asarray(applied)), float).tolist()
+            return np.asarray(attack.toward_plant(k, np.asarray(true)), float).tolist()
+        (applied,) = beside
+        rewritten = attack.toward_controller(k, np.asarray(true), np.asarray(applied))
+        return np.asarray(rewritten, float).tolist()
 
 
 if __name__ == "__main__":

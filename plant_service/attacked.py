@@ -1,122 +1,18 @@
-"""A plant whose sensor or actuator is attacked: the attack stands between plant and service.
-
-The attack's code, and the eavesdropper whose keys it uses, run in a process of their own
-(:mod:`runtime.sandbox`). Where it fails, loops or speaks nonsense the truth passes from then on,
-and a line says why.
-"""
+"""A plant whose sensor or actuator is attacked: the attack stands between plant and service."""
 
 from collections import deque
-from collections.abc import Iterable
-from math import isfinite
-from typing import Any, Final, Self
+from typing import Final, Self
 
+from attacker_service.asking import Attacker, Heard
 from plant_service.plant import Plant
-from protocol.link.events import AttackBegan
 from protocol.link.session import Truth
 from protocol.messages import FIELD
-from protocol.scenario import Attack, Scenario
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus, Channel, Publisher
-from runtime.errors import Failure, UsageError
-from runtime.logs import logger
-from runtime.sandbox import START_S, SandboxError, SandboxProcess, acquire, give_back
-
-ANSWER_S: Final = 2.0
-"""Seconds that an attack has for a step."""
 
 HEARD: Final = 4096
 """Messages that may wait for her; the oldest go first."""
-
-LACKS: Final = "lacks"
-
-Heard = tuple[str, bytes]
-"""A message's topic and payload."""
-
-
-def brief(scenario: Scenario, attack: Attack, seed: int | None) -> dict[str, Any]:
-    """What an attack is made of: numbers and names alone, for its own process.
-
-    The eavesdropper beside it hears through the scenario's own tap channel.
-    """
-    rows = (*scenario.defender.disturbance.rows(), *scenario.control.inputs.rows())
-    return {
-        "kind": attack.kind,
-        "at": attack.at,
-        "onset": attack.onset,
-        "knows": attack.knows,
-        "options": attack.options,
-        "model": (scenario.A, scenario.B, *rows),
-        "knowledge": scenario.knowledge().model_dump_json(),
-        "view": scenario.tap.model_dump(exclude={"eavesdroppers"}),
-        "seed": seed,
-    }
-
-
-class Attacker:
-    """An attack in its own process, made and asked.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    attack : Attack
-    seed : int, optional
-        Of its draws; the operating system's if not given.
-
-    Attributes
-    ----------
-    at : str
-        Where it stands.
-    began : AttackBegan
-        Every parameter, as it is traced.
-
-    Raises
-    ------
-    UsageError
-        With one line, when there is no such attack, or it cannot do with what it is given.
-    """
-
-    def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
-        self._process: SandboxProcess = acquire("attacker_service.sandboxed")
-        try:
-            made = self._process.ask("make", brief(scenario, attack, seed), START_S)
-            self.at = str(made["at"])
-            options = dict(made["options"])
-        except SandboxError as error:
-            self._process.close()
-            named = error.kind == LACKS
-            text = str(error) if named else f"attack.kind: {attack.kind}: {error}"
-            raise UsageError(text) from None
-        self.began = AttackBegan(
-            {
-                "kind": attack.kind,
-                "at": self.at,
-                "onset": attack.onset,
-                "knows": attack.knows,
-                "options": options,
-            }
-        )
-
-    def ask(self, what: str, k: int, vector: Vector, heard: Iterable[Heard] = ()) -> Vector:
-        """What it puts in place of ``vector`` in step ``k``, as long and finite.
-
-        Raises
-        ------
-        Failure
-            With one line, where it says nothing that could be.
-        """
-        told = self._process.ask(what, (k, vector, tuple(heard)), ANSWER_S)
-        try:
-            found = tuple([float(v) for v in told])
-        except (TypeError, ValueError):
-            raise Failure(f"got {told!r:.60}, expected {len(vector)} numbers") from None
-        if len(found) != len(vector) or not all(map(isfinite, found)):
-            raise Failure(f"got {list(found)!r:.60}, expected {len(vector)} finite numbers")
-        return found
-
-    def close(self) -> None:
-        """Let go of it."""
-        give_back(self._process)
 
 
 class AttackedPlant:
@@ -143,7 +39,7 @@ class AttackedPlant:
         self.truth: Truth | None = None
         self._x = x
         self._u: Vector = ()
-        self._over = self._failed = ""
+        self._told = ""
         self.heard: deque[Heard] = deque(maxlen=HEARD)
 
     def prepare(self, k: int) -> None:
@@ -152,7 +48,8 @@ class AttackedPlant:
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Apply ``u``, or what an attack on the actuator makes of it, where the plant stands."""
-        self._u = u if self._attacker.at != "actuator" else self._asked("input", k, u)
+        at_actuator = self._attacker.at == "actuator"
+        self._u = self._attacker.vector("input", k, u) if at_actuator else u
         self._plant.begin(k, self._x, self._u)
 
     def end(self, k: int) -> Vector:
@@ -160,20 +57,11 @@ class AttackedPlant:
         self._x = reported = self._plant.end(k)
         if self._attacker.at == "sensor":
             heard = [self.heard.popleft() for _ in range(len(self.heard))]
-            reported = self._asked("reading", k + 1, self._x, heard)
-        self.truth = Truth(self._x, self._u, self._failed)
-        self._failed = ""
+            reported = self._attacker.vector("reading", k + 1, self._x, heard)
+        failed = "" if self._told else self._attacker.failed
+        self._told = self._attacker.failed
+        self.truth = Truth(self._x, self._u, failed)
         return reported
-
-    def _asked(self, what: str, k: int, vector: Vector, heard: Iterable[Heard] = ()) -> Vector:
-        if self._over:
-            return vector
-        try:
-            return self._attacker.ask(what, k, vector, heard)
-        except Failure as error:
-            self._over = self._failed = str(error)
-            logger("plant").error("attack: %s; from step %d on the truth passes", error, k)
-            return vector
 
     def safe(self, why: str) -> None:
         """As the plant."""

@@ -62,8 +62,8 @@ HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
 
 MEETING_S: Final = 10.0
-"""Seconds at least that a plant which has never moved has for meeting its controller, before its
-watchdog bites: a controller starts in some of them."""
+"""Least seconds before the watchdog of a plant that has never moved: its controller is still
+starting."""
 
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
@@ -74,12 +74,12 @@ LAST_KEYS_S: Final = 20.0
 LAST_KEYS_REPEAT_S: Final = 0.05
 
 CHUNK_SYMBOLS: Final = 64
-"""Symbols of the frame under way that the record holds before they go to the journal's own table.
-Within a chunk a save is one statement in every state of the scheme, so that none takes longer."""
+"""Symbols of the frame under way that the record holds; then they go to a table of the journal.
+Within a chunk a save takes one statement in every state, so none takes longer."""
 
 
 def hex_digits(size: int) -> int:
-    """Hexadecimal digits of a symbol kept: one up to M = 16, else two."""
+    """Hexadecimal digits of a symbol in the record: one up to M = 16, else two."""
     return 1 if size <= 16 else 2
 
 
@@ -250,7 +250,7 @@ class PlantCore:
 
     @property
     def _running(self) -> bool:
-        """Whether ticks count: not before the plant has moved or is sure of a controller."""
+        """Whether ticks count: only once the plant has moved or a controller has accepted it."""
         return self._moved or self.accepted
 
     @property
@@ -277,7 +277,7 @@ class PlantCore:
         return actions if actions.finish_step else self._came_back(actions)
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """An offer, or a word of the controller's."""
+        """An offer, or a hello or announcement of the controller."""
         self._now = now
         if not self._running:
             self._pacing.tick(now, running=False)
@@ -361,7 +361,7 @@ class PlantCore:
         return NOTHING_TO_DO if self._pacing.waiting else self._end()
 
     def key_task_done(self, done: Done, now: float) -> Actions:
-        """The keeper of keys has done a task; rows that nobody needs any more go at once."""
+        """The key maker has done a task; rows that are not needed any more are erased at once."""
         self._now = now
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
@@ -370,7 +370,7 @@ class PlantCore:
         return appeared(self.keying, self.record.session, self.record.k, count)
 
     def stop(self, now: float) -> Actions:
-        """The last status; the plant is safe, and let go of."""
+        """The last status. The plant goes to its safe state and is closed."""
         self._now = now
         self._tell_stopped()
         self.plant.safe("the process ended")
@@ -532,8 +532,8 @@ class PlantCore:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
-        A cover symbol is worked on as a message symbol is, and thrown away: what comes after a step
-        delays the next one, and would show.
+        A cover symbol is decoded as a message symbol is, and dropped: work after a step delays the
+        next one, and a tap would see it.
         """
         offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
@@ -790,7 +790,7 @@ class PlantCore:
         return _logged(f"controller {hello.instance} took up session {self.record.session}")
 
     def _speaks_up(self, hello: ControllerHello, what: Heard) -> Actions:
-        """A controller that this session is not with."""
+        """Answer a controller that does not have this session."""
         text = f"speaks up while controller {self.controller} has the session: "
         text += "two controllers on one loop?"
         publish: tuple[Outgoing, ...] = (self._hello(),)
@@ -837,7 +837,7 @@ class PlantCore:
         self.keying.begin(session)
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
-        """A new session has begun, beside what is to be done ``before``."""
+        """The actions of a new session, added to those of ``before``."""
         self._tell_phase("greeting")
         record = self._to_save()
         write = before.write if isinstance(before.write, Save) else Save(record)
@@ -865,7 +865,7 @@ class PlantCore:
         return self.keying.obsolete_rows()
 
     def _erase_rows(self) -> Save | None:
-        """What has the journal erase the rows of blocks that are confirmed, if there are any.
+        """A save that erases the rows of confirmed blocks; None where there are none.
 
         Between steps only, when the record is all that the journal must hold.
         """
@@ -873,7 +873,7 @@ class PlantCore:
         return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
-        """The controller's word on blocks, after the last step."""
+        """The controller's announcement of blocks, after the last step."""
         keying = self.keying
         if word.side != "controller" or word.session != self.record.session or not keying.on:
             return NOTHING_TO_DO
@@ -931,7 +931,7 @@ class PlantCore:
         )
 
     def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
-        """A status to publish, and the one to keep; one that is ``force``\\ d is kept anyway."""
+        """The messages of a status, and the status to keep: once a second, or on ``force``."""
         telemetry = self._telemetry
         if telemetry is None:
             return (), None
@@ -946,13 +946,13 @@ class PlantCore:
     def _tell_phase(
         self, phase: Literal["greeting", "running", "refused"], detail: str = ""
     ) -> None:
-        """How it stands with the link."""
+        """Set the status's phase and detail."""
         if self._telemetry is not None:
             self._telemetry.phase = phase
             self._telemetry.detail = detail or self._telemetry.detail
 
     def _tell_stopped(self) -> None:
-        """It is over, if it was not refused."""
+        """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
 

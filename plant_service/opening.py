@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from attacker_service.asking import Attacker
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.registry import is_model, open_plant
-from plant_service.attacked import AttackedPlant, Attacker
+from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, Disturbances, LinearModel, OperatedPlant, Plant
 from plant_service.status import PlantTelemetry
@@ -89,9 +90,13 @@ def open_core(
         enters = scenario.plant.disturbance.enters or "state"
         plant = OperatedPlant(operated, disturbances, enters)
     try:
-        if attacker is not None and attacker.at != "bus":
+        if attacker is not None and attacker.at == "bus":
+            attacker.close()
+        elif attacker is not None:
             x = scenario.initial_state if x is None else x
             plant = AttackedPlant(plant, attacker, x)
+        if attacker is not None and telemetry is not None:
+            telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)
         return PlantCore(
             rules_of(scenario),

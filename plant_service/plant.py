@@ -38,7 +38,7 @@ class Plant(Protocol):
     truth: Truth | None
 
     def prepare(self, k: int) -> None:
-        """Step ``k`` comes next, and nobody waits: draw what it needs."""
+        """Draw ahead what step ``k``, the next one, needs; nobody waits for it now."""
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         """Apply ``u`` at x(k)."""
@@ -50,7 +50,7 @@ class Plant(Protocol):
         """Go to the safe state."""
 
     def close(self) -> str:
-        """Let go of the plant; what its own code raised over it in one line, or nothing."""
+        """Close the plant. Returns in one line what its code raised, or nothing."""
 
 
 class Coin:
@@ -71,7 +71,7 @@ class Coin:
         self._drawn = 0
 
     def prepare(self, j: int) -> None:
-        """Transition ``j`` comes next, and nobody waits."""
+        """Draw ahead for transition ``j``, the next one; nobody waits for it now."""
         self._j, self._drawn = j, self._source.symbol(j, self._size)
 
     def toss(self, j: int) -> int:
@@ -145,7 +145,7 @@ class LinearModel:
         return x_next
 
     def safe(self, why: str) -> None:
-        """Nothing moves that would have to be stopped."""
+        """Nothing: a model has nothing to stop."""
 
     def close(self) -> str:
         """Nothing is open, and nothing fails."""
@@ -204,5 +204,5 @@ class OperatedPlant:
         self.operated.safe(why)
 
     def close(self) -> str:
-        """Let go of the plant; what its own code raised over it, or nothing."""
+        """Close the plant. Returns in one line what its code raised, or nothing."""
         return self.operated.close()

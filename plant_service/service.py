@@ -27,7 +27,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_keeper, refusal
+from runtime.key_opening import open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.pace import Pace
@@ -85,7 +85,7 @@ def open_plant(
 
 
 def let_go(core: PlantCore) -> None:
-    """Leave a plant safe whose service does not come to run."""
+    """Leave the plant in its safe state when its service cannot start."""
     core.plant.safe("its service could not start")
     core.plant.close()
 
@@ -98,7 +98,7 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    key_maker = open_keeper(
+    key_maker = open_key_maker(
         config.run_dir / PLANT_KEYS,
         "plant",
         scenario,

@@ -37,16 +37,16 @@ LOOK_S: Final = 0.1
 CHORE_S: Final = 1.0
 
 LAST_S: Final = 2.0
-"""How long a host that ends waits for a turn that nobody may give back any more."""
+"""Seconds that closing waits for the lock: an interrupt may have left it held."""
 
 CAPACITY: Final = 8192
 """Messages that may wait on the field bus; the newest push out the oldest."""
 
 AT_ONCE: Final = 16
-"""Messages or wakes in a row before the other thread has its turn."""
+"""Messages or wakes that one thread handles before the other has its turn."""
 
 TURN_S: Final = 0.002
-"""The same in seconds: after a turn the newest messages are looked at again."""
+"""Longest turn in seconds; after it newer messages are taken in."""
 
 BACKLOG: Final = 256
 """Messages of a single loop that may wait in order; of a fleet as many as there are loops. Where
@@ -57,8 +57,8 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on ops."""
 
 
-class _Kept(NamedTuple):
-    """What a loop's key maker has done."""
+class _KeyTaskDone(NamedTuple):
+    """A task that a loop's key maker has done."""
 
     loop: str
     done: Done
@@ -81,9 +81,9 @@ class _Loop:
 
 
 class _Sparing:
-    """A publisher that does not send while ``crowding``: to the partner that is a lost message.
+    """A publisher that drops messages while ``crowding`` is true; the partner sees lost messages.
 
-    A link that comes up between a message and its put would be one more chance to hear it.
+    A link that opens between a message and its put would be one more chance to hear it.
     """
 
     def __init__(self, publisher: Publisher, crowding: Callable[[], bool]) -> None:
@@ -96,7 +96,7 @@ class _Sparing:
 
 
 class FairLock:
-    """A lock that two threads take in turns: who lets go of it cannot be first again."""
+    """A lock that two threads take in turns: a thread that releases it lets the other in first."""
 
     def __init__(self) -> None:
         self._gate = threading.Lock()
@@ -111,7 +111,7 @@ class FairLock:
 
     @contextmanager
     def last(self) -> Iterator[None]:
-        """The last turn: an interrupt within ``__enter__`` may have left one taken for ever."""
+        """The last turn, after :data:`LAST_S` at most: an interrupt may have left it taken."""
         taken = self._lock.acquire(timeout=LAST_S)
         try:
             yield
@@ -157,7 +157,7 @@ class Host:
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _Kept | _Unwritten | None] = Inbox()
+        self._inbox: Inbox[tuple[str, bytes] | _KeyTaskDone | _Unwritten | None] = Inbox()
         self._channels: dict[str, Channel] = {}
         self._heard_on_ops: set[str] = set()
         self._threads: list[threading.Thread] = []
@@ -194,7 +194,7 @@ class Host:
                 key_maker = partial(
                     self._worker.put,
                     files.key_maker,
-                    lambda done: self._inbox.put(_Kept(loop, done), None),
+                    lambda done: self._inbox.put(_KeyTaskDone(loop, done), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
             self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, key_maker))
@@ -207,7 +207,7 @@ class Host:
                 self._do(loop, endpoint.start)
 
     def remove(self, loop: str) -> None:
-        """Let one end say its last word, and close its files."""
+        """Stop one end: its last messages leave, and its files are closed."""
         with self._turns:
             self._end(loop)
 
@@ -328,10 +328,10 @@ class Host:
         if item is None:
             return
         with self._turns:
-            if not isinstance(item, _Kept | _Unwritten):
+            if not isinstance(item, _KeyTaskDone | _Unwritten):
                 self._hear(*item)
             elif item.loop in self._loops:
-                if isinstance(item, _Kept):
+                if isinstance(item, _KeyTaskDone):
                     act = partial(self._loops[item.loop].endpoint.key_task_done, item.done)
                 else:
                     act = partial(_cannot, item.error)
@@ -388,7 +388,7 @@ class Host:
                 self._inbox.put(None, None)
 
     def _end(self, name: str) -> None:
-        """The last word of an end, and the end of its files."""
+        """Stop an end and close its files."""
         loop = self._loops.pop(name, None)
         if loop is None:
             return
@@ -408,7 +408,7 @@ class Host:
             self._inbox.put(None, None)
 
     def close(self) -> None:
-        """Say the last word of every end, and close its files: each, also where another fails."""
+        """Stop every end and close its files, each also where another fails."""
         with ExitStack() as last:  # from below
             if self._worker is not None:
                 last.callback(self._worker.close)
@@ -427,5 +427,5 @@ class Host:
 
 
 def _cannot(error: Exception, _now: float) -> Actions:
-    """What an end does that cannot go on."""
+    """Raise ``error`` in the end's turn: the end is then closed as any that fails."""
     raise error

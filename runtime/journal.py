@@ -43,7 +43,7 @@ class SenderJournal(Journal, Protocol):
     queued: int
 
     def load(self) -> SenderRecord | None:
-        """The record as last written, to be gone on from; None in a new journal."""
+        """The record as last written; None in a new journal."""
 
     def step(self) -> SenderStep | None:
         """The step that followed the record, to be counted again; None where none did."""
@@ -65,7 +65,7 @@ class ReceiverJournal(Journal, Protocol):
     """The plant's journal, with the symbols of the frame under way and the messages received."""
 
     def load(self) -> ReceiverRecord | None:
-        """The record as last written, to be gone on from; None in a new journal."""
+        """The record as last written; None in a new journal."""
 
     def step(self) -> ReceiverStep | None:
         """The step that followed the record, to be counted again; None where none did."""

@@ -1,7 +1,7 @@
 """Journals in memory, which mean what :mod:`runtime.journal`'s do: make-believe disks.
 
-Like a file they outlive the endpoint that writes them, and like a file they never see a record
-that was only staged: who dies comes back with the record before the step, and the step.
+Like a file they outlive the end that writes them. Like a file they lose a record that was only
+staged: an end that dies comes back with the record before the step, and the step.
 """
 
 from typing import Generic

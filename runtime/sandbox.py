@@ -56,7 +56,7 @@ OVERSPENT: Final = 3
 """The supervisor's exit code where a guest has used too much processor time."""
 
 SLICE_S: Final = 0.2
-"""Seconds of waiting after which the clock is looked at."""
+"""Seconds of a slice of waiting."""
 
 _PR_SET_CHILD_SUBREAPER: Final = 36
 
@@ -166,7 +166,7 @@ class SandboxProcess:
 
 
 _idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
-"""Processes that nobody asks for now, one of a kind: a sweep makes one guest after the other."""
+"""Idle processes, one of a kind, for reuse: a sweep makes one guest after the other."""
 
 
 def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> SandboxProcess:
@@ -188,7 +188,7 @@ class _Ended(OSError):
 
 
 class _Patience:
-    """Seconds to wait, in slices: where the whole machine stood still, one slice has passed."""
+    """Seconds to wait, counted in slices: a standstill of the whole machine counts as one slice."""
 
     def __init__(self, seconds: float) -> None:
         self._left = seconds

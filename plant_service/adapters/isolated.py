@@ -18,7 +18,7 @@ from runtime.user_code import UserCodeError
 PLANT: Final = "plant"
 
 ABILITIES: Final = ("resume", "displace", "safe")
-"""What a plant may be able to do beyond what every plant is."""
+"""Optional methods of a plant."""
 
 
 class RemotePlant:

@@ -36,6 +36,11 @@ class AttackBegan(NamedTuple):
 
     attack: dict[str, Any]
 
+    def sentence(self) -> str:
+        """Who, where and from when on."""
+        at = {"sensor": "at the sensor", "bus": "on the bus", "actuator": "at the actuator"}
+        return f"{self.attack['kind']} {at[self.attack['at']]} from step {self.attack['onset']}"
+
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "attack", **self.attack}

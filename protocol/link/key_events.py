@@ -38,7 +38,7 @@ class Appearances(NamedTuple):
 
 
 def appeared(keying: Keying, session: str | None, k: int, count: int) -> Actions:
-    """What an end does when the links that its messages leave by have become more or fewer."""
+    """Actions of an end after its number of links has changed."""
     changed = keying.appear(count)
     if not keying.on:
         return NOTHING_TO_DO
@@ -52,13 +52,13 @@ def appeared(keying: Keying, session: str | None, k: int, count: int) -> Actions
 
 
 def key_actions(keying: Keying, done: Done) -> Actions:
-    """What an end does when the keeper of keys has done a task."""
+    """Actions of an end after the key maker has done a task."""
     tasks = keying.done(done)
     return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
 
 def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
-    """What an end that stops says of blocks whose keys nobody gets yet."""
+    """A warning of an end that stops: so many blocks are not confirmed, and give no key yet."""
     if not keying.waiting:
         return ()
     text = f"key blocks that wait for the other end: {keying.waiting}; their keys come with the "
@@ -66,7 +66,7 @@ def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
 
 
 def key_events(done: Done) -> tuple[Event, ...]:
-    """What goes to the trace when the keeper has done a task."""
+    """Trace events of a task that the key maker has done."""
     if isinstance(done, Stored):
         return (BlockStored(done.session, done.number, done.keys, done.signed),)
     if isinstance(done, BlockResult):
@@ -75,7 +75,7 @@ def key_events(done: Done) -> tuple[Event, ...]:
 
 
 def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
-    """What goes to the log."""
+    """Log lines of a task that the key maker has done."""
     if isinstance(done, Broken):
         return (Notice(f"no key is made from here on: {done.reason}", "error"),)
     if isinstance(done, BlockResult):

@@ -31,7 +31,7 @@ class UncheckedControl(Control, extra="allow"):
     needs_gain: ClassVar[bool] = False
 
     def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
-        """None that could be known."""
+        """None: this process does not know the law's fields."""
         yield from ()
 
 

@@ -297,7 +297,7 @@ class Blocks:
             self._closed.append(closed)
 
     def to_keep(self) -> ClosedBlock | None:
-        """The next block to store, told once; None while there is none, or two are unconfirmed."""
+        """The next block to store, once; None while there is none, or two are unconfirmed."""
         if not self._closed or sum(n > self._confirmed for n in self._kept) >= UNCONFIRMED:
             return None
         block = self._closed.pop(0)
@@ -370,7 +370,7 @@ class Blocks:
             self._settled.add(number)
 
     def obsolete_rows(self) -> tuple[range, ...]:
-        """Transitions whose rows can be erased, told once.
+        """Transitions whose rows can be erased, returned once.
 
         Rows are kept until their block is confirmed on disk and this end has announced it.
         """

@@ -1,4 +1,4 @@
-"""Has keys made beside a service, so the loop never waits for a disk or a matrix."""
+"""Makes keys in a process beside the service, so the loop waits for no disk and no matrix."""
 
 import os
 import pickle

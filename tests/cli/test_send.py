@@ -1,6 +1,5 @@
 """``wyner send``: what it says on the bus while it waits."""
 
-import argparse
 import json
 import threading
 import time
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 
 from protocol.messages import SealCommand, SealReply, SendReply
+from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
 from wyner.cli import options
 from wyner.cli.main import main
@@ -28,11 +28,6 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(options, "CONTROLLER_OPS", NOBODY)
-
-
-def asked(run_name: str | None = None) -> argparse.Namespace:
-    told = {"connect": [], "listen": [], "client": [], "scouting": False, "loop": "loop"}
-    return argparse.Namespace(**told, run_name=run_name)
 
 
 class CrowdedBus:
@@ -77,12 +72,12 @@ def test_a_run_that_is_only_being_started_is_waited_for(
     with ExitStack() as note:
         later = threading.Timer(0.3, lambda: note.enter_context(announced(RUN)))
         later.start()
-        assert joined(asked(name), "operator", 30.0) == RUN
+        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
         later.join()
         which = "no run" if name is None else "no run 'a/run'"
         said = f"wyner: {which} on this machine yet; waiting 30 s for it\n"
         assert capsys.readouterr().err == said
-        assert joined(asked(name), "operator", 30.0) == RUN
+        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
         assert capsys.readouterr().err == ""
 
 
@@ -90,9 +85,9 @@ def test_a_run_that_is_only_being_started_is_waited_for(
 def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
     begun = time.monotonic()
     with pytest.raises(Failure, match=r"no run on this machine within 0.2 s: start one \(wyner up"):
-        joined(asked(), "operator", 0.2)
+        joined(BusOptions(), None, "operator", 0.2)
     with pytest.raises(UsageError, match="no run 'b' on this machine, running now: none"):
-        joined(asked("b"), "operator", 0.2)
+        joined(BusOptions(), "b", "operator", 0.2)
     assert 0.4 <= time.monotonic() - begun < 10
 
 

@@ -44,10 +44,12 @@ PAGES = {
     "block-codes": SIGNALLING,
     "noise-bound": ROOT / "docs" / "secrecy.md",
     "key-controls": ROOT / "docs" / "keys.md",
+    "undetected": ROOT / "docs" / "attacks.md",
+    "dither-price": ROOT / "docs" / "attacks.md",
 }
 """Where a figure stands that is in neither of the two other documents."""
-CERTAIN = ("idea", "two-step", "block-codes")
-"""Figures without an estimate: a single step, and a search."""
+CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
+"""Figures without an estimate: a single step, a search, and a closed form."""
 DOCUMENT = ROOT / "docs" / "experiments.md"
 
 

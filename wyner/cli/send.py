@@ -13,11 +13,11 @@ from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
 from protocol.secret.sealed import keys_needed
 from protocol.text import printable
 from protocol.topics import key_of
-from runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
-from runtime.options import message_of
+from runtime.options import message_of, picked
 from wyner.cli.options import add_run_argument, joined
 
 if TYPE_CHECKING:
@@ -76,9 +76,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    run = joined(args, "operator", args.timeout)
-    loop = loop_of(args)
-    ends = endpoints_of(args, "operator", "ops")
+    told = picked(BusOptions, vars(args))
+    run, buses = joined(told, args.run_name, "operator", args.timeout)
+    loop = loop_of(buses)
+    ends = endpoints_of(buses, "operator", "ops")
     said, until = "no answer", time.monotonic() + args.timeout
     try:
         with open_bus(ends, args.timeout) as ops:

@@ -285,7 +285,7 @@ def _eavesdroppers(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]
 
 def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
     """The attack with every parameter, made once before anything starts."""
-    from plant_service.attacked import Attacker
+    from attacker_service.asking import Attacker
 
     attack = attack_option(options.attack, scenario.attack, options.steps)
     if attack is None:

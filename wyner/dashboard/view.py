@@ -170,6 +170,8 @@ class _Page(Panels):
                 parts.append((3, "SEEDED"))
             if plant.frames_refused:
                 parts.append((2, f"{count(plant.frames_refused)} frames refused"))
+            if plant.attack:
+                parts.append((1, f"ATTACK: {drawn(plant.attack)}"))
             if plant.detail:
                 parts.append((DETAIL_RANK, drawn(plant.detail)))
         controller = self.board.controller

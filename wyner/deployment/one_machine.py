@@ -101,7 +101,10 @@ def lay_out(
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
-    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
+    ends = free_endpoints(8)
+    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = ends[:6]
+    plant_side, controller_side = ends[6:]
+    on_bus = attack is not None and attack.attack["at"] == "bus"
     common = ["--run-dir", str(run_dir)]
     seed = [] if options.seed is None else ["--seed", str(options.seed)]
     steps = [] if options.steps is None else ["--steps", str(options.steps)]
@@ -130,6 +133,7 @@ def lay_out(
                 f"field={plant_field}",
                 "--connect",
                 f"field={tap_field}",
+                *(("--connect", f"field={plant_side}") if on_bus else ()),
                 "--listen",
                 f"ops={plant_ops}",
             ],
@@ -150,7 +154,7 @@ def lay_out(
                 "--listen",
                 f"field={controller_field}",
                 "--connect",
-                f"field={plant_field}",
+                f"field={controller_side if on_bus else plant_field}",
                 "--connect",
                 f"field={tap_field}",
                 "--listen",
@@ -175,6 +179,11 @@ def lay_out(
             run_dir / "tap" / "log",
         ),
     ]
+    if on_bus:
+        relay = [*seed, *attacked, "--scenario", str(scenario_file)]
+        relay += ["--plant-side", plant_side, "--controller-side", controller_side]
+        log = run_dir / "attacker" / "log"
+        children.append(Child("attacker", relay, log, package="attacker_service"))
     return (
         Supervisor(children, first="tap", first_endpoint=tap_field),
         RunningLoop(
