@@ -16,7 +16,7 @@ import pytest
 from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
-from protocol.registry import load_file
+from protocol.registry import module_at
 from protocol.scenario import ScenarioError
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
@@ -177,7 +177,7 @@ def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
 
 
 def test_the_plant_of_the_page_moves() -> None:
-    room = stepped(load_file(EXAMPLES / "room" / "room.py").Room(), "room.py:Room")
+    room = stepped(module_at("room.py", EXAMPLES / "room")[0].Room(), "room.py:Room")
     assert room.reset(None) == (20.0,)
     assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
 
@@ -191,7 +191,7 @@ def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_pat
     assert point.state is not None
     assert point.input is not None
     (at,), (rest,) = point.state, point.input
-    room = stepped(load_file(path.with_name("room.py")).Room(), "room.py:Room")
+    room = stepped(module_at("room.py", path.parent)[0].Room(), "room.py:Room")
     x = room.reset(None)[0] - at
     for u in (0.3, -0.3, 0.1):
         (t,) = room.step((rest + u,), scenario.plant.period_s)
