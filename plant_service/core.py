@@ -12,7 +12,6 @@ The rules are those of :mod:`protocol.link.session`. Which controller the sessio
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from math import inf
 from typing import Final, Literal
 
@@ -36,7 +35,7 @@ from protocol.link.keying import Keying
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
-from protocol.link.records import BegunStep, ReceiverRecord
+from protocol.link.records import PlantStep, ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -56,7 +55,6 @@ from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.tasks import Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
-from runtime.journal import ReceiverStep
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
@@ -83,25 +81,6 @@ def hex_digits(size: int) -> int:
     return 1 if size <= 16 else 2
 
 
-@dataclass(slots=True)
-class _Step:
-    """The step under way, of which ``offer`` was taken and ``coin`` chose the input.
-
-    ``report`` is there from its end on, until it is counted.
-    """
-
-    payload: bytes
-    offer: Offer
-    coin: int
-    report: Measurement | None = None
-    truth: Truth | None = None
-
-    @property
-    def u(self) -> Vector:
-        """The input chosen."""
-        return self.offer.candidates[self.coin]
-
-
 class PlantCore:
     """The plant's end of one loop.
 
@@ -126,10 +105,8 @@ class PlantCore:
         Symbols of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
-    step : ReceiverStep, optional
-        A step of the journal's that was read and not counted.
-    begun : BegunStep, optional
-        A step of the journal's that was begun and not read.
+    step : PlantStep, optional
+        The journal's step that was not counted, or begun and not read.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool
@@ -170,8 +147,7 @@ class PlantCore:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
-        step: ReceiverStep | None = None,
-        begun: BegunStep | None = None,
+        step: PlantStep | None = None,
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
@@ -194,11 +170,16 @@ class PlantCore:
         self._coin = coin
         self._fallback = fallback
         self._steps = steps
-        self._step: _Step | None = None
-        if step is not None:
-            self._step = _Step(b"", step.offer, step.coin, step.measurement)
-        self._begun, self._back = begun, back
-        self._moved = record.k > 0 or step is not None or begun is not None
+        self._step: PlantStep | None = None
+        self._payload = b""  # of its offer, as it came
+        self._truth: Truth | None = None  # of its end
+        self._begun: PlantStep | None = None
+        if step is not None and step.measurement is not None:
+            self._step = step
+        else:
+            self._begun = step
+        self._back = back
+        self._moved = record.k > 0 or step is not None
         self._left = True  # copy 0 of the newest measurement may have left
         self._latest_late_k = self._measured_k = -1
         self._measured_at = now
@@ -211,7 +192,7 @@ class PlantCore:
             self.deframer.push(int(kept[i : i + self._digits], 16))
         # keys
         self.keying = Keying(rules.schedule, nonces)
-        said = record if step is None else step.measurement
+        said = record if self._step is None else self._step.measurement or record
         self.keying.begin(record.session, said.block, said.tag, contributions)
         # the session
         self.record = record._replace(
@@ -354,8 +335,8 @@ class PlantCore:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
         step = self._step
         assert step is not None
-        if step.report is not None:
-            actions = self._count(step, step.report)
+        if step.measurement is not None:
+            actions = self._count(step, step.measurement)
             return actions if self._back is None else self._came_back(actions)
         self._apply(step)
         return NOTHING_TO_DO if self._pacing.waiting else self._end()
@@ -417,7 +398,8 @@ class PlantCore:
             return NOTHING_TO_DO
         if self._measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self._measured_at)
-        return self._begin(_Step(payload, offer, self._coin.toss(record.transitions)))
+        self._payload = payload
+        return self._begin(PlantStep(offer, self._coin.toss(record.transitions)))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -444,16 +426,16 @@ class PlantCore:
             return "foreign"
         return "current" if offer.k == self.record.k else "stale"
 
-    def _begin(self, step: _Step) -> Actions:
+    def _begin(self, step: PlantStep) -> Actions:
         """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
         self._step = step
         self._moved = True
         if self.plant.acts:
-            return Actions(write=Append(step.payload, b"", step.coin), finish_step=True)
+            return Actions(write=Append(self._payload, b"", step.coin), finish_step=True)
         self._apply(step)
         return self._end()
 
-    def _apply(self, step: _Step) -> None:
+    def _apply(self, step: PlantStep) -> None:
         self.plant.begin(self.record.k, self.record.x, step.u)
         if self._telemetry is not None and self._pacing.timed:
             self._telemetry.punctuality.acted(self._pacing.since_tick_s(self._now))
@@ -472,17 +454,18 @@ class PlantCore:
         x_next = self.plant.end(record.k)
         if step.offer.session != record.session:
             self._step = None
-            interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
+            interrupted = self._interrupted(step, x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
-        step.truth = self.plant.truth
-        step.report = self._report(step.offer, x_next)
-        wire = step.report.wire()
+        self._truth = self.plant.truth
+        report = self._report(step.offer, x_next)
+        self._step = step._replace(measurement=report)
+        wire = report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
         if due:
             self._left = True
             self._measured_k, self._measured_at = record.k + 1, self._now
         return Actions(
-            write=Append(step.payload, wire, step.coin),
+            write=Append(self._payload, wire, step.coin),
             publish=(Outgoing(Measurement, wire),) if due else (),
             finish_step=True,
         )
@@ -528,7 +511,7 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: _Step, report: Measurement) -> Actions:
+    def _count(self, step: PlantStep, report: Measurement) -> Actions:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
@@ -570,7 +553,7 @@ class PlantCore:
             contribution,
             coin,
             u,
-            step.truth,
+            self._truth,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -705,13 +688,13 @@ class PlantCore:
             self.record = record._replace(u=following)
 
     def _interrupted(
-        self, begun: BegunStep | None, x_next: Vector, *, sure: bool = False
+        self, begun: PlantStep | None, x_next: Vector, *, sure: bool = False
     ) -> Interrupted:
         """Count a step that ends at ``x_next`` as a missed one.
 
         Parameters
         ----------
-        begun : BegunStep, optional
+        begun : PlantStep, optional
             What it had begun; None where nothing is known of it.
         x_next : tuple of float, shape (n,)
         sure : bool
@@ -722,7 +705,7 @@ class PlantCore:
         u, coin = record.u, NO_SYMBOL
         if begun is not None:
             candidates, coin = begun.offer.candidates, begun.coin
-            u = candidates[coin]
+            u = begun.u
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
         truth = self.plant.truth
@@ -853,7 +836,7 @@ class PlantCore:
         step = self._step
         if step is None:
             return self.record
-        return self.record._replace(begun=BegunStep(step.offer, step.coin))
+        return self.record._replace(begun=step._replace(measurement=None))
 
     def _malformed(self, text: str) -> Actions:
         self.malformed += 1

@@ -111,7 +111,6 @@ def open_core(
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
             step=step,
-            begun=journal.begun() if plant.acts else None,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
             steps=steps,

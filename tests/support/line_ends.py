@@ -187,7 +187,6 @@ def line_core(
         chunks=journal.chunks(),
         contributions=journal.contributions(first.session),
         step=journal.step(),
-        begun=journal.begun() if plant.acts else None,
         back=None if record is None else x,
         fresh=record is None,
         nonces=nonces,

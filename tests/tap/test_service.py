@@ -223,15 +223,14 @@ def test_a_wrong_choice_is_told_before_anything_starts(
 
 
 @pytest.mark.slow
-def test_memory_stays_flat_over_many_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     import tracemalloc
 
-    # pytest keeps every record of a log, and a part that is dropped is told of
-    monkeypatch.setattr(logging.root.manager, "disable", logging.CRITICAL)
     run = simulate(2500, 4)
     limits = Limits(part_bytes=100_000, total_bytes=400_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
     sizes = []
+    logging.disable()  # pytest keeps every record, and a part that is dropped is told of
     tracemalloc.start()
     try:
         for turn in range(4):
@@ -243,6 +242,7 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path, monkeypatch: pytest.M
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
+        logging.disable(logging.NOTSET)
     wire.finish()
     # message symbols are kept up to a bound that is not reached here: 18 kB a turn
     assert sizes[3] - sizes[2] < 40_000

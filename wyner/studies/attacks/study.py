@@ -116,11 +116,14 @@ class Task:
 EYES: Final = (0.06, 0.12, 0.24)
 """Noise through which a ghost sees the plant."""
 
+QUIET: Final = {"push": 0.0, "share": 0.5}
+"""A ghost that pushes nowhere."""
+
 ATTACKERS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
-    "ghost": ("ghost", {}),
-    "pushing ghost": ("bias", {"sees": None, "share": 1.0}),
-    **{f"ghost, sees {noise:g}": ("ghost", {"sees": noise}) for noise in EYES},
-    "ghost who sees exactly": ("bias", {"sees": 0.0, "share": 1.0}),
+    "ghost": ("ghost", QUIET),
+    "pushing ghost": ("ghost", {"push": 1.0, "share": 0.0}),
+    **{f"ghost, sees {noise:g}": ("ghost", {"sees": noise, **QUIET}) for noise in EYES},
+    "ghost who sees exactly": ("bias", {"push": 1.0}),
     "covert, 0.3": ("covert", {"input": 0.3}),
     "covert, 0.1": ("covert", {"input": 0.1}),
     "replay": ("replay", {}),
