@@ -12,7 +12,6 @@ The rules are those of :mod:`protocol.link.session`. Which controller the sessio
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from math import inf
 from typing import Final, Literal
 
@@ -37,7 +36,7 @@ from protocol.link.keying import Keying
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
-from protocol.link.records import BegunStep, ReceiverRecord
+from protocol.link.records import PlantStep, ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -58,7 +57,6 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
-from runtime.journal import ReceiverStep
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
@@ -83,26 +81,6 @@ Within a chunk a save takes one statement in every state, so none takes longer."
 def hex_digits(size: int) -> int:
     """Hexadecimal digits of a symbol in the record: one up to M = 16, else two."""
     return 1 if size <= 16 else 2
-
-
-@dataclass(slots=True)
-class _Step:
-    """The step under way, of which ``offer`` was taken and ``coin`` chose the input.
-
-    ``keyed``: a key chose the coin. ``report`` is there from its end on, until it is counted.
-    """
-
-    payload: bytes
-    offer: Offer
-    coin: int
-    keyed: bool = False
-    report: Measurement | None = None
-    truth: Truth | None = None
-
-    @property
-    def u(self) -> Vector:
-        """The input chosen."""
-        return self.offer.candidates[self.coin]
 
 
 class PlantCore:
@@ -131,10 +109,8 @@ class PlantCore:
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
-    step : ReceiverStep, optional
-        A step of the journal's that was read and not counted.
-    begun : BegunStep, optional
-        A step of the journal's that was begun and not read.
+    step : PlantStep, optional
+        The journal's step that was not counted, or begun and not read.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool
@@ -176,8 +152,7 @@ class PlantCore:
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
-        step: ReceiverStep | None = None,
-        begun: BegunStep | None = None,
+        step: PlantStep | None = None,
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
@@ -200,12 +175,17 @@ class PlantCore:
         self._coin = coin
         self._fallback = fallback
         self._steps = steps
-        self._step: _Step | None = None
-        if step is not None:
-            keyed = bool(step.measurement.applied_key)
-            self._step = _Step(b"", step.offer, step.coin, keyed, step.measurement)
-        self._begun, self._back = begun, back
-        self._moved = record.k > 0 or step is not None or begun is not None
+        self._step: PlantStep | None = None
+        self._payload = b""  # of its offer, as it came
+        self._keyed = False  # whether a key chose its coin
+        self._truth: Truth | None = None  # of its end
+        self._begun: PlantStep | None = None
+        if step is not None and step.measurement is not None:
+            self._step = step
+        else:
+            self._begun = step
+        self._back = back
+        self._moved = record.k > 0 or step is not None
         self._left = True  # copy 0 of the newest measurement may have left
         self._latest_late_k = self._measured_k = -1
         self._measured_at = now
@@ -218,10 +198,10 @@ class PlantCore:
             self.deframer.push(int(kept[i : i + self._digits], 16))
         # keys
         self.keying = Keying(rules.schedule, nonces)
-        said = record if step is None else step.measurement
+        said = record if self._step is None else self._step.measurement or record
         self.keying.begin(record.session, said.block, said.tag, contributions)
         self.coins = AppliedCoins(rules.size, on=rules.keyed)
-        self.coins.begin(record.session, coin_keys, *_newest_coin(record, step, begun))
+        self.coins.begin(record.session, coin_keys, *_newest_coin(record, step))
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
@@ -363,8 +343,8 @@ class PlantCore:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
         step = self._step
         assert step is not None
-        if step.report is not None:
-            actions = self._count(step, step.report)
+        if step.measurement is not None:
+            actions = self._count(step, step.measurement)
             return actions if self._back is None else self._came_back(actions)
         self._apply(step)
         return NOTHING_TO_DO if self._pacing.waiting else self._end()
@@ -429,12 +409,11 @@ class PlantCore:
             return NOTHING_TO_DO
         if self._measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self._measured_at)
+        self._payload = payload
         # tossed in any case: whether a key chose is not to show in the time that it takes
         coin, digit = self._coin.toss(record.transitions), self.coins.digit(offer)
-        step = _Step(payload, offer, coin)
-        if digit is not None:
-            step.coin, step.keyed = digit, True
-        return self._begin(step)
+        self._keyed = digit is not None
+        return self._begin(PlantStep(offer, coin if digit is None else digit))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -465,16 +444,16 @@ class PlantCore:
             return "foreign"
         return "current" if offer.k == self.record.k else "stale"
 
-    def _begin(self, step: _Step) -> Actions:
+    def _begin(self, step: PlantStep) -> Actions:
         """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
         self._step = step
         self._moved = True
         if self.plant.acts:
-            return Actions(write=Append(step.payload, b"", step.coin), finish_step=True)
+            return Actions(write=Append(self._payload, b"", step.coin), finish_step=True)
         self._apply(step)
         return self._end()
 
-    def _apply(self, step: _Step) -> None:
+    def _apply(self, step: PlantStep) -> None:
         self.plant.begin(self.record.k, self.record.x, step.u)
         if self._telemetry is not None and self._pacing.timed:
             self._telemetry.punctuality.acted(self._pacing.since_tick_s(self._now))
@@ -493,24 +472,25 @@ class PlantCore:
         x_next = self.plant.end(record.k)
         if step.offer.session != record.session:
             self._step = None
-            interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
+            interrupted = self._interrupted(step, x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
-        step.truth = self.plant.truth
-        step.report = self._report(step, x_next)
-        wire = step.report.wire()
+        self._truth = self.plant.truth
+        report = self._report(step.offer, x_next)
+        self._step = step._replace(measurement=report)
+        wire = report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
         if due:
             self._left = True
             self._measured_k, self._measured_at = record.k + 1, self._now
         return Actions(
-            write=Append(step.payload, wire, step.coin),
+            write=Append(self._payload, wire, step.coin),
             publish=(Outgoing(Measurement, wire),) if due else (),
             finish_step=True,
         )
 
-    def _report(self, step: _Step, x_next: Vector) -> Measurement:
-        """Measurement(k + 1), once the step's offer has been applied: its copy 0."""
-        record, offer = self.record, step.offer
+    def _report(self, offer: Offer, x_next: Vector) -> Measurement:
+        """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""
+        record = self.record
         block, tag = self.keying.word()
         self._left = False
         return Measurement(
@@ -524,7 +504,7 @@ class PlantCore:
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
-            applied_key=self._applied_key(offer.coin_key, keyed=step.keyed),
+            applied_key=self._applied_key(offer.coin_key, keyed=self._keyed),
         )
 
     def _applied_key(self, key: str | None, *, keyed: bool) -> str | None:
@@ -557,7 +537,7 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: _Step, report: Measurement) -> Actions:
+    def _count(self, step: PlantStep, report: Measurement) -> Actions:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
@@ -599,7 +579,7 @@ class PlantCore:
             contribution,
             coin,
             u,
-            step.truth,
+            self._truth,
             report.applied_key,
         )
         self.record = record._replace(
@@ -623,7 +603,7 @@ class PlantCore:
             blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
             coin_key=self.coins.key,
             coin_from=self.coins.first,
-            keyed=step.keyed,
+            keyed=bool(report.applied_key),
         )
         self._step = None
         self._state = TABLE[self._state, "offer applied"].next
@@ -740,13 +720,13 @@ class PlantCore:
             self.record = record._replace(u=following)
 
     def _interrupted(
-        self, begun: BegunStep | None, x_next: Vector, *, sure: bool = False
+        self, begun: PlantStep | None, x_next: Vector, *, sure: bool = False
     ) -> Interrupted:
         """Count a step that ends at ``x_next`` as a missed one.
 
         Parameters
         ----------
-        begun : BegunStep, optional
+        begun : PlantStep, optional
             What it had begun; None where nothing is known of it.
         x_next : tuple of float, shape (n,)
         sure : bool
@@ -757,7 +737,7 @@ class PlantCore:
         u, coin = record.u, NO_SYMBOL
         if begun is not None:
             candidates, coin = begun.offer.candidates, begun.coin
-            u = candidates[coin]
+            u = begun.u
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
         truth = self.plant.truth
@@ -892,7 +872,7 @@ class PlantCore:
         step = self._step
         if step is None:
             return self.record
-        return self.record._replace(begun=BegunStep(step.offer, step.coin))
+        return self.record._replace(begun=step._replace(measurement=None))
 
     def _malformed(self, text: str) -> Actions:
         self.malformed += 1
@@ -996,17 +976,16 @@ class PlantCore:
             self._telemetry.phase = "stopped"
 
 
-def _newest_coin(
-    record: ReceiverRecord, step: ReceiverStep | None, begun: BegunStep | None
-) -> tuple[str, int]:
-    """The newest key of the session that a coin may have come from, and its first step."""
-    last = None
-    if step is not None and step.measurement.applied_key:
-        last = step.offer
-    elif begun is not None and begun.offer.session == record.session:
-        last = begun.offer
-    if last is not None and last.coin_key and last.coin_from is not None:
-        return last.coin_key, last.coin_from
+def _newest_coin(record: ReceiverRecord, step: PlantStep | None) -> tuple[str, int]:
+    """The newest key of the session that a coin may have come from, and its first step.
+
+    Of a step that was begun and not read nobody knows whether it did.
+    """
+    if step is not None and step.offer.session == record.session:
+        offer, report = step.offer, step.measurement
+        may = report is None or bool(report.applied_key)
+        if may and offer.coin_key and offer.coin_from is not None:
+            return offer.coin_key, offer.coin_from
     return record.coin_key, record.coin_from
 
 

@@ -116,7 +116,6 @@ def open_core(
             contributions=journal.contributions(first.session),
             coin_keys=coin_keys,
             step=step,
-            begun=journal.begun() if plant.acts else None,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
             steps=steps,

@@ -9,13 +9,12 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
 from protocol.secret.tasks import Broken
-from runtime.journal import ReceiverStep
 from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import ScriptedLine
@@ -321,7 +320,7 @@ def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) 
 
 def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCore:
     draws = iter(NONCES[2:])
-    step = None if word is None else ReceiverStep(offer(), word, 0)
+    step = None if word is None else PlantStep(offer(), 0, word)
     line = ScriptedLine()
     return PlantCore(
         RULES,

@@ -205,7 +205,6 @@ def line_core(
         contributions=journal.contributions(first.session),
         coin_keys=coin_keys,
         step=journal.step(),
-        begun=journal.begun() if plant.acts else None,
         back=None if record is None else x,
         fresh=record is None,
         nonces=nonces,

@@ -24,6 +24,7 @@ from wyner.runs.check.seal import FILES, ITSELF
 from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
 from wyner.runs.page.windows import Windows
 from wyner.runs.run import Run
+from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.report import HEADINGS, NOTE, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, read_truth, score
@@ -113,6 +114,7 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
         f"<p>Clauses of the check, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
+        *_attack(e),
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded)),
         *_section("One step", _one_step(e, recorded)),
@@ -126,6 +128,18 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         f"<title>wyner: {escape(s.name)}</title><style>{STYLE}</style></head><body>"
         f"{''.join(parts)}</body></html>\n"
     )
+
+
+def _attack(e: Evidence) -> Iterator[str]:
+    """What an attack came to; nothing where nobody attacked."""
+    found = attacked(e.run).as_json()
+    if found is None:
+        return
+    lines = [
+        f"<p>{escape(line.removeprefix('Attack').strip())}</p>" for line in attack_lines(found)
+    ]
+    table = _table(("parameter", "value"), [(k, json.dumps(v)) for k, v in found.items()])
+    yield from _section("The attack", [*lines, table])
 
 
 def _counts(results: Sequence[Result]) -> str:
@@ -158,6 +172,7 @@ class _Recorded:
         self.steps = self.missed = self.symbols = 0
         self.states = [Series() for _ in range(s.n)]
         self.inputs = [Series() for _ in range(s.m)]
+        self.true_states = [Series() for _ in range(s.n)]
         self.agreed = array("q")
         self.some: list[TracedTransition] = []
         self._every = 1
@@ -187,6 +202,8 @@ class _Recorded:
         for lines, values in ((self.states, step.x), (self.inputs, step.u or ())):
             for line, value in zip(lines, values, strict=False):
                 line.add(at, value)
+        for line, value in zip(self.true_states, step.true_x_next or (), strict=False):
+            line.add(at + self._scenario.plant.period_s, value)
         if isinstance(step, MissedLine):
             self.missed += 1
             return
@@ -226,6 +243,11 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     T = e.scenario.plant.period_s
     states = [
         Curve(f"x{i + 1}", line.points(), i, banded=True) for i, line in enumerate(recorded.states)
+    ]
+    states += [
+        Curve(f"x{i + 1} in truth", points, e.scenario.n + i, banded=True)
+        for i, line in enumerate(recorded.true_states)
+        if (points := line.points())
     ]
     inputs = [
         Curve(f"u{i + 1}", line.points(), i, steps=True, banded=True)
