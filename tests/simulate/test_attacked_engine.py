@@ -151,7 +151,7 @@ def test_who_has_the_key_is_never_seen(packed: tuple[Scenario, CandidateLaw]) ->
 
 def test_the_limit_is_never_seen(packed: tuple[Scenario, CandidateLaw]) -> None:
     """She sees the true state exactly, and says that D_c did another thing: no seed helps."""
-    bias = making(packed[0], "bias", sees=0.0, share=1.0)
+    bias = making(packed[0], "bias", push=1.0)
     found = run(packed, bias, KeyedCoin(2, 4), Coding(2, 4), Mac(2, 4), runs=500, steps=100)
     assert (found.alarmed == 0).all()
     assert found.away.mean() > 28
@@ -266,9 +266,9 @@ def test_a_defence_in_a_file_of_ones_own(
     mine = make_defence(f"{tmp_path / 'mine.py'}:Suspicious", 2, 4)
     assert mine.key_bits == 0
     assert run(packed, None, mine, runs=500, steps=50).false_alarms == 0  # D is 0.83 of D_c
-    push = making(packed[0], "bias", sees=0.0, share=1.0)
+    push = making(packed[0], "bias", push=1.0)
     assert (run(packed, push, mine).alarmed == 1).all()
-    assert (run(packed, making(packed[0], "bias", sees=0.0, share=0.8), mine).alarmed == 0).all()
+    assert (run(packed, making(packed[0], "bias", push=0.8), mine).alarmed == 0).all()
     with pytest.raises(UnknownError, match=r"got 'nothing', expected residual, keyed-coin"):
         make_defence("nothing", 2, 4)
     (tmp_path / "none.py").write_text("Suspicious = 3\n")
