@@ -127,12 +127,12 @@ def free_endpoints(count: int) -> list[str]:
             one = stack.enter_context(socket.socket())  # held: the next one is another
             one.bind(("127.0.0.1", 0))
             port: int = one.getsockname()[1]
-            if _taken_down(port):
+            if taken_down(port):
                 found.append(port)
     return [f"tcp/127.0.0.1:{port}" for port in found]
 
 
-def _taken_down(port: int) -> bool:
+def taken_down(port: int) -> bool:
     """Reserve the port for this process. False where another process has reserved it."""
     name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -80,7 +80,7 @@ class _Loop:
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
 
 
-class _Sparing:
+class Sparing:
     """A publisher that drops messages while ``crowding`` is true; the partner sees lost messages.
 
     A link that opens between a message and its put would be one more chance to hear it.
@@ -91,6 +91,7 @@ class _Sparing:
         self._crowding = crowding
 
     def put(self, payload: bytes) -> None:
+        """Publish, or drop it."""
         if not self._crowding():
             self._put(payload)
 
@@ -158,14 +159,14 @@ class Host:
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[tuple[str, bytes] | _KeyTaskDone | _Unwritten | None] = Inbox()
-        self._channels: dict[str, Channel] = {}
+        self.channels: dict[str, Channel] = {}
         self._heard_on_ops: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._worker: KeyWorker | None = None
         self._health = HealthWriter(
             lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
         )
-        self._turns = FairLock()
+        self.turns = FairLock()
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -179,7 +180,7 @@ class Host:
 
     def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
-        with self._turns:
+        with self.turns:
             publishers = {
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
@@ -188,7 +189,7 @@ class Host:
             if files.key_maker is not None:
                 crowding = partial(self._crowding, loop)
                 for kind in publishers.keys() & FIELD:
-                    publishers[kind] = _Sparing(publishers[kind], crowding)
+                    publishers[kind] = Sparing(publishers[kind], crowding)
                 if self._worker is None:
                     self._worker = KeyWorker()
                 key_maker = partial(
@@ -201,22 +202,23 @@ class Host:
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
-            self._subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
+            self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
         if self._started:
-            with self._turns:
+            with self.turns:
                 self._do(loop, endpoint.start)
 
     def remove(self, loop: str) -> None:
         """Stop one end: its last messages leave, and its files are closed."""
-        with self._turns:
+        with self.turns:
             self._end(loop)
 
-    def _subscribe(self, kind: type[Message], key_expr: str) -> None:
-        if key_expr in self._channels:
+    def subscribe(self, kind: type[Message], key_expr: str) -> None:
+        """Hear what comes on a key, once for all loops."""
+        if key_expr in self.channels:
             return
         if kind in FIELD:
             channel = self._field.channel(key_expr, CAPACITY)
-            self._channels[key_expr] = channel
+            self.channels[key_expr] = channel
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
             if self._started:
@@ -253,7 +255,7 @@ class Host:
 
     def _go_on(self) -> None:
         for loop in self.loops:
-            with self._turns:
+            with self.turns:
                 self._do(loop, self._loops[loop].endpoint.start)
         self._started = True
         for thread in self._threads:
@@ -273,7 +275,7 @@ class Host:
                 waiting.extend(channel.receive(wait=not waiting))
                 if len(waiting) > (len(self._loops) if self._fleet else BACKLOG):
                     waiting = deque(dict(waiting).items())
-                with self._turns:
+                with self.turns:
                     until = self._clock() + TURN_S
                     for _ in range(min(len(waiting), AT_ONCE)):
                         self._hear(*waiting.popleft())
@@ -296,7 +298,7 @@ class Host:
         """Wake all who are due, some at once, so that offers get through between them."""
         due = True
         while due:
-            with self._turns:
+            with self.turns:
                 now = self._clock()
                 for _ in range(AT_ONCE):
                     due = bool(self._wakes) and self._wakes[0][0] <= now
@@ -327,7 +329,7 @@ class Host:
                 loop.ports.log_notice(Notice(text, "warning", "flood"))
         if item is None:
             return
-        with self._turns:
+        with self.turns:
             if not isinstance(item, _KeyTaskDone | _Unwritten):
                 self._hear(*item)
             elif item.loop in self._loops:
@@ -417,11 +419,11 @@ class Host:
             for thread in self._threads:
                 if thread.ident is not None:  # an interrupt may have come before it was started
                     last.callback(thread.join, LAST_S)
-            for channel in self._channels.values():
+            for channel in self.channels.values():
                 last.callback(channel.close)
 
     def _end_all(self) -> None:
-        with self._turns.last(), ExitStack() as ends:
+        with self.turns.last(), ExitStack() as ends:
             for name in reversed(self.loops):
                 ends.callback(self._end, name)
 

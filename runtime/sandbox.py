@@ -90,8 +90,8 @@ class SandboxProcess:
 
     def __init__(self, module: str, arguments: Sequence[str] = (), memory: int = MEMORY) -> None:
         self.like = module, tuple(arguments), memory
-        self._child = Child(module, (str(memory), *arguments), own_session=True, quiet=True)
-        self._to, self._from = self._child.line.write, self._child.line.read
+        self.child = Child(module, (str(memory), *arguments), own_session=True, quiet=True)
+        self._to, self._from = self.child.line.write, self.child.line.read
         os.set_blocking(self._to, False)
         os.set_blocking(self._from, False)
         self._sent, self._heard = select.poll(), select.poll()
@@ -103,12 +103,12 @@ class SandboxProcess:
     @property
     def alive(self) -> bool:
         """Whether it can be asked."""
-        return not self._closed and self._child.alive
+        return not self._closed and self.child.alive
 
     def close(self) -> None:
         """Let go of the supervisor, which ends everything."""
         if not self._closed:
-            self._closed, self._code = True, self._child.end()
+            self._closed, self._code = True, self.child.end()
 
     def ask(self, what: str, argument: object, within_s: float) -> Any:
         """Its answer.
@@ -123,7 +123,7 @@ class SandboxProcess:
             raise SandboxError("the process ended")
         patience = _Patience(within_s)
         try:
-            self._send(pickle.dumps((what, argument, within_s)), patience)
+            self._send(what, argument, within_s, patience)
             answer = json.loads(self._receive(patience))
             kind, value = answer["kind"], answer["value"]
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
@@ -138,7 +138,18 @@ class SandboxProcess:
             raise SandboxError(str(value), str(kind))
         return value
 
-    def _send(self, body: bytes, patience: "_Patience") -> None:
+    def begin(self, what: str, argument: object, within_s: float) -> None:
+        """Ask, and wait for no answer: what it costs the guest is counted all the same.
+
+        Raises
+        ------
+        TimeoutError
+            When the guest does not read.
+        """
+        self._send(what, argument, within_s, _Patience(within_s))
+
+    def _send(self, what: str, argument: object, within_s: float, patience: "_Patience") -> None:
+        body = pickle.dumps((what, argument, within_s))
         data = memoryview(LENGTH.pack(len(body)) + body)
         while True:
             with suppress(BlockingIOError):
@@ -165,13 +176,13 @@ class SandboxProcess:
         return b"".join(parts)
 
 
-_idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
+idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
 """Idle processes, one of a kind, for reuse: a sweep makes one guest after the other."""
 
 
 def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> SandboxProcess:
     """A :class:`SandboxProcess` that was given back, or a new one."""
-    waiting = _idle.pop((module, arguments, memory), None)
+    waiting = idle.pop((module, arguments, memory), None)
     if waiting is not None and waiting.alive:
         return waiting
     return SandboxProcess(module, arguments, memory)
@@ -179,7 +190,7 @@ def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) 
 
 def give_back(process: SandboxProcess) -> None:
     """Keep a process that lives for the next of its kind, where none is kept."""
-    if not process.alive or _idle.setdefault(process.like, process) is not process:
+    if not process.alive or idle.setdefault(process.like, process) is not process:
         process.close()
 
 

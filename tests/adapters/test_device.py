@@ -585,7 +585,7 @@ def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
 
     device, stopping = Device(), threading.Event()
     service = device_service(device, tmp_path, monkeypatch, stopping)
-    for channel in service._host._channels.values():
+    for channel in service._host.channels.values():
         monkeypatch.setattr(type(channel), "close", fails)
     stopping.set()
     with pytest.raises(TransportError, match="the channel is gone"):

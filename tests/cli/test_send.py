@@ -16,7 +16,7 @@ from runtime.errors import Failure, UsageError
 from wyner.cli import options
 from wyner.cli.main import main
 from wyner.cli.options import joined
-from wyner.cli.send import REPEAT_S, _answers, _print
+from wyner.cli.send import REPEAT_S, answers, print_reply
 from wyner.deployment.running import RunningLoop, announced
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
@@ -56,11 +56,11 @@ def test_answers_to_others_are_no_reason_to_say_it_again() -> None:
     """Where each answer made every operator ask again, five of them flooded the controller."""
     bus: Any = CrowdedBus(others=50)
     begun = time.monotonic()
-    answers = list(_answers(bus, "loop", SealCommand(id="mine", payload=b"x"), begun + 0.45))
+    told = list(answers(bus, "loop", SealCommand(id="mine", payload=b"x"), begun + 0.45))
     took = time.monotonic() - begun
     assert 1 <= bus.said <= took / REPEAT_S + 1
-    assert len(answers) == bus.said
-    assert {reply.id for reply in answers} == {"mine"}
+    assert len(told) == bus.said
+    assert {reply.id for reply in told} == {"mine"}
 
 
 @pytest.mark.usefixtures("alone")
@@ -121,6 +121,6 @@ def test_for_machines_it_is_one_object(
     size: int,
     expected: dict[str, Any],
 ) -> None:
-    _print(reply, size, as_json=True)
+    print_reply(reply, size, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told == {"id": "m", "bytes": size, **expected}

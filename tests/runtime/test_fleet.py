@@ -342,7 +342,7 @@ def test_a_host_ends_where_an_interrupt_has_left_a_turn_taken() -> None:
     """A second signal is raised where the program stands, be it between lock and body."""
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     ended = host.Host(*buses, threading.Event(), fleet=True)
-    ended._turns.__enter__()
+    ended.turns.__enter__()
     closing = threading.Thread(target=ended.close, daemon=True)
     closing.start()
     closing.join(10)
@@ -394,7 +394,7 @@ def test_an_interrupt_while_its_threads_are_started_stays_one(
         raise KeyboardInterrupt
 
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()), threading.Event())
-    running._subscribe(Offer, key_of(Offer, "loop"))
+    running.subscribe(Offer, key_of(Offer, "loop"))
     monkeypatch.setattr(threading.Thread, "start", interrupted)
     with pytest.raises(KeyboardInterrupt):
         running.run()

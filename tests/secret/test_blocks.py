@@ -174,7 +174,7 @@ class End:
 
     def start(self) -> None:
         self.store = KeyStore(self.path, self.side, create=True)  # type: ignore[arg-type]
-        self.store._db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
+        self.store.db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
         guard = None
         if self.secret is not None:
             take_secret(self.store, self.secret)

@@ -181,7 +181,7 @@ def test_an_overflowing_queue_drops_counts_and_does_not_grow(
     wire = Wire(config(run, tmp_path))
     for message in run.messages:
         wire.send(message)
-    waiting = len(wire.service._queue)
+    waiting = len(wire.service.queue)
     assert 50 < waiting < 150
     wire.finish()
     assert wire.statuses[-1].mirrored == waiting
@@ -271,8 +271,8 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     run: Run, tmp_path: Path
 ) -> None:
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
-    assert wire.service._heavy is not None
-    child = wire.service._heavy.process
+    assert wire.service.heavy is not None
+    child = wire.service.heavy.process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
     assert child.wait(5.0) == 0
@@ -297,8 +297,8 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         wire.send(message)
     wait_for(lambda: (its := newest()) is not None and its.steps > 400, "a first look")
     said = wire.statuses[-1]
-    assert wire.service._heavy is not None
-    process = wire.service._heavy.process
+    assert wire.service.heavy is not None
+    process = wire.service.heavy.process
     with log_of("tap") as told_of:
         os.kill(process.pid, signal.SIGKILL)
         for message in run.messages[half:]:
@@ -314,7 +314,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         assert "her process died" in (tmp_path / "tap" / "health").read_text()
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in told_of)
-    assert wire.service._heavy.process is not process
+    assert wire.service.heavy.process is not process
     wire.finish()
     record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
     assert (record["failed"], record["behind"]) == ("", 0)
@@ -328,8 +328,8 @@ def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
 ) -> None:
     monkeypatch.setattr(heavy, "RESTARTS", 0)
     wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
-    assert wire.service._heavy is not None
-    process = wire.service._heavy.process
+    assert wire.service.heavy is not None
+    process = wire.service.heavy.process
     os.kill(process.pid, signal.SIGKILL)  # before it has said a word
     for message in run.messages:
         wire.send(message)
@@ -347,7 +347,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wire = Wire(config(run, tmp_path))
-    nearest = wire.service._listeners.listeners[1].tap
+    nearest = wire.service.listeners.listeners[1].tap
     observe = nearest.observe
 
     def breaks(transition: Transition) -> Guess:

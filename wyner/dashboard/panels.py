@@ -54,7 +54,7 @@ STATE_CELLS: Final = 13
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class ViewState:
     """What the user asked of the view, and what the terminal can show.
 
     ``held_steps`` counts the steps made since the view was frozen, None when another session began
@@ -82,7 +82,7 @@ class Wishes:
 class Panels:
     """The panels that one screen is put together from."""
 
-    def __init__(self, board: Board, width: int, wishes: Wishes, now_ns: int) -> None:
+    def __init__(self, board: Board, width: int, wishes: ViewState, now_ns: int) -> None:
         self.board = board
         self.width = width
         self.wishes = wishes

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 
@@ -44,5 +44,5 @@ def judge(clause: type[Clause], e: Evidence, *parts: Part) -> Counter:
     return counter
 
 
-def heard(*seen: Seen) -> Part:
+def heard(*seen: CapturedMessage) -> Part:
     return Part([], [], [], list(seen))

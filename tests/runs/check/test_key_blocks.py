@@ -11,7 +11,7 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import SCHEDULE, evidence, heard, judge
 from wyner.runs.check import key_blocks
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter, Place
 from wyner.runs.check.evidence import Pair, Part
 from wyner.runs.check.records import (
@@ -26,8 +26,8 @@ from wyner.runs.check.records import (
 A, B = "a" * 16, "b" * 16
 
 
-def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -> Seen:
-    return Seen("capture.jsonl", number, b"", topic, session, k, message)
+def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -> CapturedMessage:
+    return CapturedMessage("capture.jsonl", number, b"", topic, session, k, message)
 
 
 def walked(j: int, counts: int, k: int | None = None, session: str = A) -> Walked:
@@ -115,7 +115,7 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
     pairs = [Pair(walked(j, c, j + 4), None) for j, c in ((0, 3), (1, 3), (2, 1), (3, 2), (4, 0))]
     counting = Part([], [], pairs, [])
 
-    def found(*seen: Seen) -> Counter:
+    def found(*seen: CapturedMessage) -> Counter:
         return judge(key_blocks.Counted, evidence(), counting, heard(*seen))
 
     for seen in (

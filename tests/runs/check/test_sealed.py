@@ -12,7 +12,7 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import evidence, judge
 from tests.support.giving import sealed_by
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Counter, Place
 from wyner.runs.check.evidence import Part
 from wyner.runs.check.sealed import SealedOnce
@@ -53,9 +53,9 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path, *texts)
 
 
-def seen(number: int, text: SealedText) -> Seen:
+def seen(number: int, text: SealedText) -> CapturedMessage:
     raw = Sealed(id=text.identifier, key_ids=text.key_ids, cipher=text.cipher, tag=text.tag).wire()
-    return Seen("capture.jsonl", number, raw, Sealed.topic, "", -1, {})
+    return CapturedMessage("capture.jsonl", number, raw, Sealed.topic, "", -1, {})
 
 
 def judged(run: Run, *texts: SealedText) -> Counter:
@@ -79,7 +79,9 @@ def test_without_a_capture_there_is_nothing_to_look_at(run: Run) -> None:
 
 
 def test_what_is_no_message_is_another_clauses_matter(run: Run) -> None:
-    part = Part([], [], [], [], [Seen("capture.jsonl", 2, b"{", Sealed.topic, "", -1, {})])
+    part = Part(
+        [], [], [], [], [CapturedMessage("capture.jsonl", 2, b"{", Sealed.topic, "", -1, {})]
+    )
     assert judge(SealedOnce, evidence(run.folder), part) == Counter(4, note="0 messages, 2 opened")
 
 

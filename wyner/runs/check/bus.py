@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, Measurement, Offer
 from wyner.runs.check.attacked import rewrites
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import wrong
@@ -57,7 +57,7 @@ class _First:
         self._dense: dict[tuple[str, str], array[int]] = {}
         self._sparse: dict[tuple[str, str, int], int] = {}
 
-    def same(self, seen: Seen) -> bool | None:
+    def same(self, seen: CapturedMessage) -> bool | None:
         """Whether it is the same as the first of its number; None where it is the first."""
         mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
         at = (seen.topic, seen.session)
@@ -140,7 +140,7 @@ def _blurred(e: Evidence) -> str:
     return BLURRED if e.wire is not None and e.wire.blurred else ""
 
 
-def _compare(e: Evidence, seen: Seen, counter: Counter) -> None:
+def _compare(e: Evidence, seen: CapturedMessage, counter: Counter) -> None:
     assert e.plant is not None
     steps, session, k, m = e.steps, seen.session, seen.k, seen.message
     if not steps.knows(session):
@@ -174,7 +174,7 @@ def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None, k: i
     return unlike
 
 
-def _unlike(e: Evidence, seen: Seen, step: AppliedStep | None) -> list[str]:
+def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> list[str]:
     """Fields of a measurement that the plant's trace has otherwise."""
     steps, session, m = e.steps, seen.session, seen.message
     unlike = []
@@ -212,7 +212,7 @@ class PublicFields(Clause):
             text = f"{seen.where}: {unlike}" if unlike else ""
             self.counter.count(not unlike, seen.session, -1, seen.k, text)
 
-    def _unlike(self, seen: Seen) -> str:
+    def _unlike(self, seen: CapturedMessage) -> str:
         """What a message has that it must not, or has not."""
         rules, topic, keys = self.evidence.rules, seen.topic, self.evidence.scenario.keys
         allowed = PUBLIC.get(topic)
@@ -258,7 +258,7 @@ def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
 class _Looks:
     """What messages of one kind looked like in one automaton state."""
 
-    shapes: dict[tuple[bytes, int], tuple[Seen, int]] = field(default_factory=dict)
+    shapes: dict[tuple[bytes, int], tuple[CapturedMessage, int]] = field(default_factory=dict)
     bytes: int = 0
     count: int = 0
 

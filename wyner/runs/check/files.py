@@ -17,7 +17,7 @@ from runtime.run_folder import (
 )
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import Walked
 from wyner.runs.check.seal import broken, went_on_in
 from wyner.runs.check.sides import Segments, SideReader
@@ -132,7 +132,7 @@ class Whole(Clause):
             if reader.last_life and path.is_file() and _holds_nothing(journal):
                 text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
                 counter.count(False, "", -1, -1, f"{text} transitions")
-            elif isinstance(journal, Kept):
+            elif isinstance(journal, JournalState):
                 text = _behind(reader, journal)
                 counter.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
         _all_there(e, counter)
@@ -153,7 +153,7 @@ def _all_there(e: Evidence, counter: Counter) -> None:
     ):
         if side in there:
             continue
-        if isinstance(journal, Kept) and journal.transitions:
+        if isinstance(journal, JournalState) and journal.transitions:
             text = f"{path}: it is gone, and {side}'s journal counts {journal.transitions}"
             counter.count(False, journal.session or "", -1, -1, f"{text} transitions")
         elif e.manifest is not None and any(reader.last for reader in there.values()):
@@ -191,12 +191,12 @@ def _segments_of(path: Path) -> Segments:
     return marks
 
 
-def _holds_nothing(journal: Kept | str | None) -> bool:
+def _holds_nothing(journal: JournalState | str | None) -> bool:
     """Whether a journal that is there was never written in."""
-    return journal is None or (isinstance(journal, Kept) and journal.session is None)
+    return journal is None or (isinstance(journal, JournalState) and journal.session is None)
 
 
-def _behind(reader: SideReader, journal: Kept) -> str:
+def _behind(reader: SideReader, journal: JournalState) -> str:
     """In what a trace and its journal differ; empty where they fit."""
     session = journal.session
     if session is None:
@@ -214,7 +214,7 @@ def _behind(reader: SideReader, journal: Kept) -> str:
     return ""
 
 
-def _elsewhere(reader: SideReader, journal: Kept) -> str:
+def _elsewhere(reader: SideReader, journal: JournalState) -> str:
     """Whether a plant's trace ends where its journal does, to the last missed step."""
     t, missed = reader.last, reader.last_missed
     assert t is not None

@@ -11,7 +11,7 @@ from protocol.secret.records import Side, StoreError
 from runtime.keys.ledger import spent_rows
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import BlockStoredLine, Told, TracedTransition, Walked
@@ -92,7 +92,7 @@ class Counted(Clause):
             if not self.evidence.before(seen):
                 self._named(seen)
 
-    def _named(self, seen: Seen) -> None:
+    def _named(self, seen: CapturedMessage) -> None:
         """A copy that a message says was taken counts nothing for the plant."""
         by_controller = seen.topic == "measurement"
         named = seen.message.get("applied_copy" if by_controller else "heard")

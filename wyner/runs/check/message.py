@@ -5,10 +5,10 @@ from typing import Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.framing import Deframer, Frame
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import (
     Again,
     Break,
@@ -186,7 +186,7 @@ class Frames(Clause):
 
     def finish(self) -> None:
         e = self.evidence
-        if e.plant is not None and isinstance(e.plant_journal, Kept):
+        if e.plant is not None and isinstance(e.plant_journal, JournalState):
             self._same_inbox(e.plant, e.plant_journal)
         if not self.counter.counted and e.cut:
             self.counter.skipped = e.cut
@@ -195,7 +195,7 @@ class Frames(Clause):
         if lost := sum(f.lost for f in framing):
             self.counter.note += f"; {lost} reports lost to kills"
 
-    def _same_inbox(self, plant: SideReader, journal: Kept) -> None:
+    def _same_inbox(self, plant: SideReader, journal: JournalState) -> None:
         """What the plant's journal received are the last frames of its trace."""
         if plant.behind:
             return  # put back from an older copy, it has lost what came since
@@ -325,7 +325,7 @@ class Messages(Clause):
 
     def finish(self) -> None:
         queue, journal = self._queue, self.evidence.controller_journal
-        if isinstance(journal, Kept):
+        if isinstance(journal, JournalState):
             for name, payload in journal.messages:
                 text = f"message {name} is in the controller's journal, and not in its trace"
                 self.counter.count((name, payload) in queue.told, "", -1, -1, text)
@@ -409,7 +409,7 @@ class OneCipher(Clause):
         text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
         self.counter.count(not unlike, after.session, after.j, after.k, text)
 
-    def _offered(self, seen: Seen) -> None:
+    def _offered(self, seen: CapturedMessage) -> None:
         e, cipher = self.evidence, seen.message.get("cipher")
         if not e.steps.knows(seen.session) or e.before(seen) or not isinstance(cipher, int):
             return  # of what is no number another clause says so

@@ -6,7 +6,7 @@ from hashlib import sha256
 from protocol.messages import Sealed
 from protocol.secret.sealed import keys_needed
 from runtime.keys.sealed_book import SealedBook, SealedText
-from wyner.runs.check.capture import Seen
+from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, open_store
@@ -67,7 +67,7 @@ class SealedOnce(Clause):
         self.counter.note = f"{len(travelled)} messages, {len(opened)} opened"
 
 
-def _text(seen: Seen) -> SealedText | None:
+def _text(seen: CapturedMessage) -> SealedText | None:
     try:
         message = Sealed.model_validate_json(seen.raw)
     except ValueError:

@@ -21,7 +21,7 @@ from runtime.recording import (
     parts_of,
     raw_lines,
 )
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import (
     KINDS,
     Again,
@@ -151,7 +151,7 @@ class SideReader:
     path : Path
         The trace's first part.
     rules : Rules
-    journal : Kept, optional
+    journal : JournalState, optional
         The transition that it holds beyond the trace is the last item.
 
     Attributes
@@ -166,7 +166,7 @@ class SideReader:
         The transition after which a cut trace is given out, once it was found.
     """
 
-    def __init__(self, side: str, path: Path, rules: Rules, journal: Kept | None) -> None:
+    def __init__(self, side: str, path: Path, rules: Rules, journal: JournalState | None) -> None:
         self.side = side
         self.parts: list[Segments] = []
         self.header: dict[str, Any] = {}
