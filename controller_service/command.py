@@ -11,6 +11,7 @@ from runtime.options import (
     at_least,
     checked,
     message_of,
+    pace_of,
     run_dir_of,
 )
 from runtime.recording import Bounds
@@ -26,6 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     add_message_arguments(parser)
+    parser.add_argument(
+        "--pace",
+        default="realtime",
+        metavar="P",
+        help="the plant's: a network's delays are of its clock (default: realtime)",
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     parser.add_argument(
         "--secret",
@@ -51,10 +58,10 @@ def run(args: argparse.Namespace) -> int:
     message = message_of(args.message, args.message_file)
     fleet = fleet_of(args, message)
     if fleet is not None and not args.check:
-        folder = run_dir_of(args.run_dir)
+        folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
         with buses_of(args, "controller") as (stopping, field, ops):
-            return run_controllers(fleet, folder, _law_of, bounds, field, ops, stopping)
-    scenario = scenario_of(args.scenario)
+            return run_controllers(fleet, folder, _law_of, bounds, pace, field, ops, stopping)
+    scenario, pace = scenario_of(args.scenario), pace_of(args.pace)
     if args.check:
         return DONE
     config = ControllerConfig(
@@ -62,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         law=_law_of(scenario),
         loop=loop_of(args),
         message=message,
+        pace=pace,
         seed=args.seed,
         bounds=bounds,
         secret=None if args.secret is None else Path(args.secret),

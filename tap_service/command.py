@@ -11,7 +11,17 @@ if TYPE_CHECKING:
     from runtime.fleet import FleetLoop
     from tap_service.capture.channel import View
 
-KNOBS = ("view", "loss", "noise", "quantise", "delay", "model_error")
+KNOBS = (
+    "view",
+    "loss",
+    "loss_bad",
+    "to_bad",
+    "to_good",
+    "noise",
+    "quantise",
+    "delay",
+    "model_error",
+)
 
 
 def add_view_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +29,15 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what the tap sees (default: as the scenario says)")
     group.add_argument("--view", choices=("both", "measurements", "offers"), help="direction")
     group.add_argument("--loss", type=float, metavar="P", help="probability to miss a message")
+    group.add_argument(
+        "--loss-bad", type=float, metavar="P", help="the same in the bad one of two states"
+    )
+    group.add_argument(
+        "--to-bad", type=float, metavar="P", help="probability, a step, of turning bad"
+    )
+    group.add_argument(
+        "--to-good", type=float, metavar="P", help="probability, a step, of turning good again"
+    )
     group.add_argument("--noise", type=float, metavar="SD", help="noise on every state and input")
     group.add_argument("--quantise", type=float, metavar="STEP", help="round every state and input")
     group.add_argument("--delay", type=int, metavar="N", help="hear everything N messages late")

@@ -6,11 +6,12 @@ here is the defender's knowledge; an eavesdropper is handed a :class:`protocol.k
 made from it, and never this.
 """
 
-from protocol.scenario.control import Control, Cost, Regulator
+from protocol.scenario.control import Control, Cost, Performance, Regulator
 from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
+from protocol.scenario.network import ChannelTable, Network
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
@@ -30,6 +31,7 @@ __all__ = [
     "PLANTS",
     "RULES_VERSION",
     "Calibration",
+    "ChannelTable",
     "Control",
     "ConvexSet",
     "Cost",
@@ -37,7 +39,9 @@ __all__ = [
     "Disturbance",
     "Keys",
     "Link",
+    "Network",
     "OperatingPointTable",
+    "Performance",
     "PlantTable",
     "Regulator",
     "Scenario",

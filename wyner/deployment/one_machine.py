@@ -101,7 +101,7 @@ def lay_out(
     steps = [] if options.steps is None else ["--steps", str(options.steps)]
     secrets = _secrets(run_dir) if options.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
-    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
+    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
         tap += [f"--{name.replace('_', '-')}", str(value)]
     children = [
@@ -135,6 +135,8 @@ def lay_out(
                 *secrets.get("controller", ()),
                 "--scenario",
                 str(scenario_file),
+                "--pace",
+                options.pace,
                 "--message-file",
                 str(message_file),
                 "--model-folder",
