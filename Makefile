@@ -127,6 +127,7 @@ campaign: $(STAMPS)/dev
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
 	WYNER_MUTANTS=all $(BIN)/pytest tests/runs/check/test_mutants.py
+	WYNER_STEPS=long $(BIN)/pytest tests/simulate/test_engine_system.py -k long
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

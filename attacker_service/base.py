@@ -7,19 +7,17 @@ does no input or output, draws from the generator that it is handed, and keeps w
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.arrays import Array, Flags, Integers
 from protocol.scenario import Scenario
+from protocol.scenario.attack import Known, Place
 
 UNKNOWN: Final = -1
 """In place of a coin that she does not know."""
-
-Place = Literal["sensor", "bus", "actuator"]
-Known = Literal["model", "bus", "coins"]
 
 
 class AttackError(Exception):
@@ -107,7 +105,7 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    sees: float | None = None
+    sees: Annotated[float, Field(ge=0)] | None = None
 
 
 class Attack(ABC):
@@ -120,8 +118,6 @@ class Attack(ABC):
         Where it stands.
     knows : frozenset of str
         What it cannot do without, of ``model``, ``bus`` and ``coins``.
-    must_see : bool
-        Whether it cannot do without ``sees``.
     Options : type
         Its own options, with defaults.
 
@@ -141,7 +137,6 @@ class Attack(ABC):
     name: ClassVar[str]
     at: ClassVar[Place]
     knows: ClassVar[frozenset[Known]] = frozenset()
-    must_see: ClassVar[bool] = False
     Options: ClassVar[type[Options]] = Options
 
     def __init__(
@@ -158,8 +153,6 @@ class Attack(ABC):
             ) from None
         if "model" in self.knows and model is None:
             raise AttackError(f"attack.knows: {self.name} needs 'model'")
-        if self.must_see and self.options.sees is None:
-            raise AttackError(f"attack.sees: {self.name} needs the noise with which she sees")
         self._model = model
         self.rng = rng
 

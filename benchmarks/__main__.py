@@ -26,6 +26,7 @@ BENCHMARKS: Final = {
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
     "overload": Benchmark("benchmarks.overload", "too many loops, and what comes after"),
     "engine": Benchmark("benchmarks.engine", "the engine beside the plain loop"),
+    "attacked": Benchmark("benchmarks.attacked", "attacked runs together beside one alone"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
     "qp": Benchmark("benchmarks.qp", "one step's programs, by solver"),
 }
@@ -44,7 +45,6 @@ def build_parser() -> Parser:
     parser.add_argument("--seconds", type=float, metavar="S", help="fleet: measured (default 10)")
     parser.add_argument("--router", action="store_true", help="fleet: through a router")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.set_defaults(run=run)
     return parser
 
 
@@ -117,7 +117,7 @@ def _fleet_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command line; returns the exit code."""
-    return carry_out(lambda: build_parser().parse_args(argv))
+    return carry_out(lambda: run(build_parser().parse_args(argv)))
 
 
 if __name__ == "__main__":

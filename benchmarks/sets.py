@@ -123,7 +123,7 @@ def measure(
     for N in reversed(horizons):
         ours = Ours.at(scenario, N)
         design = [ours.run() for _ in range(repeats)][-1]
-        exact = exact or _exact(scenario, design)
+        exact = exact or exact_rows(scenario, design)
         result["ours"][N] = {
             "seconds": statistics.median(ours.whole),
             "recursion_seconds": statistics.median(ours.recursion),
@@ -178,7 +178,8 @@ def _time_route(route: Route, first: Rows, horizon: int, ours: Ours) -> float:
     return spent
 
 
-def _exact(scenario: Scenario, design: Design) -> list[list[Row]]:
+def exact_rows(scenario: Scenario, design: Design) -> list[list[Row]]:
+    """The sets' rows by exact fractions, for a planar plant with boxes."""
     widths, bound = scenario.defender.disturbance.half_widths, scenario.control.inputs.half_widths
     if scenario.n != 2 or scenario.m != 1 or widths is None or bound is None:
         raise ValueError("expected a planar plant with one input and boxes for D_c and U")

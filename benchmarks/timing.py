@@ -7,6 +7,8 @@ process what the partner did just before would be in the caches. The two states'
 within blocks of a few milliseconds, and the same is measured again with a wait of one microsecond
 added in one state: a test that does not see that has no power, and says so. :mod:`benchmarks.work`
 counts the bytecodes up to the answer instead, which no other program disturbs.
+
+``--run DIR`` takes the times of a run's capture instead: what a tap saw on the bus.
 """
 
 import argparse
@@ -313,6 +315,40 @@ def response_times(side: str, scenario: str, life: Life, added_ns: int = 0) -> A
     return times
 
 
+def bus_times(run_dir: Path) -> dict[str, Answers]:
+    """Nanoseconds of each answer of both ends, as the tap of a run saw them on the bus.
+
+    Both times are the senders' own, which every message has.
+
+    Raises
+    ------
+    RunError
+        When the folder holds no run with a capture and the controller's trace.
+    """
+    from wyner.runs.run import Run
+
+    run = Run.load(run_dir)
+    roles: dict[int, bool] = {}
+
+    def note(event: dict[str, Any]) -> None:
+        if event["event"] == "transition":
+            roles[event["k"]] = event["role"] == "message"
+
+    run.feed("controller", note)
+    asked: dict[int, int] = {}
+    offered: dict[int, int] = {}
+    for t_ns, message in run.capture().records():
+        if isinstance(message, Measurement):
+            asked.setdefault(message.k, t_ns)
+        elif isinstance(message, Offer):
+            offered.setdefault(message.k, t_ns)
+    steps = [k for k in sorted(roles) if k in offered]
+    return {
+        "controller": [(roles[k], offered[k] - asked[k]) for k in steps if k in asked],
+        "plant": [(roles[k], asked[k + 1] - offered[k]) for k in steps if k + 1 in asked],
+    }
+
+
 def measure(steps: int = 100_000, scenario: str = "sustained") -> dict[str, Any]:
     """Both ends' difference between the states, and the same with the control.
 
@@ -355,6 +391,17 @@ def render(told: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _on_the_bus(run_dir: Path, *, as_json: bool) -> int:
+    found = {side: difference(answers) for side, answers in bus_times(run_dir).items()}
+    if as_json:
+        print(json.dumps({side: one.as_json() for side, one in found.items()}))
+        return 0
+    for side, one in found.items():
+        verdict = "a difference" if one.seen else "no difference seen"
+        print(f"{side}: carrying takes {one.ns:+.0f} ns longer (se {one.error_ns:.0f}): {verdict}")
+    return 0
+
+
 def _spin() -> None:
     while True:
         pass
@@ -381,7 +428,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--scenario", default="sustained", help="shipped; `keys` makes keys")
     parser.add_argument("--busy", action="store_true", help="beside a busy program on each core")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--run", type=Path, metavar="DIR", help="a run with a tap: times on its bus"
+    )
     args = parser.parse_args(argv)
+    if args.run is not None:
+        return _on_the_bus(args.run, as_json=args.json)
     with _busy((os.cpu_count() or 1) if args.busy else 0):
         told = measure(args.steps, args.scenario)
     print(json.dumps(told) if args.json else render(told))

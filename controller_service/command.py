@@ -1,10 +1,11 @@
 """``wyner controller``, and ``python -m controller_service``."""
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.bus_options import ServiceOptions, add_end_arguments, buses_of, fleet_of, loop_of
 from runtime.errors import DONE, UsageError
 from runtime.options import (
     add_message_arguments,
@@ -12,6 +13,7 @@ from runtime.options import (
     checked,
     message_of,
     pace_of,
+    picked,
     run_dir_of,
 )
 from runtime.recording import Bounds
@@ -47,39 +49,62 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_end_arguments(parser, "controller")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ControllerOptions(ServiceOptions):
+    """The service's options."""
+
+    scenario: str = "sustained"
+    pace: str = "realtime"
+    message: str | None = None
+    message_file: str | None = None
+    secret: str | None = None
+    model_folder: str | None = None
+
+
 def run(args: argparse.Namespace) -> int:
     """Run until a signal comes."""
+    return run_controller(picked(ControllerOptions, vars(args)))
+
+
+def run_controller(options: ControllerOptions) -> int:
+    """Run until a signal comes.
+
+    Raises
+    ------
+    UsageError
+        When an option's value is wrong.
+    """
     from controller_service.service import ControllerConfig, ControllerService, run_controllers
     from runtime.scenario_file import keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
-    at_least("--seed", args.seed, 0)
-    bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
-    message = message_of(args.message, args.message_file)
-    fleet = fleet_of(args, message)
-    if fleet is not None and not args.check:
-        folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
-        with buses_of(args, "controller") as (stopping, field, ops):
+    at_least("--seed", options.seed, 0)
+    bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
+    message = message_of(options.message, options.message_file)
+    fleet = fleet_of(options, message)
+    if fleet is not None and not options.check:
+        folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
+        with buses_of(options, "controller") as (stopping, field, ops):
             return run_controllers(fleet, folder, _law_of, bounds, pace, field, ops, stopping)
-    scenario, pace = scenario_of(args.scenario), pace_of(args.pace)
-    if args.check:
+    scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
+    if options.check:
         return DONE
     config = ControllerConfig(
         scenario=scenario,
         law=_law_of(scenario),
-        loop=loop_of(args),
+        loop=loop_of(options),
         message=message,
         pace=pace,
-        seed=args.seed,
+        seed=options.seed,
         bounds=bounds,
-        secret=None if args.secret is None else Path(args.secret),
-        run_dir=run_dir_of(args.run_dir),
-        folder=scenario_file_of(args.scenario).parent
-        if args.model_folder is None
-        else Path(args.model_folder),
+        secret=None if options.secret is None else Path(options.secret),
+        run_dir=run_dir_of(options.run_dir),
+        folder=scenario_file_of(options.scenario).parent
+        if options.model_folder is None
+        else Path(options.model_folder),
     )
-    with buses_of(args, "controller") as (stopping, field, ops):
-        keep_scenario(config.run_dir, args.scenario)
+    with buses_of(options, "controller") as (stopping, field, ops):
+        keep_scenario(config.run_dir, options.scenario)
         return ControllerService(config, field, ops, stopping).run()
 
 

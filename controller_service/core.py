@@ -52,21 +52,20 @@ GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""
 
 SILENT_PERIODS: Final = 3
-"""A plant counts as away after so many of its periods at least, however long they are."""
+"""Periods of silence before a plant counts as away; :data:`SILENCE_S` at least."""
 
 INITIAL_ID: Final = "initial"
 """Identifier of the message that a controller is started with; no command may take it."""
 
 REMEMBERED_SESSIONS: Final = 16
-"""Ended sessions a controller remembers, so that a delayed hello cannot bring one back."""
+"""Ended sessions that a controller remembers, so that a delayed hello cannot revive one."""
 
 LARGEST_STATE: Final = 1e150
-"""No number of a state is larger: sums and quotients of larger ones need not be finite."""
+"""Largest component of a state: sums and quotients of larger ones may be infinite."""
 
 STALE: Final = 64
-"""Measurements of steps gone by, without a newer one between, after which the plant is believed and
-not the journal: a newest step that the plant never made was answered. A network that reorders holds
-back fewer."""
+"""Old measurements in a row after which the session ends: the journal is ahead of the plant, for
+it answered a step that the plant never made. A network that reorders delays fewer."""
 
 Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
@@ -229,7 +228,7 @@ class ControllerCore:
         return self.finish_step()
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A measurement, a word of the plant's, or the operator's command."""
+        """A measurement, a hello or announcement of the plant, or the operator's command."""
         self._now = now
         try:
             if kind is Measurement:
@@ -363,7 +362,7 @@ class ControllerCore:
         return ""
 
     def _offers(self, offer: Offer, answers: bytes = b"") -> Actions:
-        """Say an offer; one that ``answers`` a measurement for the first time is saved before."""
+        """Publish an offer; the first one that ``answers`` a measurement is saved before."""
         if self._telemetry is not None:
             self._telemetry.phase, self._telemetry.detail = "running", ""
         wire = offer.wire()
@@ -462,9 +461,10 @@ class ControllerCore:
         return symbols
 
     def _aim(self) -> None:
-        """Have the arrows from the present state at hand, once a message is on its way.
+        """Look up the transitions from the present state, once a message is on its way.
 
-        Those of a rare state would else be looked for, far from the processor, before the next one.
+        Those of a rare state would else come from far memory, while the plant waits for the next
+        offer.
         """
         verdicts = (*range(self.rules.size), NO_SYMBOL)
         self._arrows = [self.rules.scheme.follow(self.record.state, v) for v in verdicts]
@@ -583,7 +583,7 @@ class ControllerCore:
         return NOTHING_TO_DO
 
     def _serve(self, hello: PlantHello) -> Actions:
-        """Take up a session, the journal's or a new one; who asks again is told again."""
+        """Take up a session, the journal's or a new one. A repeated request is answered again."""
         actions = NOTHING_TO_DO
         known = (self._plant, self.record.session)
         if hello.session != self.record.session:
@@ -712,7 +712,7 @@ class ControllerCore:
     # --- keys -------------------------------------------------------------------------------------
 
     def _erase_rows(self) -> Save | None:
-        """What has the journal erase the rows of blocks that are confirmed, if there are any."""
+        """A save that erases the rows of confirmed blocks; None where there are none."""
         obsolete_rows = self.keying.obsolete_rows()
         return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
 
@@ -787,5 +787,5 @@ def _after(incarnation: int) -> int:
 
 
 def _unequal(results: tuple[BlockResult, ...]) -> bool:
-    """Whether the partner's word says that the two ends hold different key blocks."""
+    """Whether the two ends hold different key blocks, by the partner's announcement."""
     return any(result.what == "unequal" for result in results)

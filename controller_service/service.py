@@ -26,7 +26,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_keeper, refusal
+from runtime.key_opening import open_key_maker, refusal
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
@@ -79,7 +79,7 @@ def open_controller(
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         record, step = journal.load(), journal.step()
         contributions = journal.contributions(None if record is None else record.session)
-        key_maker = open_keeper(
+        key_maker = open_key_maker(
             config.run_dir / CONTROLLER_KEYS,
             "controller",
             scenario,

@@ -1,11 +1,12 @@
 """``wyner plant``, and ``python -m plant_service``."""
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.bus_options import add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.bus_options import ServiceOptions, add_end_arguments, buses_of, fleet_of, loop_of
 from runtime.errors import DONE, UsageError
-from runtime.options import at_least, checked, pace_of, run_dir_of
+from runtime.options import at_least, checked, pace_of, picked, run_dir_of
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_SAFE
 
@@ -30,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let a plant run again that was sent to its safe state",
     )
     parser.add_argument(
+        "--attack",
+        metavar="KIND@STEP",
+        help="attack this plant from a step on, in place of the scenario's [attack]",
+    )
+    parser.add_argument(
         "--secret",
         metavar="F",
         help="sign key blocks by this file, as `wyner certs --secret` writes it",
@@ -37,40 +43,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_end_arguments(parser, "plant")
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions(ServiceOptions):
+    """The service's options."""
+
+    scenario: str = "sustained"
+    pace: str = "realtime"
+    steps: int | None = None
+    attack: str | None = None
+    plant_folder: str | None = None
+    clear_safe: bool = False
+    secret: str | None = None
+
+
 def run(args: argparse.Namespace) -> int:
     """Run until the steps are made or a signal comes."""
+    return run_plant(picked(PlantOptions, vars(args)))
+
+
+def run_plant(options: PlantOptions) -> int:
+    """Run until the steps are made or a signal comes.
+
+    Raises
+    ------
+    UsageError
+        When an option's value is wrong.
+    """
     from plant_service.service import PlantConfig, PlantService, run_plants
-    from runtime.scenario_file import keep_scenario, scenario_of
+    from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
-    at_least("--steps", args.steps, 1)
-    at_least("--seed", args.seed, 0)
-    bounds = checked(Bounds, part_bytes=args.part_bytes, total_bytes=args.total_bytes)
-    fleet = fleet_of(args)
-    if fleet is not None and not args.check:
-        folder, pace = run_dir_of(args.run_dir), pace_of(args.pace)
-        if args.steps is not None:
+    at_least("--steps", options.steps, 1)
+    at_least("--seed", options.seed, 0)
+    bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
+    fleet = fleet_of(options)
+    if fleet is not None and not options.check:
+        folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
+        if options.steps is not None:
             raise UsageError("--steps: a fleet runs until it is stopped")
-        with buses_of(args, "plant") as (stopping, field, ops):
+        with buses_of(options, "plant") as (stopping, field, ops):
             return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
-    scenario, pace = scenario_of(args.scenario), pace_of(args.pace)
-    if args.check:
+    scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
+    attack = attack_option(options.attack, scenario.attack, options.steps)
+    if options.check:
         return DONE
     config = PlantConfig(
         scenario=scenario,
-        loop=loop_of(args),
+        loop=loop_of(options),
         pace=pace,
-        steps=args.steps,
-        seed=args.seed,
+        steps=options.steps,
+        attack=attack,
+        seed=options.seed,
         bounds=bounds,
-        secret=None if args.secret is None else Path(args.secret),
-        run_dir=run_dir_of(args.run_dir),
-        folder=scenario_file_of(args.scenario).parent
-        if args.plant_folder is None
-        else Path(args.plant_folder),
+        secret=None if options.secret is None else Path(options.secret),
+        run_dir=run_dir_of(options.run_dir),
+        folder=scenario_file_of(options.scenario).parent
+        if options.plant_folder is None
+        else Path(options.plant_folder),
     )
-    if args.clear_safe:
+    if options.clear_safe:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
-    with buses_of(args, "plant") as (stopping, field, ops):
-        keep_scenario(config.run_dir, args.scenario)
+    with buses_of(options, "plant") as (stopping, field, ops):
+        keep_scenario(config.run_dir, options.scenario)
         return PlantService(config, field, ops, stopping).run()

@@ -12,7 +12,6 @@ The rules are those of :mod:`protocol.link.session`. Which controller the sessio
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from math import inf
 from typing import Final, Literal
 
@@ -24,6 +23,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import (
     NEW_JOURNAL,
+    AttackBegan,
     FrameRefused,
     Interrupted,
     Missed,
@@ -35,8 +35,8 @@ from protocol.link.keying import Keying
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
-from protocol.link.records import BegunStep, ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.records import PlantStep, ReceiverRecord
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
     ControllerHello,
@@ -55,14 +55,13 @@ from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.tasks import Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
-from runtime.journal import ReceiverStep
 
 HELLO_S: Final = 0.1
 """Seconds between hellos until the controller answers."""
 
 MEETING_S: Final = 10.0
-"""Seconds at least that a plant which has never moved has for meeting its controller, before its
-watchdog bites: a controller starts in some of them."""
+"""Least seconds before the watchdog of a plant that has never moved: its controller is still
+starting."""
 
 LAST_WORD_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
@@ -73,31 +72,13 @@ LAST_KEYS_S: Final = 20.0
 LAST_KEYS_REPEAT_S: Final = 0.05
 
 CHUNK_SYMBOLS: Final = 64
-"""Symbols of the frame under way that the record holds before they go to the journal's own table.
-Within a chunk a save is one statement in every state of the scheme, so that none takes longer."""
+"""Symbols of the frame under way that the record holds; then they go to a table of the journal.
+Within a chunk a save takes one statement in every state, so none takes longer."""
 
 
 def hex_digits(size: int) -> int:
-    """Hexadecimal digits of a symbol kept: one up to M = 16, else two."""
+    """Hexadecimal digits of a symbol in the record: one up to M = 16, else two."""
     return 1 if size <= 16 else 2
-
-
-@dataclass(slots=True)
-class _Step:
-    """The step under way, of which ``offer`` was taken and ``coin`` chose the input.
-
-    ``report`` is there from its end on, until it is counted.
-    """
-
-    payload: bytes
-    offer: Offer
-    coin: int
-    report: Measurement | None = None
-
-    @property
-    def u(self) -> Vector:
-        """The input chosen."""
-        return self.offer.candidates[self.coin]
 
 
 class PlantCore:
@@ -124,10 +105,8 @@ class PlantCore:
         Symbols of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
-    step : ReceiverStep, optional
-        A step of the journal's that was read and not counted.
-    begun : BegunStep, optional
-        A step of the journal's that was begun and not read.
+    step : PlantStep, optional
+        The journal's step that was not counted, or begun and not read.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool
@@ -140,6 +119,8 @@ class PlantCore:
         Seconds without an applied offer after which the plant goes to its safe state: counted from
         :meth:`start` on, so that a plant that was started again is watched while its controller is
         away. One that has never moved has :data:`MEETING_S` at least to meet it.
+    attack : AttackBegan, optional
+        What is traced of an attack on this plant.
     nonces : NonceSource
     round_trip_s : float
         Seconds within which the network brings an answer: the last word waits for so much more.
@@ -168,13 +149,13 @@ class PlantCore:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
-        step: ReceiverStep | None = None,
-        begun: BegunStep | None = None,
+        step: PlantStep | None = None,
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
         telemetry: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
+        attack: AttackBegan | None = None,
         nonces: NonceSource = fresh_nonce,
         round_trip_s: float = 0.0,
     ) -> None:
@@ -187,15 +168,21 @@ class PlantCore:
         self._new_id = new_id
         self._now = now
         self._fresh = fresh
+        self._attack = () if attack is None else (attack,)
         # the step
         self._coin = coin
         self._fallback = fallback
         self._steps = steps
-        self._step: _Step | None = None
-        if step is not None:
-            self._step = _Step(b"", step.offer, step.coin, step.measurement)
-        self._begun, self._back = begun, back
-        self._moved = record.k > 0 or step is not None or begun is not None
+        self._step: PlantStep | None = None
+        self._payload = b""  # of its offer, as it came
+        self._truth: Truth | None = None  # of its end
+        self._begun: PlantStep | None = None
+        if step is not None and step.measurement is not None:
+            self._step = step
+        else:
+            self._begun = step
+        self._back = back
+        self._moved = record.k > 0 or step is not None
         self._left = True  # copy 0 of the newest measurement may have left
         self._latest_late_k = self._measured_k = -1
         self._measured_at = now
@@ -208,7 +195,7 @@ class PlantCore:
             self.deframer.push(int(kept[i : i + self._digits], 16))
         # keys
         self.keying = Keying(rules.schedule, nonces)
-        said = record if step is None else step.measurement
+        said = record if self._step is None else self._step.measurement or record
         self.keying.begin(record.session, said.block, said.tag, contributions)
         # the session
         self.record = record._replace(
@@ -248,7 +235,7 @@ class PlantCore:
 
     @property
     def _running(self) -> bool:
-        """Whether ticks count: not before the plant has moved or is sure of a controller."""
+        """Whether ticks count: only once the plant has moved or a controller has accepted it."""
         return self._moved or self.accepted
 
     @property
@@ -267,7 +254,7 @@ class PlantCore:
         record = self.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
-            events=(SessionBegan(record.session, reason),),
+            events=(SessionBegan(record.session, reason), *self._attack),
             write=Save(record) if self._fresh else None,
             keys=self.keying.tasks(),
             finish_step=self._step is not None,
@@ -275,7 +262,7 @@ class PlantCore:
         return actions if actions.finish_step else self._came_back(actions)
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """An offer, or a word of the controller's."""
+        """An offer, or a hello or announcement of the controller."""
         self._now = now
         if not self._running:
             self._pacing.tick(now, running=False)
@@ -352,14 +339,14 @@ class PlantCore:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
         step = self._step
         assert step is not None
-        if step.report is not None:
-            actions = self._count(step, step.report)
+        if step.measurement is not None:
+            actions = self._count(step, step.measurement)
             return actions if self._back is None else self._came_back(actions)
         self._apply(step)
         return NOTHING_TO_DO if self._pacing.waiting else self._end()
 
     def key_task_done(self, done: Done, now: float) -> Actions:
-        """The keeper of keys has done a task; rows that nobody needs any more go at once."""
+        """The key maker has done a task; rows that are not needed any more are erased at once."""
         self._now = now
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
@@ -368,7 +355,7 @@ class PlantCore:
         return appeared(self.keying, self.record.session, self.record.k, count)
 
     def stop(self, now: float) -> Actions:
-        """The last status; the plant is safe, and let go of."""
+        """The last status. The plant goes to its safe state and is closed."""
         self._now = now
         self._tell_stopped()
         self.plant.safe("the process ended")
@@ -415,7 +402,8 @@ class PlantCore:
             return NOTHING_TO_DO
         if self._measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self._measured_at)
-        return self._begin(_Step(payload, offer, self._coin.toss(record.transitions)))
+        self._payload = payload
+        return self._begin(PlantStep(offer, self._coin.toss(record.transitions)))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -442,16 +430,16 @@ class PlantCore:
             return "foreign"
         return "current" if offer.k == self.record.k else "stale"
 
-    def _begin(self, step: _Step) -> Actions:
+    def _begin(self, step: PlantStep) -> Actions:
         """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
         self._step = step
         self._moved = True
         if self.plant.acts:
-            return Actions(write=Append(step.payload, b"", step.coin), finish_step=True)
+            return Actions(write=Append(self._payload, b"", step.coin), finish_step=True)
         self._apply(step)
         return self._end()
 
-    def _apply(self, step: _Step) -> None:
+    def _apply(self, step: PlantStep) -> None:
         self.plant.begin(self.record.k, self.record.x, step.u)
         if self._telemetry is not None and self._pacing.timed:
             self._telemetry.punctuality.acted(self._pacing.since_tick_s(self._now))
@@ -470,16 +458,18 @@ class PlantCore:
         x_next = self.plant.end(record.k)
         if step.offer.session != record.session:
             self._step = None
-            interrupted = self._interrupted(BegunStep(step.offer, step.coin), x_next, sure=True)
+            interrupted = self._interrupted(step, x_next, sure=True)
             return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
-        step.report = self._report(step.offer, x_next)
-        wire = step.report.wire()
+        self._truth = self.plant.truth
+        report = self._report(step.offer, x_next)
+        self._step = step._replace(measurement=report)
+        wire = report.wire()
         due = self.accepted and self._pacing.measurement_due(self._now)
         if due:
             self._left = True
             self._measured_k, self._measured_at = record.k + 1, self._now
         return Actions(
-            write=Append(step.payload, wire, step.coin),
+            write=Append(self._payload, wire, step.coin),
             publish=(Outgoing(Measurement, wire),) if due else (),
             finish_step=True,
         )
@@ -525,12 +515,12 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: _Step, report: Measurement) -> Actions:
+    def _count(self, step: PlantStep, report: Measurement) -> Actions:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
-        A cover symbol is worked on as a message symbol is, and thrown away: what comes after a step
-        delays the next one, and would show.
+        A cover symbol is decoded as a message symbol is, and dropped: work after a step delays the
+        next one, and a tap would see it.
         """
         offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
@@ -556,7 +546,18 @@ class PlantCore:
             record.nonce,
         )
         transition = CountedTransition.of(
-            scheme, record, offer, x_next, verdict, after, carry, symbol, contribution, coin, u
+            scheme,
+            record,
+            offer,
+            x_next,
+            verdict,
+            after,
+            carry,
+            symbol,
+            contribution,
+            coin,
+            u,
+            self._truth,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -662,7 +663,7 @@ class PlantCore:
         if not self._moved:  # from its first step on the watchdog has its own time
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
-        missed = Missed(record.session, record.k, record.x, u, x_next)
+        missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
 
     def _missed(self, u: Vector, x_next: Vector) -> None:
@@ -691,13 +692,13 @@ class PlantCore:
             self.record = record._replace(u=following)
 
     def _interrupted(
-        self, begun: BegunStep | None, x_next: Vector, *, sure: bool = False
+        self, begun: PlantStep | None, x_next: Vector, *, sure: bool = False
     ) -> Interrupted:
         """Count a step that ends at ``x_next`` as a missed one.
 
         Parameters
         ----------
-        begun : BegunStep, optional
+        begun : PlantStep, optional
             What it had begun; None where nothing is known of it.
         x_next : tuple of float, shape (n,)
         sure : bool
@@ -708,10 +709,11 @@ class PlantCore:
         u, coin = record.u, NO_SYMBOL
         if begun is not None:
             candidates, coin = begun.offer.candidates, begun.coin
-            u = candidates[coin]
+            u = begun.u
         self._missed(u, x_next)
         self._fall_back(sure=sure or begun is None)
-        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin)
+        truth = self.plant.truth
+        return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
     def _came_back(self, actions: Actions) -> Actions:
         """After ``actions``: the step in which the process of a plant that acts died is missed."""
@@ -775,7 +777,7 @@ class PlantCore:
         return _logged(f"controller {hello.instance} took up session {self.record.session}")
 
     def _speaks_up(self, hello: ControllerHello, what: Heard) -> Actions:
-        """A controller that this session is not with."""
+        """Answer a controller that does not have this session."""
         text = f"speaks up while controller {self.controller} has the session: "
         text += "two controllers on one loop?"
         publish: tuple[Outgoing, ...] = (self._hello(),)
@@ -822,7 +824,7 @@ class PlantCore:
         self.keying.begin(session)
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
-        """A new session has begun, beside what is to be done ``before``."""
+        """The actions of a new session, added to those of ``before``."""
         self._tell_phase("greeting")
         record = self._to_save()
         write = before.write if isinstance(before.write, Save) else Save(record)
@@ -838,7 +840,7 @@ class PlantCore:
         step = self._step
         if step is None:
             return self.record
-        return self.record._replace(begun=BegunStep(step.offer, step.coin))
+        return self.record._replace(begun=step._replace(measurement=None))
 
     def _malformed(self, text: str) -> Actions:
         self.malformed += 1
@@ -850,7 +852,7 @@ class PlantCore:
         return self.keying.obsolete_rows()
 
     def _erase_rows(self) -> Save | None:
-        """What has the journal erase the rows of blocks that are confirmed, if there are any.
+        """A save that erases the rows of confirmed blocks; None where there are none.
 
         Between steps only, when the record is all that the journal must hold.
         """
@@ -858,7 +860,7 @@ class PlantCore:
         return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
-        """The controller's word on blocks, after the last step."""
+        """The controller's announcement of blocks, after the last step."""
         keying = self.keying
         if word.side != "controller" or word.session != self.record.session or not keying.on:
             return NOTHING_TO_DO
@@ -916,7 +918,7 @@ class PlantCore:
         )
 
     def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
-        """A status to publish, and the one to keep; one that is ``force``\\ d is kept anyway."""
+        """The messages of a status, and the status to keep: once a second, or on ``force``."""
         telemetry = self._telemetry
         if telemetry is None:
             return (), None
@@ -931,13 +933,13 @@ class PlantCore:
     def _tell_phase(
         self, phase: Literal["greeting", "running", "refused"], detail: str = ""
     ) -> None:
-        """How it stands with the link."""
+        """Set the status's phase and detail."""
         if self._telemetry is not None:
             self._telemetry.phase = phase
             self._telemetry.detail = detail or self._telemetry.detail
 
     def _tell_stopped(self) -> None:
-        """It is over, if it was not refused."""
+        """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
 

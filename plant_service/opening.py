@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from attacker_service.asking import Attacker
 from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.registry import is_model, open_plant
+from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, Disturbances, LinearModel, OperatedPlant, Plant
 from plant_service.status import PlantTelemetry
@@ -12,7 +14,7 @@ from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
-from protocol.scenario import Scenario
+from protocol.scenario import Attack, Scenario
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -45,6 +47,7 @@ def open_core(
     folder: Path = Path(),
     seed: int | None = None,
     own: Stepped | PlantAdapter | None = None,
+    attack: Attack | None = None,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -64,15 +67,18 @@ def open_core(
         For a plant with chance of its own.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
+    attack : Attack, optional
+        On this plant, or on its bus.
 
     Raises
     ------
     PlantError
         When the plant cannot be opened or started; one line.
     UsageError
-        When a device is to run at another pace than its own.
+        When a device is to run at another pace than its own, or the attack cannot be made.
     """
     record, step = journal.load(), journal.step()
+    attacker = None if attack is None else Attacker(scenario, attack, seed)
     disturbances = Disturbances(scenario, noise)
     plant: Plant
     x: Vector | None = None
@@ -90,6 +96,13 @@ def open_core(
         enters = scenario.plant.disturbance.enters or "state"
         plant = OperatedPlant(operated, disturbances, enters)
     try:
+        if attacker is not None and attacker.at == "bus":
+            attacker.close()
+        elif attacker is not None:
+            x = scenario.initial_state if x is None else x
+            plant = AttackedPlant(plant, attacker, x)
+        if attacker is not None and telemetry is not None:
+            telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)
         return PlantCore(
             rules_of(scenario),
@@ -104,13 +117,13 @@ def open_core(
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
             step=step,
-            begun=journal.begun() if plant.acts else None,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,
             round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
+            attack=None if attacker is None else attacker.began,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe
         plant.safe("its service could not start")

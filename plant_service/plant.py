@@ -11,6 +11,7 @@ from typing import Protocol
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
+from protocol.link.session import Truth
 from protocol.scenario import Scenario
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
@@ -28,13 +29,16 @@ class Plant(Protocol):
     device : bool
         The plant moves by itself. A step without an offer goes on under the input in force, and
         the fallback is applied for the step after it.
+    truth : Truth or None
+        What the step that ended last really came to, where the plant is attacked.
     """
 
     acts: bool
     device: bool
+    truth: Truth | None
 
     def prepare(self, k: int) -> None:
-        """Step ``k`` comes next, and nobody waits: draw what it needs."""
+        """Draw ahead what step ``k``, the next one, needs; nobody waits for it now."""
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         """Apply ``u`` at x(k)."""
@@ -46,7 +50,7 @@ class Plant(Protocol):
         """Go to the safe state."""
 
     def close(self) -> str:
-        """Let go of the plant; what its own code raised over it in one line, or nothing."""
+        """Close the plant. Returns in one line what its code raised, or nothing."""
 
 
 class Coin:
@@ -67,7 +71,7 @@ class Coin:
         self._drawn = 0
 
     def prepare(self, j: int) -> None:
-        """Transition ``j`` comes next, and nobody waits."""
+        """Draw ahead for transition ``j``, the next one; nobody waits for it now."""
         self._j, self._drawn = j, self._source.symbol(j, self._size)
 
     def toss(self, j: int) -> int:
@@ -110,6 +114,7 @@ class LinearModel:
     """
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self, scenario: Scenario, disturbances: Disturbances) -> None:
         self._A, self._B = scenario.plant_model
@@ -140,7 +145,7 @@ class LinearModel:
         return x_next
 
     def safe(self, why: str) -> None:
-        """Nothing moves that would have to be stopped."""
+        """Nothing: a model has nothing to stop."""
 
     def close(self) -> str:
         """Nothing is open, and nothing fails."""
@@ -160,6 +165,8 @@ class OperatedPlant:
     enters : {"state", "input", "none"}
         Where the simulated disturbance reaches the plant.
     """
+
+    truth: Truth | None = None
 
     def __init__(self, operated: Operated, disturbances: Disturbances, enters: str) -> None:
         self.operated = operated
@@ -197,5 +204,5 @@ class OperatedPlant:
         self.operated.safe(why)
 
     def close(self) -> str:
-        """Let go of the plant; what its own code raised over it, or nothing."""
+        """Close the plant. Returns in one line what its code raised, or nothing."""
         return self.operated.close()

@@ -12,10 +12,10 @@ from protocol.statistics import better_than
 from protocol.vectors import Vector
 
 STEPS: Final = 1000
-"""Steps that the figures are of, the newest."""
+"""Newest steps that the figures describe."""
 
 DOUBT: Final = 0.001
-"""Probability at most, over all sessions together, that a promise that is kept is doubted."""
+"""Largest probability, over all sessions, that a kept promise is doubted."""
 
 
 class Punctuality:
@@ -54,7 +54,7 @@ class Punctuality:
 
 
 class _Newest:
-    """The newest :data:`STEPS` values, by age and by size: nothing is sorted for a status."""
+    """The newest :data:`STEPS` values in order of age and of size, so that no status sorts them."""
 
     def __init__(self) -> None:
         self._by_age: deque[float] = deque()
@@ -77,7 +77,7 @@ class _Newest:
 
 
 class ReachWatch:
-    """Counts transitions whose disturbance left D_c, and holds them against the calibration.
+    """Counts transitions whose disturbance left D_c, and tests the calibration's promise with them.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
+from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.status import PlantTelemetry
@@ -17,6 +18,7 @@ from protocol.link.networked import behind
 from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
+from protocol.scenario import Attack
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
 from runtime.bus import Bus
@@ -29,7 +31,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_keeper, refusal
+from runtime.key_opening import open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
@@ -48,10 +50,14 @@ from runtime.scenario_file import keep_scenario, scenario_of
 
 @dataclass(frozen=True, slots=True)
 class PlantConfig(EndConfig):
-    """What the plant service is started with; ``steps`` ends it when k reaches that number."""
+    """What the plant service is started with; ``steps`` ends it when k reaches that number.
+
+    ``attack`` is on this plant, or on its bus.
+    """
 
     pace: Pace
     steps: int | None = None
+    attack: Attack | None = None
 
 
 def open_plant(
@@ -91,7 +97,7 @@ def _channel(config: PlantConfig) -> Channel | None:
 
 
 def let_go(core: PlantCore) -> None:
-    """Leave a plant safe whose service does not come to run."""
+    """Leave the plant in its safe state when its service cannot start."""
     core.plant.safe("its service could not start")
     core.plant.close()
 
@@ -104,7 +110,7 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    key_maker = open_keeper(
+    key_maker = open_key_maker(
         config.run_dir / PLANT_KEYS,
         "plant",
         scenario,
@@ -129,6 +135,7 @@ def _opened(
         telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
+        attack=config.attack,
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
@@ -161,6 +168,8 @@ class PlantService(EndService[PlantCore]):
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log, opened = logger("plant"), open_plant(config, clock())
+        if isinstance(opened[0].plant, AttackedPlant):
+            field = opened[0].plant.overheard(field, config.loop)
         try:
             channel = _channel(config)
             super().__init__(

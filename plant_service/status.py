@@ -3,6 +3,7 @@
 import time
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Sequence
 from math import inf, isfinite
 from typing import Final, Literal
 
@@ -15,12 +16,13 @@ from protocol.messages import LATENCY_BOUNDS_S, PlantModel, PlantStatus
 from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from protocol.text import Shown, readable
+from protocol.vectors import Vector
 
 TAIL: Final = 64
-"""Transitions shown in a whole status, and at most in any."""
+"""Most transitions shown in a status; a whole status has as many."""
 
 TAIL_AT_LEAST: Final = 8
-"""In any status: a dashboard that lost some lacks nothing."""
+"""Least transitions in a status, so that a dashboard that lost one lacks nothing."""
 
 RATE_S: Final = 0.5
 """Seconds over which the rate of steps is taken."""
@@ -29,16 +31,16 @@ MODEL_S: Final = 1.0
 """Seconds between two publications of the plant's model, where statuses come often."""
 
 MODEL_AFTER: Final = 4
-"""Where they come seldom, the model is published with every 4th status."""
+"""Statuses from one publication of the model to the next, where statuses come seldom."""
 
 Phase = Literal["greeting", "running", "stopped", "refused"]
 
 
 class PlantTelemetry:
-    """What is worth telling beside the record; :meth:`status` puts both together.
+    """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``last_message`` and ``message_k`` are set from outside;
-    ``model`` is what does not change, as it travels.
+    ``phase``, ``detail``, ``late``, ``attack``, ``last_message`` and ``message_k`` are set from
+    outside; ``model`` is what does not change, as it travels.
 
     Parameters
     ----------
@@ -65,6 +67,7 @@ class PlantTelemetry:
         self.punctuality = Punctuality()
         self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_refused = ""
+        self.attack = ""
         self.model = _model(scenario, pace, seeded=seeded).wire()
         self._old = self._new = 0
         self._partial = Shown()
@@ -126,6 +129,7 @@ class PlantTelemetry:
         self._old, self._new = self._new, 0
         tail = list(self._tail)[-shown:]
         pictured = next(filter(_can_be_drawn, reversed(self._tail)), None)
+        true = _truths(tail)
         return PlantStatus.model_construct(
             seq=self._seq,
             t_ns=time.time_ns(),
@@ -172,7 +176,16 @@ class PlantTelemetry:
             tail_symbol=tuple([t.symbol for t in tail]),
             tail_automaton=tuple([t.s for t in tail]),
             tail_coin=tuple([t.coin for t in tail]),
+            attack=self.attack,
+            true_x=true[-1] if true and tail[-1].k + 1 == record.k else (),
+            tail_true_x=true,
         )
+
+
+def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
+    """The true states of an attacked plant after these, where all of them are known."""
+    true = tuple(t.truth.x_next for t in tail if t.truth is not None)
+    return true if len(true) == len(tail) else ()
 
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
@@ -198,5 +211,5 @@ def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
 
 
 def _can_be_drawn(t: CountedTransition) -> bool:
-    """A message holds finite numbers only; gauges of huge states are not."""
+    """Whether its gauges are finite: a message holds no other numbers."""
     return t.tested and all(map(isfinite, t.verdict.gauges))

@@ -13,11 +13,11 @@ from typing import Final, NamedTuple
 from protocol.vectors import Matrix, Vector
 
 NO_SYMBOL = -1
-"""In place of a key symbol where none was agreed."""
+"""Stands for a key symbol where none was agreed."""
 
 INSIDE: Final = 1.0 + 1e-9
-"""A gauge of D_c up to this counts as inside: x_next is a sum that rounds, and a disturbance on the
-very edge of D_c must not fall out of it, or the other candidate may be decoded in its place."""
+"""A gauge of D_c up to this counts as inside. x_next is a sum that rounds; a disturbance on the
+edge of D_c that fell out would let the other candidate be decoded."""
 
 
 def predict(A: Matrix, B: Matrix, x: Sequence[float], u: Sequence[float]) -> Vector:

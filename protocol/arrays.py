@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Narrow = NDArray[np.float32]
 Indices = NDArray[np.intp]
 Integers = NDArray[np.integer[Any]]
 Counts = NDArray[np.int64]

@@ -16,7 +16,7 @@ Direction = Literal["both", "measurements", "offers"]
 Loss = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Delay = Annotated[int, Field(ge=0, le=100_000)]
-"""What the knobs of a tap's view may be, wherever they are set."""
+"""Limits of a tap view's settings, for the scenario's table and the options alike."""
 
 
 class PolicyCost(BaseModel):

@@ -102,6 +102,11 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         return len(self._all())
 
+    @property
+    def served(self) -> bool:
+        """Whether this process knows entries: a room that provides them was imported."""
+        return self.what in _PROVIDERS or bool(self._entries)
+
     def _all(self) -> dict[str, T]:
         modules = _PROVIDERS.get(self.what, [])
         while modules:
@@ -213,27 +218,33 @@ def own_class(name: str) -> OwnClass:
     where, _, class_name = name.rpartition(":")
     key = Path(where).resolve(), class_name
     if key not in _OWN:
-        try:
-            module, sha256 = _run_file(Path(where))
-        except FileNotFoundError:
-            raise UnknownError(f"got {name!r}, expected an existing Python file") from None
-        except Exception as error:  # the file is the user's: what it raises is told in one line
-            problem = f"{type(error).__name__}: {error}"
-            raise UnknownError(f"{where}: cannot be loaded: {problem}") from None
+        module, sha256 = module_at(where)
         _OWN[key] = OwnClass(class_name, getattr(module, class_name, None), sha256)
     return _OWN[key]
 
 
-def load_file(path: Path) -> ModuleType:
-    """A Python file of the user's, as a module.
+def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
+    """The module that ``where`` names, ``file.py`` in ``folder`` or ``package.module``.
+
+    Returns
+    -------
+    tuple of module and str
+        The SHA-256 (hex) of the file that ran; empty for a module that is imported by its name.
 
     Raises
     ------
-    FileNotFoundError
-    Exception
-        Whatever the file raises.
+    UnknownError
+        When it is not there, or cannot be loaded; one line.
     """
-    return _run_file(path)[0]
+    path = folder / where
+    try:
+        return _run_file(path) if where.endswith(".py") else (import_module(where), "")
+    except FileNotFoundError:
+        raise UnknownError(f"{path}: no such file") from None
+    except ModuleNotFoundError as error:
+        raise UnknownError(f"{where}: {error}") from None
+    except Exception as error:  # the code is the user's: what it raises is told in one line
+        raise UnknownError(f"{where}: cannot be loaded: {type(error).__name__}: {error}") from error
 
 
 def _run_file(path: Path) -> tuple[ModuleType, str]:

@@ -1,8 +1,8 @@
-"""What comes from elsewhere, as text for people: one line, and nothing in it that acts."""
+"""Foreign text made safe to print: one line without control characters."""
 
 
 def printable(text: str) -> str:
-    """Text on one line: what could move a cursor, or cannot be shown, is ``·``."""
+    """Text on one line. Control characters and what cannot be shown become ``·``."""
     return "".join(c if c.isprintable() else "·" for c in text)
 
 
@@ -12,7 +12,7 @@ def readable(payload: bytes) -> str:
 
 
 class Shown:
-    """`readable` of a payload that is asked for again and again while it stays the same."""
+    """Caches `readable` of the last payload."""
 
     def __init__(self) -> None:
         self._payload, self._text = b"", ""

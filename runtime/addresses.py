@@ -116,10 +116,10 @@ def _one_machine(here: str, there: str) -> bool:
 
 
 def free_endpoints(count: int) -> list[str]:
-    """``count`` distinct loopback endpoints that are free, and that no other process is given here.
+    """``count`` distinct free loopback endpoints that this function gives to no other process.
 
-    They are free, and whoever is to listen there comes later. So each is taken down under a name of
-    the kernel's that is this process's as long as it lives.
+    The listener comes later. So each port is reserved by an abstract Unix socket, which the kernel
+    frees when this process ends.
     """
     found: list[int] = []
     with ExitStack() as stack:
@@ -127,13 +127,13 @@ def free_endpoints(count: int) -> list[str]:
             one = stack.enter_context(socket.socket())  # held: the next one is another
             one.bind(("127.0.0.1", 0))
             port: int = one.getsockname()[1]
-            if _taken_down(port):
+            if taken_down(port):
                 found.append(port)
     return [f"tcp/127.0.0.1:{port}" for port in found]
 
 
-def _taken_down(port: int) -> bool:
-    """Whether nobody else has taken this port down; from now on this process has."""
+def taken_down(port: int) -> bool:
+    """Reserve the port for this process. False where another process has reserved it."""
     name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         name.bind(f"\0wyner-port-{port}")

@@ -1,4 +1,4 @@
-"""What a bus is; :mod:`runtime.zenoh_bus` and :mod:`runtime.memory_bus` are."""
+"""The interface of a bus. :mod:`runtime.zenoh_bus` and :mod:`runtime.memory_bus` implement it."""
 
 from collections.abc import Callable
 from types import TracebackType
@@ -21,7 +21,7 @@ class Publisher(Protocol):
     """Puts payloads on one key."""
 
     def put(self, payload: bytes) -> None:
-        """Send ``payload``; it is lost without a word when nobody listens or the way is full."""
+        """Send ``payload``. It is lost without an error when nobody listens or a queue is full."""
 
 
 class ChannelClosed(Exception):
@@ -73,7 +73,7 @@ class Bus(Protocol):
         """
 
     def left(self, loop: str) -> None:  # noqa: ARG002
-        """A loop has left: whoever keeps what was published of it forgets it."""
+        """A loop has left: drop what is kept of its messages."""
         return
 
     def close(self) -> None:

@@ -2,8 +2,9 @@
 
 import argparse
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,33 @@ if TYPE_CHECKING:
     from runtime.addresses import Addresses
     from runtime.bus import Bus
     from runtime.fleet import Fleet
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusOptions:
+    """What a command line says of the buses (:func:`add_endpoint_arguments`)."""
+
+    loop: str = DEFAULT_LOOP
+    listen: Sequence[str] = ()
+    connect: Sequence[str] = ()
+    client: Sequence[str] = ()
+    tls: Sequence[str] = ()
+    scouting: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServiceOptions(BusOptions):
+    """What each of the services is told: also how its recording is bounded, and of many loops."""
+
+    scenario: str | None = None
+    run_dir: str | None = None
+    seed: int | None = None
+    check: bool = False
+    part_bytes: int | None = None
+    total_bytes: int | None = None
+    fleet: str | None = None
+    loops: int | None = None
+    metrics: str | None = None
 
 
 def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> None:
@@ -82,15 +110,15 @@ def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[t
     return pairs
 
 
-def loop_of(args: argparse.Namespace) -> str:
+def loop_of(options: BusOptions) -> str:
     """The checked ``--loop``."""
     try:
-        return check_loop(args.loop)
+        return check_loop(options.loop)
     except ValueError as error:
         raise UsageError(f"--{error}") from None
 
 
-def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Addresses":
+def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     """The endpoints of one bus of a service, after the defaults and the options.
 
     Raises
@@ -102,16 +130,16 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Addresses
     from runtime.bus import TransportError
 
     defaults = SERVICES[service].ends
-    listens = _split("--listen", args.listen, defaults)
-    connects = _split("--connect", args.connect, defaults)
-    folders = dict(_split("--tls", args.tls, defaults))
+    listens = _split("--listen", options.listen, defaults)
+    connects = _split("--connect", options.connect, defaults)
+    folders = dict(_split("--tls", options.tls, defaults))
     for option, pairs in (("--listen", listens), ("--connect", connects)):
         for name, endpoint in pairs:
             try:
                 check_endpoint(endpoint, tls=name in folders)
             except TransportError as error:
                 raise UsageError(f"{option} {name}: {error}") from None
-    for name in args.client:
+    for name in options.client:
         if name not in defaults:
             raise UsageError(f"--client: got {name!r}, expected one of {', '.join(defaults)}")
     listen, connect = defaults[bus]
@@ -121,35 +149,33 @@ def endpoints_of(args: argparse.Namespace, service: str, bus: str) -> "Addresses
     return Addresses(
         listen=listen,
         connect=connect,
-        client=bus in args.client,
+        client=bus in options.client,
         tls=TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None,
-        scouting=args.scouting,
+        scouting=options.scouting,
     )
 
 
 @contextmanager
-def noted(args: argparse.Namespace, bus: "Bus") -> "Iterator[Bus]":
-    """The bus on which statuses are published; with ``--metrics`` Prometheus is answered too.
+def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
+    """The bus on which statuses are published; at ``metrics`` Prometheus is answered too.
 
     Raises
     ------
     UsageError
         When it cannot be.
     """
-    if args.metrics is None:
+    if metrics is None:
         yield bus
         return
     from runtime.metrics import Board, NotedBus, served
 
     board: Board = {}
-    with served(args.metrics, board):
+    with served(metrics, board):
         yield NotedBus(bus, board)
 
 
 @contextmanager
-def buses_of(
-    args: argparse.Namespace, service: str
-) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
+def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
     """The event that signals set, and the open buses field and ops of a service.
 
     Raises
@@ -163,17 +189,17 @@ def buses_of(
     try:
         with (
             stop_on_signals() as stopping,
-            open_bus(endpoints_of(args, service, "field")) as field,
-            open_bus(endpoints_of(args, service, "ops")) as ops,
+            open_bus(endpoints_of(options, service, "field")) as field,
+            open_bus(endpoints_of(options, service, "ops")) as ops,
         ):
             freeze_startup()
-            with noted(args, ops) as ops_or_noted:
+            with noted(options.metrics, ops) as ops_or_noted:
                 yield stopping, field, ops_or_noted
     except TransportError as error:
         raise UsageError(str(error)) from None
 
 
-def fleet_of(args: argparse.Namespace, message: bytes | None = None) -> "Fleet | None":
+def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | None":
     """The fleet of ``--fleet`` or ``--loops``, if any; ``message`` is for each loop of ``--loops``.
 
     Raises
@@ -183,12 +209,12 @@ def fleet_of(args: argparse.Namespace, message: bytes | None = None) -> "Fleet |
     """
     from runtime.fleet import Fleet, numbered
 
-    if args.fleet is None and args.loops is None:
+    if options.fleet is None and options.loops is None:
         return None
-    if args.loop != DEFAULT_LOOP:
+    if options.loop != DEFAULT_LOOP:
         raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
-    if args.fleet is not None:
-        return Fleet.of_file(Path(args.fleet))
-    scenario = getattr(args, "scenario", None) or ""
+    if options.fleet is not None:
+        return Fleet.of_file(Path(options.fleet))
+    assert options.loops is not None
     text = (message or b"").decode("utf-8", errors="surrogateescape")
-    return numbered(args.loops, scenario, text, args.seed)
+    return numbered(options.loops, options.scenario or "", text, options.seed)

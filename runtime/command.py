@@ -1,4 +1,4 @@
-"""What is around every command: its signals, its output, and its errors in a line each."""
+"""What every command shares: signals, output, and errors of one line each."""
 
 import _thread
 import argparse
@@ -27,14 +27,13 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
-def carry_out(parse: Callable[[], argparse.Namespace]) -> int:
-    """Parse, and call ``args.run(args)``; returns the exit code, and lets no traceback out.
+def carry_out(command: Callable[[], int]) -> int:
+    """Parse a command line and do what it says; returns the exit code, and lets no traceback out.
 
     Set ``WYNER_TRACEBACK=1`` to see where an unexpected error came from.
     """
     try:
-        args = parse()
-        code = int(args.run(args))
+        code = command()
         sys.stdout.flush()  # here, where a full disk or a reader that went away is still told
         return code
     except UsageError as error:
@@ -89,13 +88,13 @@ def entered(command: Callable[[], int]) -> int:
 
 
 AGAIN_S: Final = 0.02
-"""After so long an interrupt that could not be raised is tried again."""
+"""Seconds after which an interrupt that could not be raised is raised again."""
 
 
 def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
-    """An interrupt that came where none can be raised, as in a finaliser, is tried again.
+    """Raise an interrupt again that came where none can be raised, as in a finaliser.
 
-    Later, from another thread: here, where none can be raised either, it would be lost again.
+    It is raised `AGAIN_S` later, from another thread: here it would be lost again.
     """
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         again = threading.Timer(AGAIN_S, _thread.interrupt_main)
@@ -108,15 +107,14 @@ def _once_more(unraisable: "sys.UnraisableHookArgs") -> None:
 def serve(name: str) -> int:
     """Run a service by its own command, with the arguments of this process."""
 
-    def parse() -> argparse.Namespace:
+    def command() -> int:
         row = SERVICES[name]
         module = importlib.import_module(row.command)
         parser = Parser(prog=f"wyner {name}", description=row.summary)
         module.add_arguments(parser)
-        parser.set_defaults(run=module.run)
-        return parser.parse_args()
+        return int(module.run(parser.parse_args()))
 
-    return entered(lambda: carry_out(parse))
+    return entered(lambda: carry_out(command))
 
 
 SAID_BY: Final = "WYNER_SAID_BY"

@@ -26,7 +26,7 @@ class Failure(Exception):
 
 @contextmanager
 def reading(what: str) -> Iterator[None]:
-    """Where a file's fields are taken as their writer left them: one that is otherwise is one line.
+    """Within the block, the error of a missing, malformed or senseless field becomes one line.
 
     Set ``WYNER_TRACEBACK=1`` to see what it was.
 

@@ -18,7 +18,7 @@ from typing import Final
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
 PUBLIC_FILE: Final = 0o644
-"""Of what is published on purpose, still narrowed by the umask."""
+"""Mode of files that are published on purpose; the umask narrows it."""
 
 
 class NotRegular(OSError):

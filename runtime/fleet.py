@@ -164,7 +164,7 @@ class Fleet:
         return True
 
     def left(self, known: Mapping[str, FleetLoop], log: logging.Logger) -> list[str]:
-        """Look at the file again; the loops ``known`` that the fleet has no more, or otherwise.
+        """Read the file again. Returns those of the loops ``known`` that were removed or changed.
 
         Of a file that is not as expected any more a line is logged, and the loops stay.
         """

@@ -37,16 +37,16 @@ LOOK_S: Final = 0.1
 CHORE_S: Final = 1.0
 
 LAST_S: Final = 2.0
-"""How long a host that ends waits for a turn that nobody may give back any more."""
+"""Seconds that closing waits for the lock: an interrupt may have left it held."""
 
 CAPACITY: Final = 8192
 """Messages that may wait on the field bus; the newest push out the oldest."""
 
 AT_ONCE: Final = 16
-"""Messages or wakes in a row before the other thread has its turn."""
+"""Messages or wakes that one thread handles before the other has its turn."""
 
 TURN_S: Final = 0.002
-"""The same in seconds: after a turn the newest messages are looked at again."""
+"""Longest turn in seconds; after it newer messages are taken in."""
 
 BACKLOG: Final = 256
 """Messages of a single loop that may wait in order; of a fleet as many as there are loops. Where
@@ -57,8 +57,8 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on ops."""
 
 
-class _Kept(NamedTuple):
-    """What a loop's key maker has done."""
+class _KeyTaskDone(NamedTuple):
+    """A task that a loop's key maker has done."""
 
     loop: str
     done: Done
@@ -80,10 +80,10 @@ class _Loop:
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
 
 
-class _Sparing:
-    """A publisher that does not send while ``crowding``: to the partner that is a lost message.
+class Sparing:
+    """A publisher that drops messages while ``crowding`` is true; the partner sees lost messages.
 
-    A link that comes up between a message and its put would be one more chance to hear it.
+    A link that opens between a message and its put would be one more chance to hear it.
     """
 
     def __init__(self, publisher: Publisher, crowding: Callable[[], bool]) -> None:
@@ -91,12 +91,13 @@ class _Sparing:
         self._crowding = crowding
 
     def put(self, payload: bytes) -> None:
+        """Publish, or drop it."""
         if not self._crowding():
             self._put(payload)
 
 
 class FairLock:
-    """A lock that two threads take in turns: who lets go of it cannot be first again."""
+    """A lock that two threads take in turns: a thread that releases it lets the other in first."""
 
     def __init__(self) -> None:
         self._gate = threading.Lock()
@@ -111,7 +112,7 @@ class FairLock:
 
     @contextmanager
     def last(self) -> Iterator[None]:
-        """The last turn: an interrupt within ``__enter__`` may have left one taken for ever."""
+        """The last turn, after :data:`LAST_S` at most: an interrupt may have left it taken."""
         taken = self._lock.acquire(timeout=LAST_S)
         try:
             yield
@@ -157,15 +158,15 @@ class Host:
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _Kept | _Unwritten | None] = Inbox()
-        self._channels: dict[str, Channel] = {}
+        self._inbox: Inbox[tuple[str, bytes] | _KeyTaskDone | _Unwritten | None] = Inbox()
+        self.channels: dict[str, Channel] = {}
         self._heard_on_ops: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._worker: KeyWorker | None = None
         self._health = HealthWriter(
             lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
         )
-        self._turns = FairLock()
+        self.turns = FairLock()
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -179,7 +180,7 @@ class Host:
 
     def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
-        with self._turns:
+        with self.turns:
             publishers = {
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
@@ -188,35 +189,36 @@ class Host:
             if files.key_maker is not None:
                 crowding = partial(self._crowding, loop)
                 for kind in publishers.keys() & FIELD:
-                    publishers[kind] = _Sparing(publishers[kind], crowding)
+                    publishers[kind] = Sparing(publishers[kind], crowding)
                 if self._worker is None:
                     self._worker = KeyWorker()
                 key_maker = partial(
                     self._worker.put,
                     files.key_maker,
-                    lambda done: self._inbox.put(_Kept(loop, done), None),
+                    lambda done: self._inbox.put(_KeyTaskDone(loop, done), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
             self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, key_maker))
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
-            self._subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
+            self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
         if self._started:
-            with self._turns:
+            with self.turns:
                 self._do(loop, endpoint.start)
 
     def remove(self, loop: str) -> None:
-        """Let one end say its last word, and close its files."""
-        with self._turns:
+        """Stop one end: its last messages leave, and its files are closed."""
+        with self.turns:
             self._end(loop)
 
-    def _subscribe(self, kind: type[Message], key_expr: str) -> None:
-        if key_expr in self._channels:
+    def subscribe(self, kind: type[Message], key_expr: str) -> None:
+        """Hear what comes on a key, once for all loops."""
+        if key_expr in self.channels:
             return
         if kind in FIELD:
             channel = self._field.channel(key_expr, CAPACITY)
-            self._channels[key_expr] = channel
+            self.channels[key_expr] = channel
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
             if self._started:
@@ -253,7 +255,7 @@ class Host:
 
     def _go_on(self) -> None:
         for loop in self.loops:
-            with self._turns:
+            with self.turns:
                 self._do(loop, self._loops[loop].endpoint.start)
         self._started = True
         for thread in self._threads:
@@ -273,7 +275,7 @@ class Host:
                 waiting.extend(channel.receive(wait=not waiting))
                 if len(waiting) > (len(self._loops) if self._fleet else BACKLOG):
                     waiting = deque(dict(waiting).items())
-                with self._turns:
+                with self.turns:
                     until = self._clock() + TURN_S
                     for _ in range(min(len(waiting), AT_ONCE)):
                         self._hear(*waiting.popleft())
@@ -296,7 +298,7 @@ class Host:
         """Wake all who are due, some at once, so that offers get through between them."""
         due = True
         while due:
-            with self._turns:
+            with self.turns:
                 now = self._clock()
                 for _ in range(AT_ONCE):
                     due = bool(self._wakes) and self._wakes[0][0] <= now
@@ -327,11 +329,11 @@ class Host:
                 loop.ports.log_notice(Notice(text, "warning", "flood"))
         if item is None:
             return
-        with self._turns:
-            if not isinstance(item, _Kept | _Unwritten):
+        with self.turns:
+            if not isinstance(item, _KeyTaskDone | _Unwritten):
                 self._hear(*item)
             elif item.loop in self._loops:
-                if isinstance(item, _Kept):
+                if isinstance(item, _KeyTaskDone):
                     act = partial(self._loops[item.loop].endpoint.key_task_done, item.done)
                 else:
                     act = partial(_cannot, item.error)
@@ -388,7 +390,7 @@ class Host:
                 self._inbox.put(None, None)
 
     def _end(self, name: str) -> None:
-        """The last word of an end, and the end of its files."""
+        """Stop an end and close its files."""
         loop = self._loops.pop(name, None)
         if loop is None:
             return
@@ -408,7 +410,7 @@ class Host:
             self._inbox.put(None, None)
 
     def close(self) -> None:
-        """Say the last word of every end, and close its files: each, also where another fails."""
+        """Stop every end and close its files, each also where another fails."""
         with ExitStack() as last:  # from below
             if self._worker is not None:
                 last.callback(self._worker.close)
@@ -417,15 +419,15 @@ class Host:
             for thread in self._threads:
                 if thread.ident is not None:  # an interrupt may have come before it was started
                     last.callback(thread.join, LAST_S)
-            for channel in self._channels.values():
+            for channel in self.channels.values():
                 last.callback(channel.close)
 
     def _end_all(self) -> None:
-        with self._turns.last(), ExitStack() as ends:
+        with self.turns.last(), ExitStack() as ends:
             for name in reversed(self.loops):
                 ends.callback(self._end, name)
 
 
 def _cannot(error: Exception, _now: float) -> Actions:
-    """What an end does that cannot go on."""
+    """Raise ``error`` in the end's turn: the end is then closed as any that fails."""
     raise error

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 from pydantic import TypeAdapter
 
 from protocol.link.peer import Save
-from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.journal_files import JournalError, JournalFiles
@@ -26,14 +26,6 @@ class SenderStep(NamedTuple):
     offer: Offer
 
 
-class ReceiverStep(NamedTuple):
-    """What the plant heard and said after its record was made; ``coin`` is the b_r between."""
-
-    offer: Offer
-    measurement: Measurement
-    coin: int
-
-
 class SenderJournal(Journal, Protocol):
     """The controller's journal, with the queue of messages that it has to deliver.
 
@@ -43,7 +35,7 @@ class SenderJournal(Journal, Protocol):
     queued: int
 
     def load(self) -> SenderRecord | None:
-        """The record as last written, to be gone on from; None in a new journal."""
+        """The record as last written; None in a new journal."""
 
     def step(self) -> SenderStep | None:
         """The step that followed the record, to be counted again; None where none did."""
@@ -65,13 +57,10 @@ class ReceiverJournal(Journal, Protocol):
     """The plant's journal, with the symbols of the frame under way and the messages received."""
 
     def load(self) -> ReceiverRecord | None:
-        """The record as last written, to be gone on from; None in a new journal."""
+        """The record as last written; None in a new journal."""
 
-    def step(self) -> ReceiverStep | None:
-        """The step that followed the record, to be counted again; None where none did."""
-
-    def begun(self) -> BegunStep | None:
-        """The step that was begun and not read, if any: after the record, or as the record says."""
+    def step(self) -> PlantStep | None:
+        """The step after the record, or the one that the record says was begun; None: none."""
 
     def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are still needed, in order."""
@@ -164,8 +153,8 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         "check_ INTEGER)"
     )
 
-    def step(self) -> ReceiverStep | None:
-        """The step that followed the record, to be counted again; None where none did.
+    def step(self) -> PlantStep | None:
+        """The step after the record, or the one that the record says was begun; None: none.
 
         Raises
         ------
@@ -173,23 +162,15 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
             When it is not one.
         """
         found = self._step(Offer, Measurement)
-        return None if found is None else ReceiverStep(*found)
-
-    def begun(self) -> BegunStep | None:
-        """The step that was begun and not read, if any: after the record, or as the record says.
-
-        Raises
-        ------
-        JournalError
-            When it is not one.
-        """
-        last = self._last
-        if last is None or last.response:
+        if found is not None:
+            offer, measurement, coin = found
+            return PlantStep(offer, coin, measurement)
+        if self._last is None:
             return None
         with self._readable():
-            if last.begun:
-                return BegunStep(Offer.model_validate_json(last.request), last.coin)
-            record: ReceiverRecord = self.adapter.validate_json(last.record)
+            if self._last.begun:
+                return PlantStep(Offer.model_validate_json(self._last.request), self._last.coin)
+            record: ReceiverRecord = self.adapter.validate_json(self._last.record)
             return record.begun
 
     def chunks(self) -> str:

@@ -34,7 +34,7 @@ def refusal(scenario: Scenario, seed: int | None) -> str | None:
     return reason
 
 
-def open_keeper(
+def open_key_maker(
     path: Path,
     side: Side,
     scenario: Scenario,

@@ -19,10 +19,10 @@ SILENT_S: Final = 5.0
 """Seconds without a transition after which the loop stands still."""
 
 STILL_S: Final = 2.0
-"""Seconds without a transition that are told as a stop rather than as slowness."""
+"""Seconds without a transition that the line calls a standstill, not slowness."""
 
 MISSED_AT_MOST: Final = 0.2
-"""Share of missed steps from which an end does not keep up."""
+"""Share of missed steps above which an end does not keep up."""
 
 FULL_BYTES: Final = 256 << 20
 """Free space below which a disk is nearly full; it is told again after twice as much was free."""
@@ -49,8 +49,9 @@ class _Seen(NamedTuple):
 class Liveness:
     """Judges what an end counts; time is an argument.
 
-    Slow is who makes transitions and misses others, at two beats running: steps that are missed
-    while nothing moves may be those of a partner that is gone, which is known at `SILENT_S`.
+    Slow: more than 20 % of the steps were missed in two consecutive looks, while transitions were
+    made. Steps missed while nothing moves may be those of a partner that is gone, which is known
+    after `SILENT_S`.
     """
 
     _seen: deque[_Seen] = field(default_factory=deque)

@@ -1,4 +1,4 @@
-"""The log of a program, and lines of it that are not let to become a flood."""
+"""The log of a program, and a limit of one line a second for what may come in floods."""
 
 import logging
 import sys
@@ -9,7 +9,7 @@ from runtime.rates import Throttle
 
 
 class _Printable(logging.Formatter):
-    """A line stays a line, and no terminal obeys it: what a message holds may be a stranger's."""
+    """Prints a record on one line without control characters: a message may hold foreign text."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The record with everything unprintable as a dot; a traceback keeps its lines."""
@@ -33,8 +33,7 @@ def logger(service: str) -> logging.Logger:
 class RateLimitedLog:
     """Counts what goes wrong and logs it once a second at most, with the count since.
 
-    What was not logged yet is not lost: whoever keeps one calls :meth:`tell_rest` now and then
-    where that is simple, and at its end.
+    The owner calls :meth:`tell_rest` now and then and at its end: it logs what was held back.
     """
 
     def __init__(self, log: logging.Logger) -> None:

@@ -1,16 +1,16 @@
 """Journals in memory, which mean what :mod:`runtime.journal`'s do: make-believe disks.
 
-Like a file they outlive the endpoint that writes them, and like a file they never see a record
-that was only staged: who dies comes back with the record before the step, and the step.
+Like a file they outlive the end that writes them. Like a file they lose a record that was only
+staged: an end that dies comes back with the record before the step, and the step.
 """
 
 from typing import Generic
 
 from protocol.link.peer import Append, Save, Write
-from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
-from runtime.journal import ReceiverJournal, ReceiverStep, SenderJournal, SenderStep
+from runtime.journal import ReceiverJournal, SenderJournal, SenderStep
 from runtime.journal_files import R
 
 
@@ -132,22 +132,15 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord], ReceiverJournal):
             if write.received is not None:
                 self._inbox.append(write.received)
 
-    def step(self) -> ReceiverStep | None:
-        """The step that followed the record, to be counted again; None where none did."""
-        if self._append is None or not self._append.response:
-            return None
-        request, response, coin = self._append
-        return ReceiverStep(
-            Offer.model_validate_json(request), Measurement.model_validate_json(response), coin
-        )
-
-    def begun(self) -> BegunStep | None:
-        """The step that was begun and not read, if any: after the record, or as the record says."""
+    def step(self) -> PlantStep | None:
+        """The step after the record, or the one that the record says was begun; None: none."""
         if self._append is None:
             return None if self._record is None else self._record.begun
-        if self._append.response:
-            return None
-        return BegunStep(Offer.model_validate_json(self._append.request), self._append.coin)
+        request, response, coin = self._append
+        offer = Offer.model_validate_json(request)
+        if not response:
+            return PlantStep(offer, coin)
+        return PlantStep(offer, coin, Measurement.model_validate_json(response))
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

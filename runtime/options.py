@@ -4,11 +4,12 @@ import argparse
 import fcntl
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -64,6 +65,23 @@ def add_bounds_arguments(parser: argparse._ActionsContainer) -> None:
         metavar="N",
         help="bound of all parts together, of which one takes half at most; the oldest are dropped",
     )
+
+
+Options = TypeVar("Options")
+
+
+def picked(kind: type[Options], parsed: Mapping[str, object]) -> Options:
+    """A dataclass of options out of a parsed command line, by the names of its fields.
+
+    Parameters
+    ----------
+    kind : type
+        A dataclass; a field that was not parsed keeps its default.
+    parsed : mapping
+        ``vars`` of what argparse made.
+    """
+    names = [field.name for field in fields(cast(Any, kind))]
+    return kind(**{name: parsed[name] for name in names if name in parsed})
 
 
 M = TypeVar("M", bound=BaseModel)

@@ -1,4 +1,4 @@
-"""The one place that knows in which order things are done: save, publish, settle, trace, tell.
+"""The one place that knows the order of a step: save, publish, count, trace, tell.
 
 A step is one write, one message, and then the rest: the shell saves what was heard and is about to
 be said, publishes it, and lets the endpoint count while the partner works. What was counted is
@@ -18,7 +18,7 @@ alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes`
 from typing import Literal, Protocol
 
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice, Peer, Write
+from protocol.link.peer import Actions, Notice, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 
@@ -45,8 +45,15 @@ class Ports(Protocol):
         """Replace the status in the run's folder."""
 
 
-def perform(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-    """Carry out ``actions`` of ``endpoint``, and whatever it has to settle after them."""
+class Finishing(Protocol):
+    """An end of the link, or of sealed messages."""
+
+    def finish_step(self) -> Actions:
+        """What can wait until the message is on its way."""
+
+
+def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
+    """Carry out ``actions`` of ``endpoint``, and what it does to finish its step after them."""
     while True:
         for event in actions.events:
             ports.trace(event)
@@ -66,15 +73,16 @@ def perform(actions: Actions, endpoint: Peer, ports: Ports) -> None:
 
 
 CrashPoint = Literal["writing", "publishing", "tracing", "keeping", "acting"]
-"""The call before which a simulated process dies; ``acting`` is the device's, actuated or read."""
+"""The port call at which a simulated process crashes; ``acting`` is a device's, to apply or
+read."""
 
 
 class Crashed(BaseException):
-    """The process is dead: everything but its journal is gone, and no handler sees it coming."""
+    """A simulated process has crashed, and all but its journal is lost."""
 
 
 class CrashingPorts:
-    """Ports of a process that dies within the events that :meth:`crash_at` picks.
+    """Ports of a simulated process that crashes at the port call which :meth:`crash_at` names.
 
     Parameters
     ----------
@@ -88,43 +96,43 @@ class CrashingPorts:
         self._left = -1
 
     def crash_at(self, before: CrashPoint | None = None, after: int = -1) -> None:
-        """Die ``before`` the next thing of that kind, or ``after`` so many things of any kind.
+        """Crash ``before`` the next call of that kind, or ``after`` so many calls of any kind.
 
-        The two defaults together take the sentence back.
+        With both defaults the process does not crash.
         """
         self._before = before
         self._left = after
 
     def passes(self, point: CrashPoint) -> None:
-        """Die, or go on."""
+        """Crash if this is the call, else count it."""
         if point == self._before or self._left == 0:
             raise Crashed
         self._left -= 1
 
     def write(self, write: Write) -> None:
-        """Die, or write."""
+        """Crash, or write."""
         self.passes("writing")
         self._ports.write(write)
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
-        """Die, or publish."""
+        """Crash, or publish."""
         self.passes("publishing")
         self._ports.publish(kind, payload)
 
     def trace(self, event: Event) -> None:
-        """Die, or trace."""
+        """Crash, or trace."""
         self.passes("tracing")
         self._ports.trace(event)
 
     def submit_key_task(self, task: Task) -> None:
-        """Die, or hand it over."""
+        """Crash, or hand it over."""
         self.passes("keeping")
         self._ports.submit_key_task(task)
 
     def log_notice(self, notice: Notice) -> None:
-        """Log it: nobody's fate hangs on that."""
+        """Log it; no crash happens here."""
         self._ports.log_notice(notice)
 
     def health(self, status: Status) -> None:
-        """Replace the status, which nobody goes on from."""
+        """Replace the status; no crash happens here."""
         self._ports.health(status)

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -45,34 +45,24 @@ class Files:
             self.journal.close()
 
 
-@dataclass(slots=True)
-class LoopPorts:
-    """The ports of one end of one loop: its files, its publishers, its log."""
+class BusPorts:
+    """Where an end speaks: its publishers and its log.
 
-    files: Files
-    publishers: dict[type[Message], Publisher]
-    log: logging.Logger
-    tell_health: Callable[[Status], None]
-    key_maker: Callable[[Task], None] | None = None
-    limited: dict[str, RateLimitedLog] = field(default_factory=dict)
-    burst: Burst = field(default_factory=Burst)
+    Parameters
+    ----------
+    publishers : dict
+        By the type of message.
+    log : logging.Logger
+    """
 
-    def write(self, write: Write) -> None:
-        """Write to the journal."""
-        self.files.journal.write(write)
+    def __init__(self, publishers: dict[type[Message], Publisher], log: logging.Logger) -> None:
+        self.publishers, self.log = publishers, log
+        self.limited: dict[str, RateLimitedLog] = {}
+        self.burst = Burst()
 
     def publish(self, kind: type[Message], payload: bytes) -> None:
         """Put it on the bus that its type belongs to."""
         self.publishers[kind].put(payload)
-
-    def trace(self, event: Event) -> None:
-        """Append to the trace."""
-        self.files.trace.write(event.as_event())
-
-    def submit_key_task(self, task: Task) -> None:
-        """Hand it to whoever keeps keys."""
-        assert self.key_maker is not None, "keys are made, and nobody keeps them"
-        self.key_maker(task)
 
     def log_notice(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""
@@ -89,16 +79,58 @@ class LoopPorts:
             self.limited[subject] = RateLimitedLog(self.log)
         return self.limited[subject]
 
+    def tell_rest(self, *, last: bool = False) -> None:
+        """Tell what the log still owes of floods."""
+        for limited in tuple(self.limited.values()):  # a flood is told beside the turns
+            limited.tell_rest(last=last)
+
+
+class LoopPorts(BusPorts):
+    """The ports of one end of one loop: its files, its publishers, its log.
+
+    Parameters
+    ----------
+    files : Files
+    publishers, log
+        As for :class:`BusPorts`.
+    tell_health : callable
+        Has the status kept in the run's folder.
+    key_maker : callable, optional
+        Takes tasks for the key maker.
+    """
+
+    def __init__(
+        self,
+        files: Files,
+        publishers: dict[type[Message], Publisher],
+        log: logging.Logger,
+        tell_health: Callable[[Status], None],
+        key_maker: Callable[[Task], None] | None = None,
+    ) -> None:
+        super().__init__(publishers, log)
+        self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
+
+    def write(self, write: Write) -> None:
+        """Write to the journal."""
+        self.files.journal.write(write)
+
+    def trace(self, event: Event) -> None:
+        """Append to the trace."""
+        self.files.trace.write(event.as_event())
+
+    def submit_key_task(self, task: Task) -> None:
+        """Hand it to whoever keeps keys."""
+        assert self.key_maker is not None, "keys are made, and nobody keeps them"
+        self.key_maker(task)
+
     def health(self, status: Status) -> None:
         """Have the status and the health line replaced; tell what the log still owes."""
         self.tell_health(status)
-        for limited in tuple(self.limited.values()):  # a flood is told beside the turns
-            limited.tell_rest()
+        self.tell_rest()
 
     def close(self) -> None:
         """Tell the rest of the log, and close the files."""
-        for limited in self.limited.values():
-            limited.tell_rest(last=True)
+        self.tell_rest(last=True)
         self.files.close()
 
 

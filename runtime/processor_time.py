@@ -15,10 +15,10 @@ PROCESSOR_S: Final = 5.0
 answer it has as much as the answer may take, for one core."""
 
 PROCESSOR_SHARE: Final = 0.05
-"""Of one core, what it has besides that for as long as it lives."""
+"""Share of one core that a guest has besides, for as long as it lives."""
 
 LOADING_S: Final = 20.0
-"""Of processor time, what it may take to be loaded."""
+"""Seconds of processor time that loading a guest may take."""
 
 _METER: Final = struct.Struct("ddd")
 
@@ -61,7 +61,7 @@ class Meter:
 
 
 def used_s() -> float:
-    """Seconds of processor time of all that comes from this process, but for its own."""
+    """Seconds of processor time of this process's descendants, without its own."""
     mine = os.getpid()
     stats = _stats()
     running = _family(mine, stats) - {mine}
@@ -76,7 +76,7 @@ def used_by_s(child: int) -> float:
 
 
 def _stats() -> dict[int, tuple[int, int]]:
-    """Of each process its parent and its clock ticks, those of its ended children among them."""
+    """Parent and clock ticks of each process; the ticks of its ended children are included."""
     stats: dict[int, tuple[int, int]] = {}
     for process in processes():
         with suppress(OSError):

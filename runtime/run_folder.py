@@ -22,7 +22,7 @@ GUESSES: Final = Path("tap/guesses.jsonl")
 ANALYSIS_GUESSES: Final = Path("tap/analysis.jsonl")
 BELIEFS: Final = Path("tap/beliefs.json")
 TAP_STATUS: Final = Path("tap/status.json")
-"""Where things lie below a run's folder."""
+"""Paths below a run's folder."""
 
 HEALTH: Final = "health"
 """In a service's folder: one line, ``ok`` or ``bad`` and why."""

@@ -18,16 +18,22 @@ import pickle
 import resource
 import select
 import signal
-import struct
-import subprocess
 import sys
 import time
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
+from runtime.child import (
+    LENGTH,
+    PR_SET_PDEATHSIG,
+    Child,
+    Line,
+    ignore_signals,
+    limit_memory,
+    take_line,
+)
 from runtime.errors import Failure
 from runtime.processor_time import PROCESSOR_S, Meter, processes, used_s
 
@@ -50,14 +56,9 @@ OVERSPENT: Final = 3
 """The supervisor's exit code where a guest has used too much processor time."""
 
 SLICE_S: Final = 0.2
-"""Seconds of waiting after which the clock is looked at."""
+"""Seconds of a slice of waiting."""
 
-END_S: Final = 5.0
-"""Seconds that the supervisor has to end everything."""
-
-_PR_SET_PDEATHSIG: Final = 1
 _PR_SET_CHILD_SUBREAPER: Final = 36
-_LENGTH: Final = struct.Struct(">I")
 
 
 class SandboxError(Failure):
@@ -89,50 +90,47 @@ class SandboxProcess:
 
     def __init__(self, module: str, arguments: Sequence[str] = (), memory: int = MEMORY) -> None:
         self.like = module, tuple(arguments), memory
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", module, str(memory), *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        self._to, self._from = self._child.stdin.fileno(), self._child.stdout.fileno()
+        self.child = Child(module, (str(memory), *arguments), own_session=True, quiet=True)
+        self._to, self._from = self.child.line.write, self.child.line.read
         os.set_blocking(self._to, False)
         os.set_blocking(self._from, False)
         self._sent, self._heard = select.poll(), select.poll()
         self._sent.register(self._to, select.POLLOUT)
         self._heard.register(self._from, select.POLLIN)
-        self.close = weakref.finalize(self, _end, self._child)
+        self._closed = False
+        self._code = 0
 
     @property
     def alive(self) -> bool:
         """Whether it can be asked."""
-        return self.close.alive and self._child.poll() is None
+        return not self._closed and self.child.alive
+
+    def close(self) -> None:
+        """Let go of the supervisor, which ends everything."""
+        if not self._closed:
+            self._closed, self._code = True, self.child.end()
 
     def ask(self, what: str, argument: object, within_s: float) -> Any:
         """Its answer.
 
         Raises
         ------
-        GuestError
+        SandboxError
             When there is none in time, or it is none; the guest is then at its end. Also with what
             it raised, and of which ``kind``.
         """
-        if not self.close.alive:
+        if self._closed:
             raise SandboxError("the process ended")
         patience = _Patience(within_s)
         try:
-            self._send(pickle.dumps((what, argument, within_s)), patience)
+            self._send(what, argument, within_s, patience)
             answer = json.loads(self._receive(patience))
             kind, value = answer["kind"], answer["value"]
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             self.close()
             known = isinstance(error, _Ended | TimeoutError)
             text = f"{error} within {within_s:g} s" if isinstance(error, TimeoutError) else error
-            if self._child.returncode == OVERSPENT:
+            if self._code == OVERSPENT:
                 text = f"more than {PROCESSOR_S:g} s of processor time beside its answers"
                 known = True
             raise SandboxError(str(text) if known else "an answer that is none") from None
@@ -140,8 +138,19 @@ class SandboxProcess:
             raise SandboxError(str(value), str(kind))
         return value
 
-    def _send(self, body: bytes, patience: "_Patience") -> None:
-        data = memoryview(_LENGTH.pack(len(body)) + body)
+    def begin(self, what: str, argument: object, within_s: float) -> None:
+        """Ask, and wait for no answer: what it costs the guest is counted all the same.
+
+        Raises
+        ------
+        TimeoutError
+            When the guest does not read.
+        """
+        self._send(what, argument, within_s, _Patience(within_s))
+
+    def _send(self, what: str, argument: object, within_s: float, patience: "_Patience") -> None:
+        body = pickle.dumps((what, argument, within_s))
+        data = memoryview(LENGTH.pack(len(body)) + body)
         while True:
             with suppress(BlockingIOError):
                 data = data[os.write(self._to, data) :]
@@ -150,7 +159,7 @@ class SandboxProcess:
             patience.wait(self._sent, "too slow: it does not read")
 
     def _receive(self, patience: "_Patience") -> bytes:
-        (length,) = _LENGTH.unpack(self._read(_LENGTH.size, patience))
+        (length,) = LENGTH.unpack(self._read(LENGTH.size, patience))
         if length > ANSWER:
             raise ValueError(f"an answer of {length} bytes")
         return self._read(length, patience)
@@ -167,13 +176,13 @@ class SandboxProcess:
         return b"".join(parts)
 
 
-_idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
-"""Processes that nobody asks for now, one of a kind: a sweep makes one guest after the other."""
+idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
+"""Idle processes, one of a kind, for reuse: a sweep makes one guest after the other."""
 
 
 def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> SandboxProcess:
     """A :class:`SandboxProcess` that was given back, or a new one."""
-    waiting = _idle.pop((module, arguments, memory), None)
+    waiting = idle.pop((module, arguments, memory), None)
     if waiting is not None and waiting.alive:
         return waiting
     return SandboxProcess(module, arguments, memory)
@@ -181,7 +190,7 @@ def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) 
 
 def give_back(process: SandboxProcess) -> None:
     """Keep a process that lives for the next of its kind, where none is kept."""
-    if not process.alive or _idle.setdefault(process.like, process) is not process:
+    if not process.alive or idle.setdefault(process.like, process) is not process:
         process.close()
 
 
@@ -190,7 +199,7 @@ class _Ended(OSError):
 
 
 class _Patience:
-    """Seconds to wait, in slices: where the whole machine stood still, one slice has passed."""
+    """Seconds to wait, counted in slices: a standstill of the whole machine counts as one slice."""
 
     def __init__(self, seconds: float) -> None:
         self._left = seconds
@@ -212,22 +221,6 @@ class _Patience:
         raise TimeoutError(what)
 
 
-def _end(child: "subprocess.Popen[bytes]") -> None:
-    """Let go of the supervisor, which ends everything; end it where it does not."""
-    for pipe in (child.stdin, child.stdout):
-        if pipe is not None:
-            with suppress(OSError):
-                pipe.close()
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(child.pid, signal.SIGCONT)
-    try:
-        child.wait(END_S)
-    except subprocess.TimeoutExpired:
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-
-
 # --- the guest's side -----------------------------------------------------------------------------
 
 
@@ -247,8 +240,7 @@ def serve(
     """
     memory = int(sys.argv.pop(1))
     _weigh_as_nice()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore_signals()
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
     meter = Meter()
@@ -258,16 +250,14 @@ def serve(
         os.close(1)  # so that its end is seen when the guest closes its own
         os._exit(_guard(guest, meter))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != supervisor:
         os._exit(1)
-    _bound(memory)
-    to, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, 0)
-    os.dup2(nothing, 1)
+    limit_memory(memory)
+    _limit_forks()
+    line = take_line()
     try:
-        _answer_all(answer, known, to, out, meter)
+        _answer_all(answer, known, line, meter)
     finally:
         os._exit(0)  # threads and atexit functions of the user's code end here as well
 
@@ -284,9 +274,7 @@ def _weigh_as_nice() -> None:
             Path("/proc/self/autogroup").write_text(str(niceness))
 
 
-def _bound(memory: int) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+def _limit_forks() -> None:
     mine = sum(_tasks_of(os.getuid()))
     _, most = resource.getrlimit(resource.RLIMIT_NPROC)
     room = mine + FORKS
@@ -362,12 +350,14 @@ def _children() -> Iterator[int]:
 def _answer_all(
     answer: Callable[[str, Any], object],
     known: tuple[tuple[type[Exception], str], ...],
-    to: IO[bytes],
-    out: IO[bytes],
+    line: Line,
     meter: Meter,
 ) -> None:
-    while (head := to.read(_LENGTH.size)) and len(head) == _LENGTH.size:
-        what, argument, within_s = pickle.loads(to.read(*_LENGTH.unpack(head)))
+    while True:
+        try:
+            what, argument, within_s = line.recv()
+        except EOFError:
+            return
         meter.ask(within_s, time.monotonic(), time.process_time())
         try:
             told = {"kind": "value", "value": answer(what, argument)}
@@ -378,6 +368,5 @@ def _answer_all(
             if found == "raised":
                 text = f"{type(error).__name__}: {text}"
             body = json.dumps({"kind": found, "value": text[:2000]}).encode()
-        out.write(_LENGTH.pack(len(body)) + body)
-        out.flush()
+        line.send_bytes(body)
         meter.answer(time.monotonic())

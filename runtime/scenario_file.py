@@ -3,6 +3,7 @@
 import tomllib
 from pathlib import Path
 
+from protocol.scenario.attack import Attack, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
 from runtime.errors import UsageError
@@ -47,6 +48,26 @@ def scenario_of(text: str) -> Scenario:
         return load_scenario(path)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
+
+
+def attack_option(text: str | None, stated: Attack | None, steps: int | None) -> Attack | None:
+    """The attack that ``--attack`` names, else the scenario's own.
+
+    Raises
+    ------
+    UsageError
+        When it is none, or begins after the last step.
+    """
+    attack = stated
+    if text is not None:
+        try:
+            attack = attack_of(text, stated)
+        except ValueError as error:
+            raise UsageError(f"--attack: {error}") from None
+    if attack is not None and steps is not None and attack.onset >= steps:
+        where = "attack.onset" if text is None else "--attack"
+        raise UsageError(f"{where}: got onset {attack.onset}, expected one below --steps {steps}")
+    return attack
 
 
 def _others(path: Path) -> str:

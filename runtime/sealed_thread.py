@@ -7,15 +7,18 @@ import time
 from functools import partial
 from typing import Final, Self
 
-from protocol.link.peer import Actions
-from protocol.messages import FIELD, Message
+from protocol.link.events import Event
+from protocol.link.peer import Notice, Write
+from protocol.messages import FIELD, Message, Status
 from protocol.secret.records import StoreError
+from protocol.secret.tasks import Task
 from protocol.topics import key_of
 from runtime.bus import Bus, TransportError
 from runtime.inbox import Inbox
 from runtime.keys.sealing import End
 from runtime.keys.store import KeyStore
-from runtime.logs import RateLimitedLog
+from runtime.perform import perform
+from runtime.ports import BusPorts
 
 LOOK_S: Final = 0.2
 
@@ -37,12 +40,11 @@ class SealedThread:
     def __init__(
         self, end: End, store: KeyStore, loop: str, field: Bus, ops: Bus, log: logging.Logger
     ) -> None:
-        self._end, self._store, self._log = end, store, log
-        self._complaints = RateLimitedLog(log)
+        self._end, self._store = end, store
         self._inbox: Inbox[tuple[type[Message], bytes] | None] = Inbox()
         self._stopping = threading.Event()
         buses = {kind: field if kind in FIELD else ops for kind in (*end.says, *end.hears)}
-        self._publishers = {k: buses[k].publisher(key_of(k, loop)) for k in end.says}
+        self._ports = _Ports({k: buses[k].publisher(key_of(k, loop)) for k in end.says}, log)
         for kind in end.hears:
             buses[kind].subscribe(key_of(kind, loop), partial(self._arrived, kind))
         self._thread = threading.Thread(target=self._run, name="sealed", daemon=True)
@@ -70,23 +72,36 @@ class SealedThread:
             try:
                 now = time.monotonic()
                 if item is not None:
-                    self._perform(self._end.receive(*item, now))
+                    perform(self._end.receive(*item, now), self._end, self._ports)
                 if self._end.wake_at() <= now:
-                    self._perform(self._end.wake(now))
+                    perform(self._end.wake(now), self._end, self._ports)
             except (StoreError, TransportError) as error:  # a full disk: it may be better next time
-                self._complaints.add(f"sealed messages: {error}")
+                self._complain(f"sealed messages: {error}")
             except Exception as error:  # a fault: told, and no reason to seal nothing any more
                 what = f"unexpected {type(error).__name__}: {error}"
-                self._complaints.add(f"sealed messages: {' '.join(what.split())}")
-            self._complaints.tell_rest()
-        self._complaints.tell_rest(last=True)
+                self._complain(f"sealed messages: {' '.join(what.split())}")
+            self._ports.tell_rest()
+        self._ports.tell_rest(last=True)
 
-    def _perform(self, actions: Actions) -> None:
-        """What is to be saved was saved by the end itself, in its store."""
-        for kind, payload in actions.publish:
-            self._publishers[kind].put(payload)
-        for notice in actions.notices:
-            if notice.subject:
-                self._complaints.add(notice.text)
-            else:
-                self._log.info("%s", notice.text)
+    def _complain(self, text: str) -> None:
+        self._ports.log_notice(Notice(text, "warning", "sealed messages"))
+
+
+class _Ports(BusPorts):
+    """What these ends say; what must be kept they keep themselves, in their store."""
+
+    def write(self, write: Write) -> None:
+        """There is no journal."""
+        raise AssertionError(f"a sealed message's end has no journal for {write}")
+
+    def trace(self, event: Event) -> None:
+        """There is no trace."""
+        raise AssertionError(f"a sealed message's end has no trace for {event}")
+
+    def submit_key_task(self, task: Task) -> None:
+        """There is no key maker."""
+        raise AssertionError(f"a sealed message's end has no key maker for {task}")
+
+    def health(self, status: Status) -> None:
+        """There is no status."""
+        raise AssertionError(f"a sealed message's end has no status like {status}")

@@ -10,7 +10,7 @@ from math import inf
 from typing import Final
 
 LOOK_S: Final = 0.2
-"""Longest sleep of a program that nothing but a signal can end."""
+"""Longest sleep in seconds of a program that only a signal can end."""
 
 STOP_WITH_STDIN: Final = "WYNER_STOP_WITH_STDIN"
 """Environment variable: a service started with it stops when its standard input ends, and so never

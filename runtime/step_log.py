@@ -37,7 +37,7 @@ _HEAD_AT: Final = TAG_BYTES + _CHECK.size
 
 
 class Damaged(Exception):
-    """Steps that were written whole can no longer be read; the text says from where on."""
+    """A step is damaged and whole steps follow it; the text says at which byte."""
 
 
 class Step(NamedTuple):
@@ -159,10 +159,10 @@ class StepLog:
         self.size += len(data)
 
     def make_ready(self) -> None:
-        """Have the file's pages for the steps to come: to be called when nobody waits.
+        """Write zeros ahead of the steps, when nobody waits: no step then begins a new page.
 
-        A write that begins a page takes a microsecond longer, and which do hangs on the lengths of
-        the steps before: steps of 1024 bytes begin every fourth one, in the same automaton state.
+        A write that begins a page takes 1 us longer. Of steps of 1024 bytes every fourth one would,
+        always in the same automaton state, which a tap could see.
         """
         if self._ready - self.size < len(READY) // 4:
             start = max(self.size, self._ready)

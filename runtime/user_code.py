@@ -4,11 +4,10 @@ A plant's is loaded by the plant's process alone, a model's by the controller's;
 process's rights.
 """
 
-import importlib
 from pathlib import Path
 from typing import Any
 
-from protocol.registry import load_file
+from protocol.registry import UnknownError, module_at
 from runtime.errors import Failure
 
 
@@ -35,17 +34,9 @@ def load_attribute(name: str, folder: Path) -> Any:
     if not colon or not where or not attribute:
         raise UserCodeError(f"got {name!r}, expected 'file.py:attribute' or 'module:attribute'")
     try:
-        module = (
-            load_file(folder / where) if where.endswith(".py") else importlib.import_module(where)
-        )
-    except FileNotFoundError:
-        raise UserCodeError(f"{folder / where}: no such file") from None
-    except ModuleNotFoundError as error:
-        raise UserCodeError(f"{where}: {error}") from None
-    except Exception as error:
-        raise UserCodeError(
-            f"{where}: cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        module, _ = module_at(where, folder)
+    except UnknownError as error:
+        raise UserCodeError(str(error)) from error.__cause__
     try:
         return getattr(module, attribute)
     except AttributeError:

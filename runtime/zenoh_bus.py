@@ -31,18 +31,19 @@ NAP_S: Final = 0.01
 """A nap of a patient subscriber; the kernel's buffer of a connection holds what comes meanwhile."""
 
 YOUNG_NS: Final = 1_000_000
-"""A message so little older than the youngest of late was not kept waiting."""
+"""Nanoseconds above the youngest age up to which a message counts as not kept waiting."""
 
 AGES: Final = 4096
-"""Messages over which the youngest is remembered, and over as many again."""
+"""Messages after which the smallest age expires; it holds for one or two such spans."""
 
 _JSON: Final = "application/json"
 
 
 class _Nap:
-    """When a patient subscriber may nap: while messages are about as young as they ever are.
+    """Says when a patient subscriber may nap: messages are as young as the youngest of late.
 
-    The smallest age holds for a while only, for a clock that was set makes all later ages larger.
+    The smallest age expires after :data:`AGES` messages: a clock that was set makes later ages
+    larger.
     """
 
     def __init__(self) -> None:
@@ -51,7 +52,7 @@ class _Nap:
         self._looked = 0
 
     def due(self, age_ns: int) -> bool:
-        """Whether whoever hears a message of this age is up to date."""
+        """Whether a receiver of a message of this age is up to date."""
         self._looked += 1
         if self._looked % AGES == 0:
             self._before_ns, self._smallest_ns = self._smallest_ns, age_ns

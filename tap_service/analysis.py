@@ -7,17 +7,16 @@ of a core; where it falls further behind than the capture keeps, the reader coun
 
 import logging
 import os
-import signal
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
+from runtime.child import Line, ignore_signals, take_line
 from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog
@@ -105,16 +104,16 @@ def listeners_of(
     return [Listener.of(guarded(name), knowledge[name], log) for name in names]
 
 
-def analyse(assignment: Assignment, pipe: Connection) -> None:
+def main() -> None:
     """The process: read, decode, report, rest; until the other end says so or is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    ignore_signals()
+    line = take_line()
     os.nice(10)  # the loop and the mirror come first
     with suppress(EOFError, ConnectionError):  # the other end is gone: so is this one
-        _analyse(assignment, pipe)
+        analyse(line.recv(), line)
 
 
-def _analyse(assignment: Assignment, pipe: Connection) -> None:
+def analyse(assignment: Assignment, line: Line) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
     from runtime.logs import RateLimitedLog, logger
 
@@ -133,10 +132,10 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
             break
         except CaptureError as error:
             complaints.add(str(error))
-        if pipe.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
+        if line.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
             complaints.tell_rest(last=True)
             log.close()
-            pipe.send(None)
+            line.send(None)
             return
     complaints.tell_rest(last=True)
     transcript = Transcript()
@@ -159,21 +158,21 @@ def _analyse(assignment: Assignment, pipe: Connection) -> None:
             listeners.feed(transcript.flush())
         now = time.monotonic()
         if now >= next_belief or (empty and finishing):
-            _report(listeners, reader, pipe, last=empty and finishing)
+            _report(listeners, reader, line, last=empty and finishing)
             spent = time.monotonic() - now
             # a costly look is repeated the more rarely
             next_belief = time.monotonic() + max(BELIEF_PERIOD_S, spent * REST_RATIO)
         if empty and finishing:
             log.close()
-            pipe.send(None)
+            line.send(None)
             return
         worked = time.monotonic() - start
         pause = 0.0 if finishing else max(worked * REST_RATIO, 0.02 if empty else 0.0)
-        if pipe.poll(pause):
-            finishing = pipe.recv() == "finish"
+        if line.poll(pause):
+            finishing = line.recv() == "finish"
 
 
-def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, last: bool) -> None:
+def _report(listeners: Listeners, reader: CaptureReader, line: Line, *, last: bool) -> None:
     behind = reader.behind_steps
     for listener in listeners.listeners:
         if last:
@@ -185,4 +184,8 @@ def _report(listeners: Listeners, reader: CaptureReader, pipe: Connection, *, la
         }
         status = status_of(listener, belief, counts)
         record = belief_record(listeners.session, listener, belief, last=last, behind=behind)
-        pipe.send((status, record))
+        line.send((status, record))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,27 +1,35 @@
 """``wyner tap``, and ``python -m tap_service``: the tap, told what it may know."""
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from runtime.bus_options import (
+    ServiceOptions,
+    add_endpoint_arguments,
+    add_metrics_argument,
+    endpoints_of,
+    fleet_of,
+    loop_of,
+    noted,
+)
+from runtime.options import (
+    add_bounds_arguments,
+    add_check_argument,
+    add_fleet_arguments,
+    alone_in,
+    checked,
+    picked,
+    run_dir_of,
+)
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
     from runtime.fleet import FleetLoop
     from tap_service.capture.channel import View
-
-KNOBS = (
-    "view",
-    "loss",
-    "loss_bad",
-    "to_bad",
-    "to_good",
-    "noise",
-    "quantise",
-    "delay",
-    "model_error",
-)
 
 
 def add_view_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +53,27 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
         "--model-error", type=float, metavar="E", help="relative error of each entry of A and B"
     )
     group.add_argument("--seed", type=int, default=0, help="of the knobs' draws (default 0)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TapOptions(ServiceOptions):
+    """The service's options, but for what the tap is told of the plant."""
+
+    run_dir: str
+    seed: int = 0
+    eavesdropper: Sequence[str] = ()
+    view: str | None = None
+    loss: float | None = None
+    loss_bad: float | None = None
+    to_bad: float | None = None
+    to_good: float | None = None
+    noise: float | None = None
+    quantise: float | None = None
+    delay: int | None = None
+    model_error: float | None = None
+    part_seconds: float | None = None
+    free_bytes: int | None = None
+    finish: float | None = None
 
 
 class ToldKnowledge(NamedTuple):
@@ -80,13 +109,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add all options but the one that says what the tap knows."""
-    from runtime.bus_options import add_endpoint_arguments, add_metrics_argument
-    from runtime.options import (
-        add_bounds_arguments,
-        add_check_argument,
-        add_fleet_arguments,
-    )
-
     parser.add_argument(
         "--eavesdropper",
         action="append",
@@ -117,7 +139,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_endpoint_arguments(parser, "tap")
 
 
-def names_of(values: list[str]) -> tuple[str, ...]:
+def names_of(values: Iterable[str]) -> tuple[str, ...]:
     """The names in repeated and comma-separated options."""
     return tuple(n.strip() for value in values for n in value.split(",") if n.strip())
 
@@ -143,7 +165,7 @@ def find_each(names: Iterable[str], find: Callable[[str], object], where: str = 
         raise UsageError(problems)
 
 
-def view_of(args: argparse.Namespace, defaults: Mapping[str, object]) -> "View":
+def view_of(options: TapOptions, defaults: Mapping[str, object]) -> "View":
     """The view that the options ask for, over ``defaults``.
 
     Raises
@@ -151,11 +173,21 @@ def view_of(args: argparse.Namespace, defaults: Mapping[str, object]) -> "View":
     UsageError
         With one line for each wrong value.
     """
-    from runtime.options import checked
     from tap_service.capture.channel import View
 
-    values = dict(defaults, seed=args.seed)
-    return checked(View, **values | {k: v for k in KNOBS if (v := getattr(args, k)) is not None})
+    values = dict(defaults, seed=options.seed)
+    given = {
+        "view": options.view,
+        "loss": options.loss,
+        "loss_bad": options.loss_bad,
+        "to_bad": options.to_bad,
+        "to_good": options.to_good,
+        "noise": options.noise,
+        "quantise": options.quantise,
+        "delay": options.delay,
+        "model_error": options.model_error,
+    }
+    return checked(View, **values | {k: v for k, v in given.items() if v is not None})
 
 
 def read_knowledge(path: str) -> "Knowledge":
@@ -190,7 +222,7 @@ def read_knowledge(path: str) -> "Knowledge":
 
 def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
-    return run_told(args, told_by(args.knowledge))
+    return run_told(picked(TapOptions, vars(args)), told_by(args.knowledge))
 
 
 def told_by(path: str) -> ToldKnowledge:
@@ -206,7 +238,7 @@ def told_by(path: str) -> ToldKnowledge:
 
 
 def run_told(
-    args: argparse.Namespace,
+    options: TapOptions,
     told: ToldKnowledge | None,
     told_of: "Callable[[FleetLoop], ToldKnowledge] | None" = None,
 ) -> int:
@@ -217,9 +249,7 @@ def run_told(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.bus_options import endpoints_of, fleet_of, loop_of, noted
     from runtime.errors import DONE, UsageError
-    from runtime.options import alone_in, checked, run_dir_of
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -229,21 +259,22 @@ def run_told(
 
     limits = checked(
         Limits,
-        part_bytes=args.part_bytes,
-        part_s=args.part_seconds,
-        total_bytes=args.total_bytes,
-        free_bytes=args.free_bytes,
+        part_bytes=options.part_bytes,
+        part_s=options.part_seconds,
+        total_bytes=options.total_bytes,
+        free_bytes=options.free_bytes,
     )
-    if args.finish is not None and not 0 <= args.finish <= 3600:
-        raise UsageError(f"--finish: got {args.finish}, expected 0 to 3600 seconds")
-    field, intel = endpoints_of(args, "tap", "field"), endpoints_of(args, "tap", "intel")
-    fleet = fleet_of(args)
+    if options.finish is not None and not 0 <= options.finish <= 3600:
+        raise UsageError(f"--finish: got {options.finish}, expected 0 to 3600 seconds")
+    field, intel = endpoints_of(options, "tap", "field"), endpoints_of(options, "tap", "intel")
+    fleet = fleet_of(options)
+    with_metrics = partial(noted, options.metrics)
 
     def config_of(told: ToldKnowledge | None, loop: str, folder: Path) -> TapConfig:
         assert told is not None, "a fleet's taps are told by loop"
-        names = names_of(args.eavesdropper)
+        names = names_of(options.eavesdropper)
         names, where = (names, "") if names else (told.names, told.where)
-        view = view_of(args, told.view)
+        view = view_of(options, told.view)
         config = TapConfig(
             run_dir=folder,
             knowledge=told.knowledge.without_secrets(),
@@ -254,14 +285,14 @@ def run_told(
             view=view,
             loop=loop,
             limits=limits,
-            finish_s=FINISH_S if args.finish is None else args.finish,
+            finish_s=FINISH_S if options.finish is None else options.finish,
         )
         find_each(config.names, config.knowledge_of, where)
         return config
 
     def config_in_fleet(loop: "FleetLoop") -> TapConfig:
         told_here = told if told_of is None else told_of(loop)
-        config = config_of(told_here, loop.id, Path(args.run_dir) / loop.id)
+        config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
             if guarded(name).heavy:
                 raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
@@ -272,14 +303,16 @@ def run_told(
             for loop in fleet.loops.values():
                 config_in_fleet(loop)
                 break
-            if args.check:
+            if options.check:
                 return DONE
-            with alone_in(run_dir_of(args.run_dir) / "tap"):
-                return run_taps(fleet, config_in_fleet, field, intel, partial(noted, args))
-        config = config_of(told, loop_of(args), Path(args.run_dir))
-        if args.check:
+            with alone_in(run_dir_of(options.run_dir) / "tap"):
+                return run_taps(
+                    fleet, config_in_fleet, field, intel, partial(noted, options.metrics)
+                )
+        config = config_of(told, loop_of(options), Path(options.run_dir))
+        if options.check:
             return DONE
-        with alone_in(run_dir_of(args.run_dir) / "tap"):
-            return run_tap(config, partial(noted, args))
+        with alone_in(run_dir_of(options.run_dir) / "tap"):
+            return run_tap(config, with_metrics)
     except (KnowledgeError, TransportError) as error:
         raise UsageError(str(error)) from None

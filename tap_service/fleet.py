@@ -52,7 +52,7 @@ class TapFleet:
         self._config_of = config_of
         self._log = logger("tap")
         self._known: dict[str, FleetLoop] = {}
-        self._taps: dict[str, TapService] = {}
+        self.taps: dict[str, TapService] = {}
         self._by_key: dict[str, TapService] = {}
         self._intel: Bus | None = None
         self._next = 0
@@ -64,7 +64,7 @@ class TapFleet:
             self._open(loop)
         for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
-        self._log.info("listening on %d of %d loops", len(self._taps), len(self._known))
+        self._log.info("listening on %d of %d loops", len(self.taps), len(self._known))
 
     def _deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         tap = self._by_key.get(key)
@@ -80,17 +80,18 @@ class TapFleet:
             self._log.error("loop %s: not listened to: %s", loop.id, error)
             return
         tap.publish_on(self._intel, many=True)
-        self._taps[loop.id] = tap
+        self.taps[loop.id] = tap
         self._by_key |= dict.fromkeys(tap.keys, tap)
         self._share()
 
-    def _close(self, name: str) -> None:
+    def leave(self, name: str) -> None:
+        """A loop is over: its tap ends, and the others share its room."""
         del self._known[name]
         self._end(name, lambda tap: tap.finish())
 
     def _end(self, name: str, settle: Callable[[TapService], None]) -> None:
         """Take one loop's tap out, and end its files; whatever comes of it, the others go on."""
-        tap = self._taps.pop(name, None)
+        tap = self.taps.pop(name, None)
         if tap is None:
             return
         for key in tap.keys:
@@ -106,7 +107,7 @@ class TapFleet:
     def _let(self, name: str, do: Callable[[TapService], None]) -> None:
         """Have one loop's tap do something; one that fails ends alone, with its end marks."""
         try:
-            do(self._taps[name])
+            do(self.taps[name])
         except Exception as error:
             self._failed(name, error)
             self._end(name, lambda tap: tap.write_beliefs())
@@ -115,35 +116,35 @@ class TapFleet:
         self._log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
 
     def _share(self) -> None:
-        for tap in self._taps.values():
-            tap.share(len(self._taps))
+        for tap in self.taps.values():
+            tap.share(len(self.taps))
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""
         follow = Throttle(FOLLOW_S)
         while not stopping.is_set():
-            for name in list(self._taps):
+            for name in list(self.taps):
                 self._let(name, lambda tap: tap.work(0.0))
             time.sleep(ROUND_S)
             self._tell()
             if follow.ready(time.monotonic()):
                 self._follow()
         for name in list(self._known):
-            self._close(name)
+            self.leave(name)
 
     def _tell(self) -> None:
         """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""
-        names = list(self._taps)
+        names = list(self.taps)
         share = -(-len(names) * ROUND_S // TELL_S)
         for _ in range(int(share)):
             name = names[self._next % len(names)]
             self._next += 1
-            if name in self._taps:
+            if name in self.taps:
                 self._let(name, _tell_of)
 
     def _follow(self) -> None:
         for name in self._fleet.left(self._known, self._log):
-            self._close(name)
+            self.leave(name)
         for name, loop in self._fleet.loops.items():
             if name not in self._known:
                 self._open(loop)

@@ -6,18 +6,13 @@ told, and mended: another is started, which reads the capture from its beginning
 """
 
 import logging
-import multiprocessing
-import os
-import signal
 import time
 from collections.abc import Iterator
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
 from protocol.messages import TapStatus
-from tap_service.analysis import Assignment, analyse
+from runtime.child import Child
+from tap_service.analysis import Assignment
 
 Report = tuple[TapStatus, dict[str, Any]]
 """What one of them believes: as published, and as kept in ``beliefs.json``."""
@@ -30,13 +25,13 @@ REST_S: Final = 1.0
 
 
 class HeavyProcess:
-    """Runs :func:`tap_service.analysis.analyse` beside the tap.
+    """Runs :mod:`tap_service.analysis` beside the tap.
 
     Attributes
     ----------
     down : str
         Why nobody runs there now, as ``her process died (signal 9)``; empty while it does.
-    process : multiprocessing.process.BaseProcess
+    process : Child
         The last one that was started.
 
     Parameters
@@ -51,36 +46,26 @@ class HeavyProcess:
         self._log = log
         self._deaths = 0
         self._again_at = 0.0
-        # one thread is all it may take of the processor
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._start()
 
     def _start(self) -> None:
         self.down = ""
-        context = multiprocessing.get_context("spawn")
-        self._pipe: Connection
-        self._pipe, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(
-            target=analyse, args=(self._assignment, theirs), daemon=True
-        )
-        # Ctrl-C in a terminal reaches both, and is not for the child, even before it runs. The
-        # tracker would be started here too, and unblock the signal.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._done = False
+        self.process = Child("tap_service.analysis")
         try:
-            self.process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        theirs.close()
+            self.process.line.send(self._assignment)
+        except OSError:
+            self._died()
 
     def reports(self) -> Iterator[Report]:
         """What it has told since the last time; one that died is started again when it is time."""
         if self.down and self._deaths <= RESTARTS and time.monotonic() >= self._again_at:
             self._start()
         try:
-            while not self._pipe.closed and self._pipe.poll():
-                report = self._pipe.recv()
+            while not (self.down or self._done) and self.process.line.poll():
+                report = self.process.line.recv()
                 if report is None:
+                    self._done = True
                     return
                 yield report
         except (EOFError, OSError):
@@ -101,23 +86,22 @@ class HeavyProcess:
                     break
                 self._start()
             try:
-                self._pipe.send("finish")
-                while (left := deadline - time.monotonic()) > 0 and self._pipe.poll(left):
-                    report = self._pipe.recv()
+                line = self.process.line
+                line.send("finish")
+                while (left := deadline - time.monotonic()) > 0 and line.poll(left):
+                    report = line.recv()
                     if report is None:
-                        self._pipe.close()
+                        self._done = True
                         return
                     yield report
             except (EOFError, OSError):
                 self._died()
         self._log.error("the heavy eavesdroppers did not finish within %g s", within_s)
-        self.process.terminate()
+        self.process.end(0.0)
 
     def _died(self) -> None:
-        self._pipe.close()
-        self.process.join(1.0)
-        code = self.process.exitcode
-        how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        code = self.process.end()
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
         self.down = f"her process died ({how})"
         self._deaths += 1
         self._again_at = time.monotonic() + REST_S * 2 ** (self._deaths - 1)
@@ -128,8 +112,4 @@ class HeavyProcess:
 
     def close(self) -> None:
         """End it."""
-        self._pipe.close()
-        self.process.join(1.0)
-        if self.process.is_alive():
-            self.process.terminate()
-            self.process.join(1.0)
+        self.process.end()

@@ -35,18 +35,18 @@ class SandboxedPlugin(Eavesdropper):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._within_s = HEAVY_S if self.heavy else LIGHT_S
-        self._process = acquire(__name__, (self.source,))
+        self.process = acquire(__name__, (self.source,))
         try:
-            self._process.ask("make", knowledge.model_dump_json(), START_S)
+            self.process.ask("make", knowledge.model_dump_json(), START_S)
         except BaseException as error:
-            self._process.close()
+            self.process.close()
             if isinstance(error, SandboxError) and error.kind == LACKS:
                 raise KnowledgeError(str(error)) from None
             raise
-        weakref.finalize(self, give_back, self._process)
+        weakref.finalize(self, give_back, self.process)
 
     def _ask(self, what: str, argument: object = None) -> Any:
-        return self._process.ask(what, argument, self._within_s)
+        return self.process.ask(what, argument, self._within_s)
 
     def observe(self, transition: Transition) -> Guess:
         """Her guess of it; her last thoughts on what she lets go come with it."""

@@ -137,12 +137,12 @@ class TapService:
         listeners, heavy, knowledge = made or Made.of(config)
         header = config.header()
         guesses = eighth(config.limits)
-        self._capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
+        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self._listeners = Listeners(listeners, self._guesses)
+        self.listeners = Listeners(listeners, self._guesses)
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
-        self._queue: Inbox[tuple[str, bytes, int]] = Inbox()
+        self.queue: Inbox[tuple[str, bytes, int]] = Inbox()
         self.share(1)
         self._complaints = RateLimitedLog(self.log)
         self._types = {key_of(kind, config.loop): kind for kind in FIELD}
@@ -154,11 +154,11 @@ class TapService:
         self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
         self._status_file = StatusFile(config.run_dir / TAP_STATUS)
         self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
-        self._heavy: HeavyProcess | None = None
+        self.heavy: HeavyProcess | None = None
         self._heavy_names = tuple(guarded(name).name for name in heavy)
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
-            self._heavy = HeavyProcess(assignment, self.log)
+            self.heavy = HeavyProcess(assignment, self.log)
 
     # --- the wire ---------------------------------------------------------------------------------
 
@@ -179,12 +179,12 @@ class TapService:
 
     def share(self, taps: int) -> None:
         """So many taps are in this process: each may keep a share of what one may keep waiting."""
-        self._queue.room = QUEUE_BYTES // taps
+        self.queue.room = QUEUE_BYTES // taps
         self._busy_length = BUSY_LENGTH // taps
 
     def deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         """Take one message from the transport; runs on its thread, so it only enqueues."""
-        self._queue.put((key, payload, t_ns), len(payload))
+        self.queue.put((key, payload, t_ns), len(payload))
 
     # --- the loop ---------------------------------------------------------------------------------
 
@@ -209,7 +209,7 @@ class TapService:
 
         What came of it is with the operating system on return.
         """
-        take = self._queue.get
+        take = self.queue.get
         try:
             item = take(wait_s)
         except queue.Empty:
@@ -223,7 +223,7 @@ class TapService:
                 item = take(0.0)
         except queue.Empty:
             pass
-        self._capture.flush()
+        self.capture.flush()
         self._guesses.flush()
 
     def _take(self, key: str, payload: bytes, t_ns: int) -> None:
@@ -233,12 +233,12 @@ class TapService:
         try:
             message = kind.model_validate_json(payload)
         except ValidationError as error:
-            self._capture.write(garbage_line(t_ns, key, payload))
+            self.capture.write(garbage_line(t_ns, key, payload))
             first = error.errors(include_url=False, include_context=False)[0]["msg"]
             self._complaints.add(f"{key}: undecodable: {first}")
             return
         if self._config.view.clear:
-            self._capture.write(mirror_line(t_ns, kind.topic, payload))
+            self.capture.write(mirror_line(t_ns, kind.topic, payload))
             self._hear(message)
             return
         for seen_ns, seen in self._channel.hear(t_ns, message):
@@ -246,36 +246,36 @@ class TapService:
 
     def _see(self, t_ns: int, message: FieldMessage) -> None:
         payload = message.wire()
-        self._capture.write(mirror_line(t_ns, message.topic, payload))
+        self.capture.write(mirror_line(t_ns, message.topic, payload))
         self._hear(message)
 
     def _hear(self, message: FieldMessage) -> None:
-        if len(self._queue) > self._busy_length:
+        if len(self.queue) > self._busy_length:
             self._unheard += 1
             return
-        self._listeners.hear(message, self._transcript.hear(message))
+        self.listeners.hear(message, self._transcript.hear(message))
 
     def finish(self) -> None:
         """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""
-        while self._queue:
+        while self.queue:
             self.work(0.0)
         for seen_ns, seen in self._channel.rest():
             self._see(seen_ns, seen)
-        self._listeners.feed(self._transcript.flush())
-        self._capture.close()
+        self.listeners.feed(self._transcript.flush())
+        self.capture.close()
         if self._unheard:
             self.log.warning(
                 "%d messages were mirrored and not guessed at, as too many waited: "
                 "wyner score --decode guesses at all of them",
                 self._unheard,
             )
-        for listener in self._listeners.listeners:
-            self._listeners.review(listener)
+        for listener in self.listeners.listeners:
+            self.listeners.review(listener)
         self._guesses.flush()
         self.publish(last=True)
         self.write_beliefs()
-        if self._heavy is not None:
-            for report in self._heavy.finish(self._config.finish_s):
+        if self.heavy is not None:
+            for report in self.heavy.finish(self._config.finish_s):
                 self._note(*report)
                 self.write_beliefs()
             self._note_down()
@@ -289,45 +289,45 @@ class TapService:
         return {
             "seq": self._seq,
             "t_ns": time.time_ns(),
-            "mirrored": self._capture.written,
-            "dropped": self._queue.dropped + self._capture.dropped + self._unheard,
+            "mirrored": self.capture.written,
+            "dropped": self.queue.dropped + self.capture.dropped + self._unheard,
             "malformed": self._complaints.total,
         }
 
     def _note(self, status: TapStatus, record: dict[str, Any]) -> None:
-        self._heavy_status[status.name] = status, self._capture.written
+        self._heavy_status[status.name] = status, self.capture.written
         self._records[status.name] = record
 
     def _note_down(self) -> None:
         """Where nobody runs in the heavy ones' process: what each said last is not said anew."""
-        if self._heavy is None or not self._heavy.down:
+        if self.heavy is None or not self.heavy.down:
             return
         for name in self._heavy_names:
             status, written = self._heavy_status.get(name, (absent_status(name), 0))
-            status = status.model_copy(update={"failed": self._heavy.down})
+            status = status.model_copy(update={"failed": self.heavy.down})
             self._heavy_status[name] = status, written
             record = self._records.get(name) or absent_record(name)
             self._records[name] = record | {
-                "failed": self._heavy.down,
+                "failed": self.heavy.down,
                 "behind": self._unread(status, written),
                 "symbols": None,
             }
 
     def _unread(self, status: TapStatus, written: int) -> int:
         """Steps that a heavy one has not looked at: those of her report, and captured since."""
-        return status.behind + max(self._capture.written - written, 0) // 2
+        return status.behind + max(self.capture.written - written, 0) // 2
 
     def publish(self, *, last: bool = False) -> None:
         """Publish the status of every eavesdropper."""
         statuses = []
-        for listener in self._listeners.listeners:
+        for listener in self.listeners.listeners:
             belief = listener.belief()
-            record = belief_record(self._listeners.session, listener, belief, last=last)
+            record = belief_record(self.listeners.session, listener, belief, last=last)
             self._records[listener.name] = record
             counts = self._counts() | {"behind": self._behind()}
             statuses.append(status_of(listener, belief, counts))
-        if self._heavy is not None and not last:
-            for report in self._heavy.reports():
+        if self.heavy is not None and not last:
+            for report in self.heavy.reports():
                 self._note(*report)
             self._note_down()
         for status, written in self._heavy_status.values():
@@ -341,26 +341,26 @@ class TapService:
 
     def _behind(self) -> int:
         """Steps, of two messages each, that the light eavesdroppers have not heard yet."""
-        return -(-len(self._queue) // 2)
+        return -(-len(self.queue) // 2)
 
     def _health(self) -> str:
         """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
-        failed = {x.name: x.failed for x in self._listeners.listeners if x.failed}
+        failed = {x.name: x.failed for x in self.listeners.listeners if x.failed}
         failed |= {s.name: s.failed for s, _ in self._heavy_status.values() if s.failed}
         if failed:
             return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}\n"
         behind = max(self._behind(), *(self._unread(*x) for x in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
-        return f"ok: {self._capture.written} messages captured, {behind} steps behind\n"
+        return f"ok: {self.capture.written} messages captured, {behind} steps behind\n"
 
     def write_beliefs(self) -> None:
         """Write down what the eavesdroppers believe, and how much was captured."""
         captured = {
             "t_ns": time.time_ns(),
-            "first_part": self._capture.first_part,
-            "captured": self._capture.written,
-            "dropped": self._queue.dropped + self._capture.dropped,
+            "first_part": self.capture.first_part,
+            "captured": self.capture.written,
+            "dropped": self.queue.dropped + self.capture.dropped,
             "unguessed": self._unheard,
         }
         try:
@@ -372,8 +372,8 @@ class TapService:
 
     def close(self) -> None:
         """End the files and the analysis process."""
-        self._capture.close()
+        self.capture.close()
         self._guesses.close()
-        if self._heavy is not None:
-            self._heavy.close()
+        if self.heavy is not None:
+            self.heavy.close()
         self._complaints.tell_rest(last=True)

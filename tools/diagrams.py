@@ -4,6 +4,7 @@
 docs/protocol.md and docs/howto/run-folder.md; a test says when they are stale.
 """
 
+import ast
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -147,7 +148,32 @@ def evidence_table() -> str:
     return "\n".join([*lines, ""])
 
 
+ROOMS: Final = (
+    "protocol",
+    "runtime",
+    "controller_service",
+    "plant_service",
+    "tap_service",
+    "attacker_service",
+    "wyner",
+)
+"""The importable names, each of which imports those above it at most."""
+
+
+def rooms() -> str:
+    """The folders of code, each with the first line of what its package says of itself."""
+    lines = ["```text"]
+    for room in ROOMS:
+        for package in sorted((DOCUMENT.parents[1] / room).rglob("__init__.py")):
+            folder = package.parent.relative_to(DOCUMENT.parents[1])
+            said = ast.get_docstring(ast.parse(package.read_text(encoding="utf-8"))) or ""
+            name = "  " * (len(folder.parts) - 1) + folder.name + "/"
+            lines.append(f"{name:<22} {said.splitlines()[0]}")
+    return "\n".join([*lines, "```", ""])
+
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
+    "rooms": rooms,
     **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
     "ops": lambda: wire_table(OPS),

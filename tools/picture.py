@@ -18,7 +18,7 @@ from runtime.recording import read_lines
 from wyner.dashboard.model import Arrival, Board, reduce_all
 from wyner.dashboard.screenshot import to_svg
 from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
-from wyner.dashboard.view import Wishes, screen
+from wyner.dashboard.view import ViewState, screen
 
 DOCS: Final = Path(__file__).resolve().parent.parent / "docs"
 RECORDING: Final = "dashboard.jsonl"
@@ -56,7 +56,7 @@ def draw(arrivals: Iterable[Arrival], width: int, height: int) -> str:
     """The screen after the last arrival, as SVG."""
     arrivals = list(arrivals)
     board = reduce_all(Board(), arrivals)
-    lines = screen(board, width, height, Wishes(), arrivals[-1].t_ns)
+    lines = screen(board, width, height, ViewState(), arrivals[-1].t_ns)
     return to_svg(lines, width)
 
 

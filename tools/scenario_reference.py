@@ -8,6 +8,7 @@ stale.
 import argparse
 import ast
 import inspect
+import json
 import sys
 import textwrap
 import types
@@ -140,6 +141,8 @@ def form_of(annotation: Any, field: FieldInfo | None = None) -> str:
         if args[-1] is not Ellipsis:
             return f"list of {len(args)} {_plural(form_of(args[0]))}"
         inner_form = form_of(args[0])
+        if typing.get_origin(args[0]) is Literal:
+            return f"list of {inner_form}"
         return "matrix" if inner_form == "list of numbers" else f"list of {_plural(inner_form)}"
     if origin is dict:
         return "table of values by name"
@@ -169,6 +172,8 @@ def default_of(field: FieldInfo) -> str:
         return "see below" if isinstance(value, ScenarioTable) else "see its table"
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
+    if isinstance(value, tuple):
+        return f"`{json.dumps(value)}`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`"
 
 

@@ -5,9 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from attacker_service.base import AttackError, BusAttack, Known, Model
+from attacker_service.base import AttackError, BusAttack, Model
 from attacker_service.base import Options as CommonOptions
 from protocol.arrays import Array, Flags
+from protocol.scenario.attack import Known
 
 
 class Covert(BusAttack):

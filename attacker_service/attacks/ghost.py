@@ -6,23 +6,30 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import UNKNOWN, Known, Model, SensorAttack, Told
+from attacker_service.base import UNKNOWN, AttackError, Model, SensorAttack, Told
 from attacker_service.base import Options as CommonOptions
 from attacker_service.sight import Sight, chosen
 from protocol.arrays import Array, Integers
+from protocol.scenario.attack import Known
 
 
 class Ghost(SensorAttack):
-    """x'(k+1) = A x'(k) + B u_b' + d', with d' drawn within D_c.
+    """x'(k+1) = A x'(k) + B u_b' + d', with d' within D_c.
 
-    b' is the coin that she holds, else the one that fits to what she sees of the plant, else a
+    The controller answers a constant part of d', so that the true plant runs off the other way. b'
+    is the coin that she holds, else the one that fits to what she sees of the plant, else a
     guess, evenly among the candidates. Without an offer no input moved it.
     """
 
     class Options(CommonOptions):
-        """``share``: how much of D_c the ghost's own disturbance fills."""
+        """``push``: the constant part of d', as a share of D_c, along ``direction``.
 
-        share: Annotated[float, Field(ge=0, le=1)] = 0.5
+        All states alike where no direction is given. ``share``: of D_c, what is drawn besides.
+        """
+
+        push: Annotated[float, Field(ge=0, le=1)] = 0.9
+        share: Annotated[float, Field(ge=0, le=1)] = 0.1
+        direction: tuple[float, ...] = ()
 
     name: ClassVar[str] = "ghost"
     knows: ClassVar[frozenset[Known]] = frozenset({"model", "bus"})
@@ -32,7 +39,14 @@ class Ghost(SensorAttack):
         self, model: Model | None, options: Mapping[str, Any], rng: np.random.Generator
     ) -> None:
         super().__init__(model, options, rng)
-        sees = self.options.sees
+        sees, n = self.options.sees, len(self.model.A)
+        if self.options.push + self.options.share > 1:
+            raise AttackError(f"attack.push: {self.name}: expected at most 1 together with share")
+        way = np.asarray(self.options.direction or (1.0,) * n)
+        if way.shape != (n,) or not way.any():
+            text = f"got {way.tolist()}, expected {n} numbers, one not zero"
+            raise AttackError(f"attack.direction: {text}")
+        self._push = self.options.push * way / self.model.gauge(way)
         self._sight = None if sees is None else Sight(self.model, sees)
 
     def watch(self, reading: Array) -> None:
@@ -62,7 +76,10 @@ class Ghost(SensorAttack):
         return np.where(held == UNKNOWN, guess, held)
 
     def _disturbance(self, shape: tuple[int, ...]) -> Array:
-        """What passes for a disturbance: in any direction, as far as ``share`` of D_c."""
+        """What passes for a disturbance."""
+        if not self.options.share:
+            return np.broadcast_to(self._push, shape)
         way = self.rng.standard_normal(shape)
         far = self.options.share * self.rng.random(shape[:-1]) ** (1 / shape[-1])
-        return way * (far / self.model.gauge(way))[..., None]
+        drawn: Array = way * (far / self.model.gauge(way))[..., None]
+        return self._push + drawn

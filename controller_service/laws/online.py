@@ -18,7 +18,7 @@ from protocol.scenario import Scenario
 from runtime.files import PUBLIC_FILE, write_atomically
 
 MAGIC: Final = b"wyner-law-1\n"
-"""Goes up with whatever changes a table or how it is read."""
+"""Version of the tables' file; it goes up when the format changes."""
 
 
 class OutsideError(LookupError):

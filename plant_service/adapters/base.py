@@ -125,13 +125,13 @@ class SimulatedPlant:
         return Sample(floats(self.plant.step(self._u, self._period_s)))
 
     def safe(self) -> None:
-        """Tell the plant where it has a word for it."""
+        """Call the plant's own method, if it has one."""
         safe = getattr(self.plant, "safe", None)
         if safe is not None:
             safe()
 
     def close(self) -> None:
-        """Tell the plant where it has a word for it."""
+        """Call the plant's own method, if it has one."""
         close = getattr(self.plant, "close", None)
         if close is not None:
             close()

@@ -67,9 +67,9 @@ class Fmu:
         self._start = start or {}
         self._start_references = _references(path, references, list(self._start), None)
         self._seed = _references(path, references, [] if seed is None else [seed], None)
-        self._folder = Path(tempfile.mkdtemp(prefix="wyner-fmu-"))
+        self.folder = Path(tempfile.mkdtemp(prefix="wyner-fmu-"))
         try:
-            fmpy.extract(str(path), str(self._folder))
+            fmpy.extract(str(path), str(self.folder))
         except Exception as error:
             self.close()
             raise PlantError(f"{path}: {' '.join(str(error).split())}") from error
@@ -80,7 +80,7 @@ class Fmu:
     def reset(self, seed: int | None) -> Vector:
         """A new instance at time 0."""
         self._free()
-        description, folder = self._description, str(self._folder)
+        description, folder = self._description, str(self.folder)
         two = description.fmiVersion.startswith("2")
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
@@ -120,7 +120,7 @@ class Fmu:
     def close(self) -> None:
         """Free the instance and the files that were extracted."""
         self._free()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def _free(self) -> None:
         instance, self._instance = getattr(self, "_instance", None), None

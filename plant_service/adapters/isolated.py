@@ -18,7 +18,7 @@ from runtime.user_code import UserCodeError
 PLANT: Final = "plant"
 
 ABILITIES: Final = ("resume", "displace", "safe")
-"""What a plant may be able to do beyond what every plant is."""
+"""Optional methods of a plant."""
 
 
 class RemotePlant:
@@ -26,14 +26,14 @@ class RemotePlant:
 
     def __init__(self, table: Any, start: Vector, folder: Path) -> None:
         self._within_s = table.answer_s
-        self._process = acquire(__name__, memory=table.memory_mib << 20)
+        self.process = acquire(__name__, memory=table.memory_mib << 20)
         self._open = True
         self._unsaid: list[tuple[str, tuple[Any, ...]]] = []
         try:
             self._ask("path", sys.path, START_S)  # first: the table's class may be found there
             self.told = self._ask("open", (table, start, folder.resolve()), START_S)
         except PlantError:
-            self._process.close()
+            self.process.close()
             raise
 
     def start(self, seed: int | None) -> Any:
@@ -57,12 +57,12 @@ class RemotePlant:
         try:
             self._ask("close", None, self._within_s)
         except PlantError:
-            self._process.close()
-        give_back(self._process)
+            self.process.close()
+        give_back(self.process)
 
     def _ask(self, what: str, argument: Any, within_s: float) -> Any:
         try:
-            return self._process.ask(what, argument, within_s)
+            return self.process.ask(what, argument, within_s)
         except SandboxError as error:
             raise PlantError(str(error)) from None
 
@@ -71,37 +71,37 @@ class _Device:
     """A device that is somewhere else."""
 
     def __init__(self, far: RemotePlant) -> None:
-        self._far = far
+        self.far = far
 
     def start(self, seed: int | None) -> Sample:
-        return _sample(self._far.start(seed))
+        return _sample(self.far.start(seed))
 
     def apply(self, u: Vector) -> None:
-        self._far.call("apply", u)
+        self.far.call("apply", u)
 
     def sample(self) -> Sample:
-        return _sample(self._far.call("sample"))
+        return _sample(self.far.call("sample"))
 
     def safe(self) -> None:
-        self._far.call("safe")
+        self.far.call("safe")
 
     def close(self) -> None:
-        self._far.close()
+        self.far.close()
 
 
 class _Plant:
     """A stepped plant that is somewhere else."""
 
     def __init__(self, far: RemotePlant) -> None:
-        self._far = far
+        self.far = far
         self.close = far.close
 
     def reset(self, seed: int | None) -> Vector:
-        return tuple(self._far.start(seed)[0])
+        return tuple(self.far.start(seed)[0])
 
     def step(self, u: Vector, period_s: float) -> Vector:  # noqa: ARG002
-        self._far.later("apply", u)
-        return tuple(self._far.call("sample")[0])
+        self.far.later("apply", u)
+        return tuple(self.far.call("sample")[0])
 
 
 def isolated(table: Any, start: Vector, folder: Path) -> PlantAdapter:

@@ -189,10 +189,9 @@ class Operated:
             self._fault += f"; and its safe() failed: {error}"
 
     def close(self) -> str:
-        """Let go of the plant; what its own code raised over it, in a line, or nothing.
+        """Close the plant. Returns in one line what its code raised, or nothing.
 
-        Whoever lets go of a plant has had its last word of it: a failure here must not hide the one
-        that led here, nor keep the files of the end from being closed.
+        It does not raise: a failure here must not hide the one that led here, nor keep files open.
         """
         try:
             self.adapter.close()
@@ -234,5 +233,5 @@ class Operated:
 
 
 def _core(adapter: PlantAdapter) -> object:
-    """What the optional abilities are asked of: the stepped plant, or the adapter itself."""
+    """The object that has the optional methods: the stepped plant, or the adapter itself."""
     return adapter.plant if isinstance(adapter, SimulatedPlant) else adapter

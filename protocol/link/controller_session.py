@@ -161,8 +161,8 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("elsewhere", "blocks differ"): Row("end and greet", "elsewhere"),
     **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
 }
-"""(state, what was heard) to the answer and the next state. Some pairs cannot come about: nobody
-is a second plant while none is served, and only a session served is followed."""
+"""(state, what was heard) to the answer and the next state. Some pairs cannot occur: there is no
+second plant while none is served."""
 
 
 def heard(

@@ -6,6 +6,7 @@ A transition is :class:`protocol.link.session.CountedTransition`.
 import base64
 from typing import Any, Final, NamedTuple, Protocol
 
+from protocol.link.session import Truth
 from protocol.vectors import Vector
 
 NEW_JOURNAL: Final = "new journal"
@@ -30,6 +31,21 @@ class SessionBegan(NamedTuple):
         return {"event": "session", "session": self.session, "reason": self.reason}
 
 
+class AttackBegan(NamedTuple):
+    """The plant of this process is attacked: every parameter, for whoever judges the run."""
+
+    attack: dict[str, Any]
+
+    def sentence(self) -> str:
+        """Who, where and from when on."""
+        at = {"sensor": "at the sensor", "bus": "on the bus", "actuator": "at the actuator"}
+        return f"{self.attack['kind']} {at[self.attack['at']]} from step {self.attack['onset']}"
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "attack", **self.attack}
+
+
 class Missed(NamedTuple):
     """A step without an offer: the fallback input was in force."""
 
@@ -38,10 +54,11 @@ class Missed(NamedTuple):
     x: Vector
     u: Vector
     x_next: Vector
+    truth: Truth | None = None
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
-        return {"event": "missed", **self._asdict()}
+        return {"event": "missed", **_labelled(self._asdict())}
 
 
 class Interrupted(NamedTuple):
@@ -60,10 +77,11 @@ class Interrupted(NamedTuple):
     x_next: Vector
     candidates: tuple[Vector, ...] = ()
     coin: int = -1
+    truth: Truth | None = None
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
-        return {"event": "interrupted", **self._asdict()}
+        return {"event": "interrupted", **_labelled(self._asdict())}
 
 
 class Timing(NamedTuple):
@@ -126,6 +144,12 @@ class FrameRefused(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "refused", **self._asdict()}
+
+
+def _labelled(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields, with those of the truth in place of it."""
+    truth: Truth | None = fields.pop("truth")
+    return fields if truth is None else fields | truth.fields()
 
 
 def _text(payload: bytes) -> str:

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.secret.blocks import Stored
-from protocol.secret.tasks import Broken, Done, Judged
+from protocol.secret.blocks import BlockResult, Stored
+from protocol.secret.tasks import Broken, Done
 
 
 class BlockStored(NamedTuple):
@@ -25,18 +25,6 @@ class BlockStored(NamedTuple):
         return {"event": "block", **self._asdict()}
 
 
-class BlockJudged(NamedTuple):
-    """The partner's word on a key block is on disk: it was confirmed, or it differed."""
-
-    session: str
-    number: int
-    what: str
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "judged", **self._asdict()}
-
-
 class Appearances(NamedTuple):
     """A message leaves this end so many ``times`` from step k on, give or take one."""
 
@@ -50,7 +38,7 @@ class Appearances(NamedTuple):
 
 
 def appeared(keying: Keying, session: str | None, k: int, count: int) -> Actions:
-    """What an end does when the links that its messages leave by have become more or fewer."""
+    """Actions of an end after its number of links has changed."""
     changed = keying.appear(count)
     if not keying.on:
         return NOTHING_TO_DO
@@ -64,13 +52,13 @@ def appeared(keying: Keying, session: str | None, k: int, count: int) -> Actions
 
 
 def key_actions(keying: Keying, done: Done) -> Actions:
-    """What an end does when the keeper of keys has done a task."""
+    """Actions of an end after the key maker has done a task."""
     tasks = keying.done(done)
     return Actions(events=key_events(done), keys=tasks, notices=key_notices(done, keying))
 
 
 def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
-    """What an end that stops says of blocks whose keys nobody gets yet."""
+    """A warning of an end that stops: so many blocks are not confirmed, and give no key yet."""
     if not keying.waiting:
         return ()
     text = f"key blocks that wait for the other end: {keying.waiting}; their keys come with the "
@@ -78,19 +66,19 @@ def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
 
 
 def key_events(done: Done) -> tuple[Event, ...]:
-    """What goes to the trace when the keeper has done a task."""
+    """Trace events of a task that the key maker has done."""
     if isinstance(done, Stored):
         return (BlockStored(done.session, done.number, done.keys, done.signed),)
-    if isinstance(done, Judged):
-        return (BlockJudged(done.session, done.number, done.what),)
+    if isinstance(done, BlockResult):
+        return (done,)
     return ()
 
 
 def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
-    """What goes to the log."""
+    """Log lines of a task that the key maker has done."""
     if isinstance(done, Broken):
         return (Notice(f"no key is made from here on: {done.reason}", "error"),)
-    if isinstance(done, Judged):
+    if isinstance(done, BlockResult):
         name = f"key block {done.number} of session {done.session}"
         if done.what == "unequal":
             return (Notice(f"{name} differs from the partner's: erased", "error"),)

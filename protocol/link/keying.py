@@ -1,7 +1,7 @@
-"""What both ends do alike for keys: nonces, the word on blocks, rows, and tasks for the keeper.
+"""What both ends do alike for keys: nonces, announcements of blocks, rows, tasks for the key maker.
 
-Where a scenario makes no keys there is a :class:`Keying` all the same; it gives the constants that
-the wire then carries, and no work.
+A scenario without keys has a :class:`Keying` too. It gives the constants that the wire then
+carries, and makes no tasks.
 """
 
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ from protocol.secret.nonces import (
     fresh_nonce,
 )
 from protocol.secret.records import Side
-from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged, Task
+from protocol.secret.tasks import Broken, Done, Task
 
 NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
 
@@ -46,7 +46,7 @@ class Keying:
         self.last = (0, 0)
         """Keys and steps of the last block confirmed."""
         self._newest = -1.0
-        """Number of the newest block of this session that became anything; inf: none will."""
+        """Number of the newest block of this session that was stored or lost; inf: none will be."""
         self.appearances = 1
         """Times that a message leaves this end, as its host has counted last."""
         self._fresh = fresh
@@ -85,9 +85,10 @@ class Keying:
 
     @property
     def crowded(self) -> str:
-        """Why no copy that leaves this end now may count; empty where it may.
+        """Why copies that leave this end now do not count for keys; empty where they do.
 
-        The claim was made of a message that leaves so many times, and it would leave more often.
+        The claim holds for ``keys.appearances`` appearances of a message. By the links that are
+        open now a message would appear more often.
         """
         if self.schedule is None:
             return ""
@@ -98,11 +99,11 @@ class Keying:
         return f"a message leaves {times}, and keys.appearances = {stated} was stated"
 
     def copy(self) -> Copy:
-        """The number of a step's first copy: one that leaves too often may not count (rule 8)."""
+        """Number of a step's first copy: 0, or 1 where it leaves too often to count (rule 8)."""
         return 1 if self.crowded else FIRST
 
     def appear(self, count: int) -> bool:
-        """Take how often a message leaves from here on; whether that allows or forbids keys now."""
+        """Note how often a message leaves from here on. True where that starts or stops keys."""
         before = self.crowded
         self.appearances = count
         return bool(self.crowded) != bool(before)
@@ -144,7 +145,7 @@ class Keying:
         return contribution
 
     def heard(self, message: Measurement | Offer | BlockAnnouncement) -> tuple[BlockResult, ...]:
-        """What the partner's word says of the blocks here."""
+        """Results of this end's blocks that follow from the partner's announcement."""
         return () if self.blocks is None else self.blocks.heard(message.block, message.tag)
 
     @property
@@ -153,7 +154,7 @@ class Keying:
         return 0 if self.blocks is None or self.broken else self.blocks.waiting
 
     def block_announcement(self, side: Side, session: str) -> BlockAnnouncement:
-        """The word on blocks where no step is left to carry it."""
+        """The announcement as a message of its own, after the last step."""
         block, tag = self.word()
         return BlockAnnouncement(
             side=side, session=session, block=block, tag=tag, waiting=self.waiting
@@ -164,20 +165,20 @@ class Keying:
         """Whether the transition counted last was the first one of a block."""
         return self.blocks is not None and self.blocks.began
 
-    # --- the keeper's side ------------------------------------------------------------------------
+    # --- the key maker's side ---------------------------------------------------------------------
 
     def tasks(self, judged: Iterable[BlockResult] = ()) -> tuple[Task, ...]:
-        """What the keeper must do now: write verdicts down, store blocks."""
+        """Tasks for the key maker: write results down, store blocks."""
         blocks = self.blocks
         if blocks is None or self.broken:
             return ()
-        tasks: list[Task] = [BlockVerdict(blocks.session, judgement) for judgement in judged]
+        tasks: list[Task] = [*judged]
         while (closed := blocks.to_keep()) is not None:
             tasks.append(closed)
         return tuple(tasks)
 
     def done(self, done: Done) -> tuple[Task, ...]:
-        """The keeper has done a task; what it must do next."""
+        """Note a task that is done; returns the key maker's next tasks."""
         judged: tuple[BlockResult, ...] = ()
         if isinstance(done, Broken):
             self.broken = done.reason
@@ -185,7 +186,7 @@ class Keying:
             if done.session == self.blocks.session:
                 self._became(done.number, _why_not(done))
             judged = self.blocks.stored(done)
-        elif self.blocks is not None and isinstance(done, Judged):
+        elif self.blocks is not None and isinstance(done, BlockResult):
             self.blocks.judged(done.session, done.number)
             if done.what == "unequal" and done.session == self.blocks.session:
                 self._became(done.number, f"block {done.number} differs from the partner's")
@@ -196,13 +197,13 @@ class Keying:
         return self.tasks(judged)
 
     def _became(self, number: int, why_not: str) -> None:
-        """Note what became of a block of this session; the newest says how things stand."""
+        """Note why a block of this session made no key. ``stopped`` is that of the newest block."""
         self.lost += bool(why_not)
         if number >= self._newest:
             self._newest, self.stopped = number, why_not
 
     def told(self, refused: str) -> dict[str, Any]:
-        """A status's fields of keys, with why nobody gets them."""
+        """Fields of a status on keys; ``refused`` says why the store gives none."""
         return {
             "keys_made": self.made,
             "keys_of_block": self.last[0],

@@ -19,17 +19,17 @@ LOCKSTEP_REPEAT_S: Final = 0.05
 
 
 def next_turn(now_s: float, step_s: float, phase: float) -> float:
-    """The first time after ``now_s`` that is a part ``phase`` of a step after a whole number.
+    """The first time (i + phase) step_s after ``now_s``, i a whole number.
 
-    Whoever adds a step to the time at which it came to run keeps what a stall did to it: of two
-    hundred that were due together, all stay due together.
+    Adding ``step_s`` to the time of the last run would keep a stall's effect: 200 loops that came
+    due together would stay together.
     """
     turn = now_s + step_s - (now_s - phase * step_s) % step_s
     return turn if turn > now_s else turn + step_s  # the remainder may round to a whole step
 
 
 def phase_of(name: str) -> float:
-    """A phase, 0 to 1, that spreads those of many names evenly."""
+    """A phase from 0 to 1 by the name's CRC-32: those of many names are spread evenly."""
     return crc32(name.encode()) / 2**32
 
 
@@ -75,7 +75,7 @@ class Pacing:
 
     @property
     def timed(self) -> bool:
-        """Whether a step takes its time, and not as long as its offer."""
+        """Whether a step has a deadline. In lock-step it ends with its offer."""
         return self._step_s is not None
 
     def since_tick_s(self, now_s: float) -> float:
@@ -111,7 +111,7 @@ class Pacing:
         return "ended" if was_waiting else "missed"
 
     def _next_tick(self, now_s: float, step_s: float) -> float:
-        """The end of a step that begins at ``now_s``; where there is a phase, of a longer one."""
+        """The end of a step that begins at ``now_s``; a phase makes it longer by up to a step."""
         if self._phase is None:
             return now_s + step_s
         return next_turn(now_s, step_s, self._phase) + step_s
@@ -126,9 +126,9 @@ class Pacing:
         return True
 
     def answered_late(self) -> None:
-        """An offer came after its step: the controller has too much to do, and not too little.
+        """An offer came after its step: the controller is overloaded.
 
-        Until one comes in time a step's measurement goes out once: repeats would keep it late.
+        Until an offer comes in time, each measurement is sent once: repeats would add to the load.
         """
         self._once = self._step_s is not None
 

@@ -77,7 +77,7 @@ class Actions(NamedTuple):
     """What a shell must do after an endpoint heard something or woke.
 
     ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
-    them, once more. ``keys`` are tasks for the keeper of keys, which may take its time. ``health``
+    them, once more. ``keys`` are tasks for the key maker, which no step waits for. ``health``
     is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
     :meth:`Peer.finish_step`, once everything else is done.
     """
@@ -98,7 +98,7 @@ class Peer(Protocol):
     """One end of one loop. All times are seconds of one monotonic clock."""
 
     hears: tuple[type[Message], ...]
-    """The types it takes; whatever else comes is not for it."""
+    """The message types that it takes."""
 
     says: tuple[type[Message], ...]
 
@@ -107,7 +107,7 @@ class Peer(Protocol):
         """The exit code once this end is over; None as long as it goes on."""
 
     def start(self, now: float) -> Actions:
-        """The first word, and what a journal left to be counted."""
+        """The first messages, and the step that the journal holds uncounted."""
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """A message came; a malformed one is counted, and changes nothing."""
@@ -122,10 +122,10 @@ class Peer(Protocol):
         """What can wait until the message is on its way, while the partner works on it."""
 
     def key_task_done(self, done: Done, now: float) -> Actions:
-        """The keeper of keys has done one of its tasks."""
+        """The key maker has done one of its tasks."""
 
     def appear(self, count: int) -> Actions:
         """From now on a message on the field bus leaves ``count`` times."""
 
     def stop(self, now: float) -> Actions:
-        """The last word."""
+        """The last status; the process ends."""

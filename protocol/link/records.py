@@ -3,16 +3,25 @@
 from typing import NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.messages import Offer
+from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
 
 
-class BegunStep(NamedTuple):
-    """A step that a plant has begun and not read: the offer, and the candidate it had chosen."""
+class PlantStep(NamedTuple):
+    """A step of the plant that is not counted yet: the offer, and the candidate that was chosen.
+
+    ``measurement`` reports it; None where the step was begun and its end not read.
+    """
 
     offer: Offer
     coin: int
+    measurement: Measurement | None = None
+
+    @property
+    def u(self) -> Vector:
+        """The input chosen."""
+        return self.offer.candidates[self.coin]
 
 
 class SenderRecord(NamedTuple):
@@ -90,7 +99,7 @@ class ReceiverRecord(NamedTuple):
     tag: str = ""
     incarnation: int = 0
     blocks_begun: int = 0
-    begun: BegunStep | None = None
+    begun: PlantStep | None = None
 
     @property
     def s(self) -> int:

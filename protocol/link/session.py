@@ -127,6 +127,29 @@ def rules_of(scenario: Scenario) -> Rules:
     )
 
 
+class Truth(NamedTuple):
+    """What a step really came to, where an attack says otherwise.
+
+    Parameters
+    ----------
+    x_next : tuple of float, shape (n,)
+        The true state after the step.
+    u : tuple of float, shape (m,)
+        The input that was really applied.
+    failed : str
+        Why the attack is over, in the step in which it failed.
+    """
+
+    x_next: Vector
+    u: Vector
+    failed: str = ""
+
+    def fields(self) -> dict[str, Any]:
+        """As fields of a trace's line."""
+        told = {"true_x_next": self.x_next, "true_u": self.u}
+        return told | {"attack_failed": self.failed} if self.failed else told
+
+
 class CountedTransition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
@@ -136,7 +159,8 @@ class CountedTransition(NamedTuple):
     afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
     1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
     predictions, of an f_c that is not linear. Only the plant knows ``coin``, its b_r, and
-    ``u``, the input that was in force: at the controller they are -1 and empty.
+    ``u``, the input that was in force: at the controller they are -1 and empty. ``truth`` is there
+    where the plant is attacked, for whoever judges the run.
     """
 
     session: str
@@ -158,6 +182,7 @@ class CountedTransition(NamedTuple):
     predictions: tuple[Vector, ...] = ()
     coin: int = NO_SYMBOL
     u: Vector = ()
+    truth: Truth | None = None
 
     @classmethod
     def of(
@@ -173,6 +198,7 @@ class CountedTransition(NamedTuple):
         contribution: Contribution | None,
         coin: int = NO_SYMBOL,
         u: Vector = (),
+        truth: Truth | None = None,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         carried = carry.pad != NO_SYMBOL
@@ -196,12 +222,13 @@ class CountedTransition(NamedTuple):
             offer.predictions,
             coin,
             u,
+            truth,
         )
 
     @property
     def shared(self) -> Self:
-        """What both ends count alike: all but the coin and the input that it chose."""
-        return self._replace(coin=NO_SYMBOL, u=())
+        """What both ends count alike: all but the coin, the input that it chose and the truth."""
+        return self._replace(coin=NO_SYMBOL, u=(), truth=None)
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
@@ -228,4 +255,4 @@ class CountedTransition(NamedTuple):
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u
-        return event
+        return event if self.truth is None else event | self.truth.fields()

@@ -364,6 +364,9 @@ class PlantStatus(_Status):
         `PlantModel`. The role is ``message`` where the transition carried a message symbol, else
         ``test``. The symbol is -1 where none was agreed on. The coin is the applied candidate b_r.
         The automaton's state is that after the transition.
+    attack, true_x, tail_true_x : str, tuple of float, tuple
+        Of an attacked plant: what attacks it, and its true states at x(k) and after each transition
+        of the tail. They say so to whoever watches; no end acts on it.
     """
 
     topic: ClassVar[str] = "ops/plant/status"
@@ -416,16 +419,22 @@ class PlantStatus(_Status):
     tail_symbol: tuple[int, ...] = ()
     tail_coin: tuple[int, ...] = ()
     tail_automaton: tuple[int, ...] = ()
+    attack: str = ""
+    true_x: FiniteVector = ()
+    tail_true_x: tuple[FiniteVector, ...] = ()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         n = len(self.x)
         tails = (self.tail_k, self.tail_x, self.tail_role, self.tail_symbol, self.tail_coin)
-        states = self.tail_x
+        states = (*self.tail_x, *self.tail_true_x)
+        if self.true_x:
+            states = (*states, self.true_x)
         if self.pictured_k >= 0:
             states = (*states, self.pictured_x, self.pictured_x_next)
         if (
             any(len(tail) != len(self.tail_automaton) for tail in tails)
+            or len(self.tail_true_x) not in (0, len(self.tail_k))
             or any(len(row) != n for row in states)
             or not _alike(self.pictured_candidates)
             or len(self.pictured_gauges) != len(self.pictured_candidates)

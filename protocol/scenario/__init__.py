@@ -6,6 +6,7 @@ here is the defender's knowledge; an eavesdropper is handed a :class:`protocol.k
 made from it, and never this.
 """
 
+from protocol.scenario.attack import Attack, attack_of
 from protocol.scenario.control import Control, Cost, Performance, Regulator
 from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
@@ -30,6 +31,7 @@ __all__ = [
     "LAWS",
     "PLANTS",
     "RULES_VERSION",
+    "Attack",
     "Calibration",
     "ChannelTable",
     "Control",
@@ -49,6 +51,7 @@ __all__ = [
     "ScenarioTable",
     "Secrecy",
     "TapView",
+    "attack_of",
     "describe_errors",
     "parse_scenario",
     "set_field",

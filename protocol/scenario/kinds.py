@@ -1,8 +1,8 @@
 """Tables whose fields depend on a kind: the registries that know the kinds, and the choice.
 
-A control law brings the table that it reads: a subclass of the common one. Where a process knows
-no kind at all, as the plant's process knows no law, the fields of a kind are kept as they stand:
-whoever serves the kind checks them.
+A control law brings the table that it reads: a subclass of the common one. Where a process imports
+no room that provides kinds, as the plant's process imports no law's, the fields of a kind are kept
+as they stand: whoever serves the kind checks them.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ class UncheckedControl(Control, extra="allow"):
     needs_gain: ClassVar[bool] = False
 
     def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
-        """None that could be known."""
+        """None: this process does not know the law's fields."""
         yield from ()
 
 
@@ -57,7 +57,7 @@ def by_kind(
     def read(table: object, handler: ValidatorFunctionWrapHandler) -> Any:
         if not isinstance(table, dict):
             return handler(table)
-        if not registry:
+        if not registry.served:
             return unchecked.model_validate(table)
         kind = table.get(field, common.model_fields[field].default)
         try:

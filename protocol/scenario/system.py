@@ -10,6 +10,7 @@ from pydantic import Field, SerializeAsAny, model_validator
 
 from protocol.brief import Brief
 from protocol.knowledge import Knowledge
+from protocol.scenario.attack import Attack
 from protocol.scenario.control import Control
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
@@ -58,6 +59,8 @@ class Scenario(Brief, ScenarioTable):
     """The eavesdropper's place."""
     keys: Keys | None = None
     """What the operator claims that she misses; distilled keys rest on it."""
+    attack: Attack | None = None
+    """Who lies about the plant, if anybody does."""
 
     def brief(self) -> dict[str, object]:
         """Name, sizes and what it runs under."""
@@ -256,7 +259,9 @@ class Scenario(Brief, ScenarioTable):
         to the controller alone, those of a kind of plant to the plant.
         """
         apart = {"plant", "control"}
-        rest = self.model_dump(mode="json", exclude={"description", "source", "tap", *apart})
+        rest = self.model_dump(
+            mode="json", exclude={"description", "source", "tap", "attack", *apart}
+        )
         if self.network is None:
             del rest["network"]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)

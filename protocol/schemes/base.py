@@ -73,7 +73,7 @@ class Scheme(ABC, Generic[S]):
         self._followed: dict[tuple[S, int], tuple[S, Carry]] = {}
 
     def follow(self, state: S, verdict: int) -> tuple[S, Carry]:
-        """:meth:`advance`, looked up: what either end asks takes as long in every state.
+        """:meth:`advance` from a cache, so that it takes equally long in every state.
 
         Raises
         ------
@@ -107,13 +107,13 @@ class Scheme(ABC, Generic[S]):
         """Whether the verdict of the transition to come can make a difference."""
 
     def restore(self, values: Sequence[int]) -> S:
-        """The state as it was journalled; of none, the initial one."""
+        """The state from its journalled values; the initial state where there are none."""
         make: Callable[..., S] = type(self.initial)
         return make(*values) if values else self.initial
 
 
 FOLLOWED: Final = 4096
-"""Arrows that a scheme remembers; what has more states than that is asked again."""
+"""Transitions that a scheme caches. A scheme with more is computed again."""
 
 COVER: Final = Carry(NO_SYMBOL, NO_SYMBOL)
 """A transition that agrees on nothing and carries nothing."""

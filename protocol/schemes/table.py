@@ -45,7 +45,7 @@ class StateTable:
         return self  # it only grows, and the same way for everybody
 
     def _double(self) -> None:
-        """Make room for as many states again."""
+        """Double the room for states."""
         self.pad, self.tests, self._following, self._agreed = (
             np.concatenate([part, np.full_like(part, -1)])
             for part in (self.pad, self.tests, self._following, self._agreed)

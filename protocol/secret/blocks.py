@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from hmac import compare_digest
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from protocol.secret.bound import Assumption, least
 from protocol.secret.nonces import Contribution
@@ -218,10 +218,25 @@ class Stored(NamedTuple):
 
 
 class BlockResult(NamedTuple):
-    """What the partner's announcement means for a stored block."""
+    """What the partner's announcement means for a stored block.
 
+    It goes to the key maker as a task, comes back with the ``keys`` of the block once it is on
+    disk, and is traced.
+    """
+
+    session: str
     number: int
     what: Literal["confirmed", "unequal"]
+    keys: int = 0
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {
+            "event": "judged",
+            "session": self.session,
+            "number": self.number,
+            "what": self.what,
+        }
 
 
 class Blocks:
@@ -282,7 +297,7 @@ class Blocks:
             self._closed.append(closed)
 
     def to_keep(self) -> ClosedBlock | None:
-        """The next block to store, told once; None while there is none, or two are unconfirmed."""
+        """The next block to store, once; None while there is none, or two are unconfirmed."""
         if not self._closed or sum(n > self._confirmed for n in self._kept) >= UNCONFIRMED:
             return None
         block = self._closed.pop(0)
@@ -308,7 +323,7 @@ class Blocks:
             self._confirmed = max(self._confirmed, block.number)
             self._settled.add(block.number)
         elif block.number <= self._confirmed:
-            return (BlockResult(block.number, "confirmed"),)
+            return (BlockResult(self.session, block.number, "confirmed"),)
         return ()
 
     def word(self) -> tuple[int, str]:
@@ -331,10 +346,10 @@ class Blocks:
             return ()
         if not compare_digest(tag, mine.accepted):
             self._unequal = True
-            return (BlockResult(block, "unequal"),)
+            return (BlockResult(self.session, block, "unequal"),)
         done = sorted(n for n in self._stored if self._confirmed < n <= block)
         self._confirmed = block
-        return tuple(BlockResult(n, "confirmed") for n in done)
+        return tuple(BlockResult(self.session, n, "confirmed") for n in done)
 
     @property
     def waiting(self) -> int:
@@ -355,7 +370,7 @@ class Blocks:
             self._settled.add(number)
 
     def obsolete_rows(self) -> tuple[range, ...]:
-        """Transitions whose rows can be erased, told once.
+        """Transitions whose rows can be erased, returned once.
 
         Rows are kept until their block is confirmed on disk and this end has announced it.
         """

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import BlockRow, Side, StoreError
-from protocol.secret.tasks import Broken, Done, Judged, Task
+from protocol.secret.tasks import Broken, Done, Task
 from runtime.keys.ledger import Authentication, Made, spent_rows
 from runtime.keys.store import KeyStore
 
@@ -78,14 +78,17 @@ class KeyMaker:
         stored = Stored(session, number, tag, accepted, keys=len(keys))
         return stored._replace(exhausted=exhausted, older=older, signed=origin)
 
-    def judge(self, session: str, judgement: BlockResult) -> None:
-        """Confirm a block, or erase it where the partner's tag differs."""
-        if judgement.what == "unequal":
-            self.store.drop(session, judgement.number)
-            return
-        self.store.confirm(session, judgement.number)
-        if self.authentication is not None:
-            self.authentication.confirm(session, judgement.number)
+    def judge(self, result: BlockResult) -> BlockResult:
+        """Confirm a block, or erase it where the tags differ; the result, with the block's keys."""
+        session, number = result.session, result.number
+        if result.what == "unequal":
+            self.store.drop(session, number)
+        else:
+            self.store.confirm(session, number)
+            if self.authentication is not None:
+                self.authentication.confirm(session, number)
+        row = self.store.block_tag(session, number)
+        return result._replace(keys=0 if row is None else row.keys)
 
 
 def work(key_maker: KeyMaker, task: Task) -> Done:
@@ -93,10 +96,7 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
     try:
         if isinstance(task, ClosedBlock):
             return key_maker.make_keys(task)
-        key_maker.judge(task.session, task.judgement)
-        number = task.judgement.number
-        row = key_maker.store.block_tag(task.session, number)
-        return Judged(task.session, number, task.judgement.what, 0 if row is None else row.keys)
+        return key_maker.judge(task)
     except StoreError as error:
         return Broken(str(error))
 

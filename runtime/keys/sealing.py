@@ -34,8 +34,12 @@ class End(Protocol):
     def wake(self, now: float) -> Actions:
         """Do what is due at ``now``."""
 
+    def finish_step(self) -> Actions:
+        """Nothing: no step waits for a sealed message."""
+        return NOTHING_TO_DO
 
-class SealingEnd:
+
+class SealingEnd(End):
     """The controller's end: takes messages from the operator and sends them sealed.
 
     Attributes
@@ -121,7 +125,7 @@ class SealingEnd:
         return Actions(publish=(Outgoing(SealReply, reply.wire()),))
 
 
-class OpeningEnd:
+class OpeningEnd(End):
     """The plant's end: opens sealed messages, keeps their texts, and acknowledges them."""
 
     hears: tuple[type[Message], ...] = (Sealed, *Asker.hears)

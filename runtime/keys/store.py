@@ -696,7 +696,7 @@ class KeyStore(StoreFile):
         """
         self.rows("ATTACH ? AS partner", (str(partner.path),))
         try:
-            with self._lock, closing(self._db.cursor()) as shared:
+            with self._lock, closing(self.db.cursor()) as shared:
                 shared.execute(
                     "SELECT theirs.place, mine.body IS NOT NULL AND theirs.body IS NOT NULL AND "
                     "mine.body != theirs.body FROM main.key AS mine "

@@ -104,24 +104,24 @@ class StoreFile:
             elif not path.is_file():
                 raise StoreError(f"{path}: no key store is there: no key was ever made here")
             # autocommit: transactions are begun by hand
-            self._db = sqlite3.connect(
+            self.db = sqlite3.connect(
                 path or ":memory:", isolation_level=None, timeout=BUSY_S, check_same_thread=False
             )
-            weakref.finalize(self, self._db.close)  # whoever drops a store has closed it
+            weakref.finalize(self, self.db.close)  # whoever drops a store has closed it
             self._opened = _inode(path)
         except (OSError, sqlite3.Error) as error:
             raise StoreError(f"{path}: cannot be opened: {error}") from None
         try:
             self._open(create)
         except UNREADABLE as error:
-            self._db.close()
+            self.db.close()
             raise StoreError(f"{path}: not a key store: {error}") from None
         except StoreError:
-            self._db.close()
+            self.db.close()
             raise
 
     def _open(self, create: bool) -> None:
-        db = self._db
+        db = self.db
         # No write-ahead log: erased bytes would live on in it. A rollback journal is cut to nothing
         # at each commit, and it has the database's own mode.
         db.execute("PRAGMA journal_mode=TRUNCATE")
@@ -149,9 +149,9 @@ class StoreFile:
         ``integrity_check`` sees that. It takes 8 s for a million keys; a service runs it once, at
         its start.
         """
-        for (name,) in self._db.execute("SELECT name FROM meta").fetchall():
+        for (name,) in self.db.execute("SELECT name FROM meta").fetchall():
             self.note(name)
-        if (wrong := self._db.execute(f"PRAGMA {how}(1)").fetchone()[0]) != "ok":
+        if (wrong := self.db.execute(f"PRAGMA {how}(1)").fetchone()[0]) != "ok":
             raise sqlite3.DatabaseError(" ".join(wrong.split()))
 
     @classmethod
@@ -193,7 +193,7 @@ class StoreFile:
         uri = f"{path.absolute().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as db:
             db.execute("SELECT COUNT(*) FROM meta").fetchone()
-            db.backup(self._db)
+            db.backup(self.db)
 
     def _given(self) -> int:
         return int(self.note("given") or 0)
@@ -226,10 +226,10 @@ class StoreFile:
         with self._lock:
             self.stay()
             try:
-                self._db.execute("BEGIN IMMEDIATE")
+                self.db.execute("BEGIN IMMEDIATE")
                 self._gives = False
                 try:
-                    yield self._db
+                    yield self.db
                     gave = self._gives
                     if gave:
                         given = self._given() + 1
@@ -237,9 +237,9 @@ class StoreFile:
                         if self._anchor is not None:
                             self._anchor.announce(given)
                 except BaseException:
-                    self._db.execute("ROLLBACK")
+                    self.db.execute("ROLLBACK")
                     raise
-                self._db.execute("COMMIT")
+                self.db.execute("COMMIT")
                 if gave and self._anchor is not None:
                     self._anchor.count(given)
             except UNREADABLE as error:
@@ -256,7 +256,7 @@ class StoreFile:
         with self._lock:
             self.stay()
             try:
-                return self._db.execute(statement, values).fetchall()
+                return self.db.execute(statement, values).fetchall()
             except UNREADABLE as error:
                 raise StoreError(f"{self.path}: {error}") from None
 
@@ -295,7 +295,7 @@ class StoreFile:
     def close(self) -> None:
         """Close the file."""
         with self._lock:
-            self._db.close()
+            self.db.close()
 
     def __enter__(self) -> Self:
         return self

@@ -1,10 +1,8 @@
-"""Has keys made beside a service, so the loop never waits for a disk or a matrix."""
+"""Makes keys in a process beside the service, so the loop waits for no disk and no matrix."""
 
 import os
 import pickle
 import queue
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +10,7 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from protocol.secret.tasks import Broken, Done, Task
+from runtime.child import Child
 from runtime.keys.key_maker import KeyMakerAt
 
 TRIES: Final = 5
@@ -40,7 +39,7 @@ class KeyWorker:
 
     def __init__(self) -> None:
         self._asked: queue.SimpleQueue[_Asked | None] = queue.SimpleQueue()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._late = False
         self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._thread.start()
@@ -70,7 +69,7 @@ class KeyWorker:
         self._late = self._thread.is_alive()
         process = self._process
         if self._late and process is not None:
-            process.kill()
+            process.end(0.0)
             self._thread.join(FINISH_S)
 
     def _run(self) -> None:
@@ -81,7 +80,7 @@ class KeyWorker:
                 asked.done(self._do(asked))
             elif self._process is not None:
                 with suppress(OSError):
-                    self._tell(self._process, asked)
+                    self._process.line.send((asked.at, asked.task))
         self._end()
 
     def _do(self, asked: _Asked) -> Done:
@@ -89,9 +88,8 @@ class KeyWorker:
             try:
                 if self._process is None:
                     self._process = _start()
-                self._tell(self._process, asked)
-                assert self._process.stdout is not None
-                done: Done = pickle.load(self._process.stdout)
+                self._process.line.send((asked.at, asked.task))
+                done: Done = self._process.line.recv()
                 return done
             except (OSError, EOFError, pickle.UnpicklingError):
                 self._end()
@@ -100,34 +98,11 @@ class KeyWorker:
                 time.sleep(AGAIN_S * 2**deaths)
         return Broken(f"the process that makes keys ended {TRIES} times over one task")
 
-    @staticmethod
-    def _tell(process: "subprocess.Popen[bytes]", asked: _Asked) -> None:
-        assert process.stdin is not None
-        pickle.dump((asked.at, asked.task), process.stdin)
-        process.stdin.flush()
-
     def _end(self) -> None:
         process, self._process = self._process, None
-        if process is None:
-            return
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-        process.wait()  # without its pipe it ends
+        if process is not None:
+            process.end()
 
 
-def _start() -> "subprocess.Popen[bytes]":
-    """Start the process beyond Ctrl-C's reach, and in this session.
-
-    Linux divides the processors among sessions first (autogroup), and looks at policies within
-    each. In a session of its own the process weighs as much as the service, and an offer was half
-    a millisecond late while both ends distilled.
-    """
-    return subprocess.Popen(
-        [sys.executable, "-m", "runtime.keys.key_process", str(os.getpid())],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        process_group=0,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )
+def _start() -> Child:
+    return Child("runtime.keys.key_process", (str(os.getpid()),))

@@ -1,1 +1,1 @@
-"""Plants as files, and in :mod:`runtime.scenarios.plants` the functions that some of them name."""
+"""Plants as files, and in ``plants.py`` the functions that some of them name."""

@@ -63,7 +63,8 @@ class RotatingLog:
         Told when a part is dropped, and when recording pauses and resumes.
     """
 
-    _LOOK_AT_DISK_S: Final = 1.0
+    LOOK_AT_DISK_S: Final = 1.0
+    """Between two looks at the room that is left."""
 
     def __init__(
         self, path: Path, header: Mapping[str, Any], limits: Limits, log: logging.Logger
@@ -176,14 +177,15 @@ class RotatingLog:
 
     def _look(self, now: float) -> None:
         """Once a second: the part's age, and the room that the disk has left."""
-        self._next_look = now + self._LOOK_AT_DISK_S
-        if self._free() < self._limits.free_bytes:
+        self._next_look = now + self.LOOK_AT_DISK_S
+        if self.free_bytes() < self._limits.free_bytes:
             self._pause(f"less than {self._limits.free_bytes} bytes are free on the disk")
         elif self._parts.lines is None or now - self._began >= self._limits.part_s:
             self._begin()
-            self._next_look = now + self._LOOK_AT_DISK_S
+            self._next_look = now + self.LOOK_AT_DISK_S
 
-    def _free(self) -> int:
+    def free_bytes(self) -> int:
+        """Room that the disk has left."""
         status = os.statvfs(self._path.parent)
         return status.f_bavail * status.f_frsize
 

@@ -111,6 +111,11 @@ class Transcript:
         self._start = False
         self._gap = False
 
+    @property
+    def held(self) -> int:
+        """What is kept of steps that are not settled yet: numbers and messages."""
+        return len(self._x) + len(self._offers) + len(self._after) + len(self._missed)
+
     def hear(self, message: FieldMessage) -> list[Transition]:
         """Take one message; the transitions that are settled by it, in order.
 

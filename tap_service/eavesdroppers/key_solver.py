@@ -250,6 +250,23 @@ class KeySolver(Eavesdropper):
             ),
         )
 
+    def key(self, name: str) -> bytes | None:
+        """The key of this id, where she can compute all of it."""
+        for solved in self._solved:
+            for row in range(1, solved.held.rows):
+                if key_id(solved.session, solved.number, row) == name:
+                    return self._row(solved, row)
+        return None
+
+    def _row(self, solved: _Solved, row: int) -> bytes | None:
+        found = []
+        for word in range(WORDS):
+            combinations, values = solved.known((row,), word, self._tag(solved))
+            if not len(combinations):
+                return None
+            found.append(int(values[0, 0]).to_bytes(2))
+        return b"".join(found)
+
     def _tag(self, solved: _Solved) -> bytes:
         tags = self._tags.get((solved.session, solved.number))
         return b"" if tags is None else tags.public

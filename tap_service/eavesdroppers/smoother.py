@@ -65,7 +65,7 @@ class Smoother(Eavesdropper):
         A, B = np.array(self._model.A), np.array(self._model.B)
         self._law = KnownLaw.of(knowledge)
         if self._law is not None:
-            self._reader = OffersReader(A, B, self._shape, self._law, self._noise)
+            self.reader = OffersReader(A, B, self._shape, self._law, self._noise)
         self._kept: list[Transition] = []
         self._before: ListDecoding | None = None
         self._collected = Collected()
@@ -150,8 +150,8 @@ class Smoother(Eavesdropper):
         """
         kept = self._kept
         if self._law is not None and all(t.x is None and t.x_next is None for t in kept):
-            self._steps = self._reader.infer(kept)
-            return self._reader.width or _among(self._reader.support)
+            self._steps = self.reader.infer(kept)
+            return self.reader.width or _among(self.reader.support)
         A, B = np.array(self._model.A), np.array(self._model.B)
         told = self._law is not None and not self._law.shared
         if told and self._law is not None and all(t.candidates is None for t in kept):
@@ -159,9 +159,9 @@ class Smoother(Eavesdropper):
             return _among(1.0)
         clear = not self._noise and all(t.whole for t in kept)
         facets = self._law is not None and self._law.facets
-        if facets and not clear and self._reader.trusts(kept):
-            self._steps = self._reader.infer(kept)
-            return self._reader.width or _among(1.0)
+        if facets and not clear and self.reader.trusts(kept):
+            self._steps = self.reader.infer(kept)
+            return self.reader.width or _among(1.0)
         inference = GapSmoother(A, B, self._shape, self._noise)
         self._steps = inference.infer(kept)
         return _among(inference.support)

@@ -33,6 +33,9 @@ GROWTH: Final = 2.0
 SOON: Final = 8
 """Transitions after the end of a message at which she reads it."""
 
+SETTLED: Final = 512
+"""Transitions after the end of a message from which what she hears says nothing more of it."""
+
 
 class Text(Eavesdropper):
     """Reads whole messages, and says what is left of them.
@@ -66,11 +69,11 @@ class Text(Eavesdropper):
         self._inferred = Inferred([], (0.0, 1.0))
         self._thoughts: dict[tuple[str, int], Guess] = {}
         self._symbols: dict[tuple[str, int], int] = {}
-        self._read: dict[tuple[str, int], Message] = {}
+        self._past: dict[tuple[str, int], Message] = {}
         self._after: dict[str, int] = {}
         self._open: list[Message] = []
         self._count = 0
-        self._bits = 0.0  # left of the messages that she has read
+        self._bits = 0.0  # left of the messages that she is done with
         self._solved_k = -1
         self._heard = self._decoded = 0
         self._next = FIRST
@@ -101,8 +104,10 @@ class Text(Eavesdropper):
         steps, among = self._inferred.steps, self._inferred.among
         self._open = []
         final_guesses = dict(self._after)
-        for message in self._reader.read(steps, among, self._after):
-            if message.whole and message.probability >= SURE:
+        messages = self._reader.read(steps, among, self._after)
+        done = {m.session: m.k for m in messages if self._is_done(m)}
+        for message in messages:
+            if message.k <= done.get(message.session, -1):
                 self._take(message)
             else:
                 self._open.append(message)
@@ -130,16 +135,25 @@ class Text(Eavesdropper):
         share = [p / agreed for p in verdict[1:]] if agreed > 0 else self._even
         self._thoughts[session, k] = Guess(k, tuple(share), min(agreed, 1.0), session)
 
+    def _is_done(self, message: Message) -> bool:
+        """Whether a message need not be read again: she is sure of it, or will hear no more."""
+        if not message.whole:
+            return False
+        newest = self._kept[-1]
+        over = newest.session != message.session or newest.k - message.k > SETTLED
+        return over or message.probability >= SURE
+
     def _take(self, message: Message) -> None:
-        """Count a message as read."""
-        self._read[message.session, message.k] = message
+        """Be done with a message; one that she is sure of counts as read."""
+        self._past[message.session, message.k] = message
         self._after[message.session] = message.k
-        self._count += 1
         self._bits += message.bits_left
-        if self._solved_k < 0:
-            self._solved_k = self._kept[-1].k
-        while len(self._read) > KEPT_MESSAGES:
-            del self._read[next(iter(self._read))]
+        if message.whole and message.probability >= SURE:
+            self._count += 1
+            if self._solved_k < 0:
+                self._solved_k = self._kept[-1].k
+        while len(self._past) > KEPT_MESSAGES:
+            del self._past[next(iter(self._past))]
 
     def _let_go(self, count: int) -> None:
         """Her last thoughts on the oldest."""
@@ -148,6 +162,10 @@ class Text(Eavesdropper):
             guess = self._thoughts.pop((t.session, t.k), None)
             self.final_guesses.append(guess or Guess(t.k, self._even, 0.5, t.session))
         self._kept = self._kept[count:]
+        sessions = {t.session for t in self._kept}
+        self._after = {name: k for name, k in self._after.items() if name in sessions}
+        while len(self._symbols) > KEPT_SYMBOLS:
+            del self._symbols[next(iter(self._symbols))]
 
     def review(self) -> Sequence[Guess]:
         """What she takes each step for, with what came after it and the messages carried."""
@@ -156,13 +174,13 @@ class Text(Eavesdropper):
 
     def belief(self) -> Belief:
         """The newest message, how sure she is of it, and what is left of all."""
-        read = tuple(self._read.values())
-        newest = (*read, *self._open)[-1:]
+        read = tuple(m.payload for m in self._past.values() if m.probability >= SURE)
+        newest = (*self._past.values(), *self._open)[-1:]
         session = self._kept[-1].session if self._kept else ""
         symbols = sorted((k, s) for (at, k), s in self._symbols.items() if at == session)
         return Belief(
             message=newest[0].payload if newest else b"",
-            whole=tuple(m.payload for m in read),
+            whole=read,
             whole_count=self._count,
             confidence=newest[0].probability if newest else 0.0,
             candidates_left=newest[0].rivals if newest else 0,

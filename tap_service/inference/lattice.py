@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array, Integers
+from protocol.arrays import Array, Integers, Narrow
 from protocol.schemes.framing import IDLE, START
 from protocol.schemes.table import StateTable
 
@@ -146,17 +146,17 @@ class Lattice:
         weights: Array = both[0]
         return weights
 
-    def ahead(self, outside: Array, symbols: int) -> Array:
+    def ahead(self, outside: Array, symbols: int) -> Narrow:
         """Log weight of all that follows where ``symbols`` of any kind end the message.
 
-        Shape (symbols + 1, K + 1, E).
+        Shape (symbols + 1, K + 1, E), in single precision: with 4096 steps it is a third of a GB.
         """
-        out = np.empty((symbols + 1, self.steps + 1, self.states))
-        out[0] = outside
+        out = np.empty((symbols + 1, self.steps + 1, self.states), dtype=np.float32)
+        out[0] = last = outside
         for r in range(1, symbols + 1):
             # a long silence is worth more than a float holds: each node has a level of its own
-            own = out[r - 1].max(axis=1)
-            values = np.exp(out[r - 1] - own[:, None])
+            own = last.max(axis=1)
+            values = np.exp(last - own[:, None])
             level = np.zeros(self.steps + 1)
             for g in range(self.wait):
                 level[: self.steps - g] = np.maximum(level[: self.steps - g], own[1 + g :])
@@ -165,7 +165,7 @@ class Lattice:
                 rows = self.steps - g
                 part = np.einsum("kef,kf->ke", self.uniform[:rows, :, g], values[1 + g :])
                 now[:rows] += part * np.exp(own[1 + g :] - level[:rows])[:, None]
-            out[r] = _log(now) + level[:, None]
+            out[r] = last = _log(now) + level[:, None]
         return out
 
     def none_after(self, begin: Array) -> float:

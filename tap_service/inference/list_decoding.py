@@ -91,10 +91,10 @@ class ListDecoding:
         self.whole_count = 0
         self._cap = cap
         self._passed = 0
-        self._hypotheses = Hypotheses(2 * cap + 64)
-        self._paths = SymbolPaths(self.size)
-        self._frames = FrameScores(self._hypotheses, self._paths, self.size, framed=framed)
-        self._hypotheses.node[0] = -1
+        self.beam = Hypotheses(2 * cap + 64)
+        self.paths = SymbolPaths(self.size)
+        self._frames = FrameScores(self.beam, self.paths, self.size, framed=framed)
+        self.beam.node[0] = -1
         self._frames.begin(slice(0, 1))
         if edge is None:
             self.restrict(0.0, np.inf, 0.0, np.inf)
@@ -104,9 +104,9 @@ class ListDecoding:
     def restart(self) -> None:
         """A new session: scheme and frame from the start; what is known of t_c, t_e is kept."""
         self._settle()
-        self._paths.forget_trunk()
-        everyone = slice(0, self._hypotheses.n)
-        self._hypotheses.state[everyone] = 0
+        self.paths.forget_trunk()
+        everyone = slice(0, self.beam.n)
+        self.beam.state[everyone] = 0
         self._frames.begin(everyone)
 
     # --- one transition ---------------------------------------------------------------------------
@@ -121,7 +121,7 @@ class ListDecoding:
             Of x(k+1) about each centre, in the unit in which t_c and t_e are searched.
         cipher : int
         """
-        h = self._hypotheses
+        h = self.beam
         nearest = min(gauges)
         if self.certain:
             symbol = np.full(h.n, gauges.index(nearest))
@@ -143,12 +143,12 @@ class ListDecoding:
 
     def restrict(self, lo: float, hi: float, edge_lo: float, edge_hi: float) -> None:
         """Begin with this rectangle: t_c and t_e from and to."""
-        h = self._hypotheses
+        h = self.beam
         h.lo[0], h.hi[0], h.edge_lo[0], h.edge_hi[0] = lo, hi, edge_lo, edge_hi
 
     def widen(self, factor: float) -> None:
         """Let every hypothesis hold thresholds that are so much smaller and larger too."""
-        h = self._hypotheses
+        h = self.beam
         for low, high in ((h.lo, h.hi), (h.edge_lo, h.edge_hi)):
             low[: h.n] /= factor
             high[: h.n] *= factor
@@ -179,7 +179,7 @@ class ListDecoding:
         cipher : int, optional
             None where it was missed: then every message symbol is possible.
         """
-        h = self._hypotheses
+        h = self.beam
         ordered = np.sort(samples, axis=1)
         choice = samples.argmin(axis=1)
         values = self._values(0 if cipher is None else cipher)
@@ -207,24 +207,24 @@ class ListDecoding:
 
     def _tested(self) -> Flags:
         """Which hypotheses take this step for one whose verdict counts."""
-        tested: Flags = self._table.tests[self._hypotheses.state[: self._hypotheses.n]]
+        tested: Flags = self._table.tests[self.beam.state[: self.beam.n]]
         return tested
 
     def _values(self, cipher: int) -> Indices:
         """The message symbol that this step carries in each hypothesis, or -1 for none."""
         pads = self._table.pad  # of the states, which are fewer than the hypotheses
         carried = np.where(pads == NO_SYMBOL, NO_SYMBOL, (cipher - pads) % self.size)
-        values: Indices = carried[self._hypotheses.state[: self._hypotheses.n]]
+        values: Indices = carried[self.beam.state[: self.beam.n]]
         return values
 
     def _advance(self, k: int, verdicts: Indices, values: Indices) -> None:
         """Let the scheme go on in every hypothesis, and take the message symbols."""
-        h = self._hypotheses
+        h = self.beam
         h.state[: h.n] = self._table.following(h.state[: h.n], verdicts)
         carriers = np.flatnonzero(values != NO_SYMBOL)
         if len(carriers):
             symbols = values[carriers]
-            h.node[carriers] = self._paths.extend(k, h.node[carriers], symbols)
+            h.node[carriers] = self.paths.extend(k, h.node[carriers], symbols)
             self._frames.push(carriers, symbols)
         self._prune(k)
 
@@ -236,7 +236,7 @@ class ListDecoding:
             shares = np.bincount(choice, minlength=self.size) / len(choice)
             chances[:, 1:] = 1.0 / self.size if blind else shares
             return chances
-        h = self._hypotheses
+        h = self.beam
         lo, hi = h.lo[tested][:, None], np.minimum(h.hi[tested], 1e9)[:, None]
         nearest, second, largest = ordered[:, 0], ordered[:, 1], ordered[:, -1]
         overlap = np.minimum(hi, second) - np.maximum(lo, nearest)
@@ -252,7 +252,7 @@ class ListDecoding:
 
         Says whether there was one.
         """
-        h = self._hypotheses
+        h = self.beam
         crossed = (getattr(h, low)[: h.n] < at) & (getattr(h, high)[: h.n] > at)
         if where is not None:
             crossed &= where
@@ -269,7 +269,7 @@ class ListDecoding:
 
     def _collapse(self, k: int) -> None:
         """Where the best hypothesis is one whose frame check held, drop those whose did not."""
-        h = self._hypotheses
+        h = self.beam
         passed = h.passed[: h.n]
         best = h.best
         if passed[best] <= self._passed:
@@ -286,19 +286,19 @@ class ListDecoding:
             self.whole_count += 1
         h.keep(np.flatnonzero(passed == passed[best]))
         self._settle()
-        self._paths.end_frame()
+        self.paths.end_frame()
 
     def _last_frame(self, node: int) -> bytes | None:
         deframer = Deframer(self.size)
         payload = None
-        for symbol in self._paths.frame(node):
+        for symbol in self.paths.frame(node):
             frame = deframer.push(symbol)
             if frame is not None and frame.intact:
                 payload = frame.payload
         return payload
 
     def _prune(self, k: int) -> None:
-        h = self._hypotheses
+        h = self.beam
         self.peak = max(self.peak, h.n)
         if self._frames.held:
             self._collapse(k)
@@ -311,28 +311,28 @@ class ListDecoding:
             behind = score < score.max() - BEHIND
             if behind.any():
                 h.keep(np.flatnonzero(~behind))
-        if len(self._paths) > NODES:
+        if len(self.paths) > NODES:
             self._compact()
-            while len(self._paths) > NODES // 2 and h.n > 1:
+            while len(self.paths) > NODES // 2 and h.n > 1:
                 self._halve()
                 self._compact()
             if h.n == 1:
                 self._settle()
 
     def _compact(self) -> None:
-        h = self._hypotheses
-        h.node[: h.n] = self._paths.compact(h.node[: h.n])
+        h = self.beam
+        h.node[: h.n] = self.paths.compact(h.node[: h.n])
 
     def _halve(self) -> None:
-        h = self._hypotheses
+        h = self.beam
         order = np.argsort(-h.score[: h.n], kind="stable")[: (h.n + 1) // 2]
         self.dropped += h.n - len(order)
         h.keep(np.sort(order))
 
     def _settle(self) -> None:
         """Take the best hypothesis's symbols for granted and forget all paths."""
-        h = self._hypotheses
-        self._paths.settle(int(h.node[h.best]))
+        h = self.beam
+        self.paths.settle(int(h.node[h.best]))
         h.node[: h.n] = -1
         h.score[: h.n] -= h.score[: h.n].max()
 
@@ -346,45 +346,45 @@ class ListDecoding:
     @property
     def hypotheses(self) -> int:
         """Rectangles on the list."""
-        return self._hypotheses.n
+        return self.beam.n
 
     @property
     def _best_path(self) -> int:
-        return int(self._hypotheses.node[self._hypotheses.best])
+        return int(self.beam.node[self.beam.best])
 
     def candidates(self) -> int:
         """Distinct message decodings on the list."""
-        h = self._hypotheses
+        h = self.beam
         return len(np.unique(h.node[: h.n])) if h.n > 1 else 1
 
     def confidence(self) -> float:
         """Share of the best hypothesis's decoding among all, taking the scores at their word."""
-        h = self._hypotheses
+        h = self.beam
         score = h.score[: h.n]
         weight = np.exp(score - score.max())
         return float(weight[h.node[: h.n] == self._best_path].sum() / weight.sum())
 
     def symbols(self) -> list[tuple[int, int]]:
         """Step and message symbol along the best hypothesis, the newest that are kept."""
-        return self._paths.steps_and_symbols(self._best_path)
+        return self.paths.steps_and_symbols(self._best_path)
 
     def under_way(self) -> bytes:
         """The payload under way along the best hypothesis; without frames, all of the text."""
         if not self.framed:
             return bytes_of((s for _, s in self.symbols()), self.size)
         deframer = Deframer(self.size)
-        for symbol in self._paths.frame(self._best_path):
+        for symbol in self.paths.frame(self._best_path):
             deframer.push(symbol)
         return deframer.partial
 
     def thresholds(self) -> tuple[float, float, float, float]:
         """The best hypothesis's rectangle: t_c from, to, and t_e from, to."""
-        h, best = self._hypotheses, self._hypotheses.best
+        h, best = self.beam, self.beam.best
         return float(h.lo[best]), float(h.hi[best]), float(h.edge_lo[best]), float(h.edge_hi[best])
 
     def testing(self) -> bool:
         """Whether the best hypothesis takes the next transition for a tested one."""
-        return bool(self._table.tests[self._hypotheses.state[self._hypotheses.best]])
+        return bool(self._table.tests[self.beam.state[self.beam.best]])
 
 
 def bytes_of(symbols: Iterable[int], size: int) -> bytes:

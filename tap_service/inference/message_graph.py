@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Array, Indices
+from protocol.arrays import Array, Indices, Narrow
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import NEGLIGIBLE, Beam
@@ -170,7 +170,7 @@ class Drawn:
 
 
 def check_symbols(
-    lattice: Lattice, alpha: Array, low: int, ahead: Array, count: int
+    lattice: Lattice, alpha: Array, low: int, ahead: Narrow, count: int
 ) -> Array | None:
     """Probability of each symbol of a check of ``count``, whatever the check, shape (count, M).
 
@@ -204,7 +204,7 @@ def judge(
     texts: NDArray[np.uint8],
     alpha: Array,
     low: int,
-    ahead: Array,
+    ahead: Narrow,
     digits: int,
 ) -> tuple[Array, Array, int]:
     """By how much the check of each text fits better than any check.
@@ -258,7 +258,7 @@ def judge(
     return level + _ahead_of(alpha, ahead[0], low, E), alpha, low
 
 
-def _ahead_of(alpha: Array, ahead: Array, low: int, states: int) -> Array:
+def _ahead_of(alpha: Array, ahead: Narrow, low: int, states: int) -> Array:
     """Log weight of what lies ahead of each row of ``alpha``."""
     count = alpha.shape[1] // states
     rows = np.full((count, states), -np.inf)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Array, Flags, Indices
+from protocol.arrays import Array, Flags, Indices, Narrow
 from protocol.schemes.framing import (
     CHECK_BYTES,
     LENGTH_BYTES,
@@ -37,8 +37,9 @@ from tap_service.inference.message_halves import join
 BEAM: Final = 3000
 """Hypotheses kept from symbol to symbol."""
 
-LENGTHS: Final = 48
-"""Lengths of the payload that are followed."""
+LENGTHS: Final = 160
+"""Lengths of the payload that are followed. Where another message follows at once, the length that
+spans both fits better than the true one until the text is looked at."""
 
 LONGEST: Final = 1024
 """Bytes of a payload at most."""
@@ -158,9 +159,9 @@ class MessageSearch:
         symbols = frame_length(self._longest, self._size)
         self._ahead = lattice.ahead(self._outside, min(symbols, lattice.steps))
 
-    def _after(self, symbols: Indices) -> Array:
-        """`Lattice.ahead` of numbers of symbols; more than the steps never end."""
-        return self._ahead[np.minimum(symbols, len(self._ahead) - 1)]
+    def _after(self, symbols: Indices, low: int, count: int) -> Narrow:
+        """`Lattice.ahead` of numbers of symbols in a window; more than the steps never end."""
+        return self._ahead[np.minimum(symbols, len(self._ahead) - 1), low : low + count]
 
     # --- where and how long -----------------------------------------------------------------------
 
@@ -192,7 +193,7 @@ class MessageSearch:
         _, total, prior = self._all_lengths()
         best = np.full(start.shape, -np.inf)
         for n, p in zip(total, prior, strict=True):
-            best = np.logaddexp(best, start + self._after(n) + p)
+            best = np.logaddexp(best, start + self._after(n, 0, len(start)) + p)
         return best
 
     def silent(self, begin: Array) -> bool:
@@ -244,7 +245,7 @@ class MessageSearch:
         out = np.full((len(left), count, self._lattice.states), -np.inf)
         have = min(count, self._lattice.steps + 1 - low)
         if have > 0:
-            out[:, :have] = self._after(left)[:, low : low + have]
+            out[:, :have] = self._after(left, low, have)
         return out.reshape(len(left), count * self._lattice.states)
 
     def _weights(self, alphas: Array, level: Array, left: Indices, low: int) -> Array:

@@ -120,11 +120,11 @@ class OffersReader(ParticleSmoother):
         pairs = _pairs(transitions)
         if pairs is None:
             return True
-        _, off = self._width_of(*pairs)
+        _, off = self.width_of(*pairs)
         slopes = np.concatenate([np.linalg.norm(f.slopes, axis=1) for f in self._law.facets])
         return off <= EXPLAINED * float(pairs[1].std()) + 2 * self._noise * float(np.median(slopes))
 
-    def _width_of(self, x: Array, u: Array) -> tuple[float, float]:
+    def width_of(self, x: Array, u: Array) -> tuple[float, float]:
         """The width under which the law explains offers best, and what it leaves."""
 
         def off(width: float) -> float:
@@ -143,7 +143,7 @@ class OffersReader(ParticleSmoother):
         whole = [t for t in transitions if t.whole]
         if self._noise or not self._law.facets or pairs is None or len(whole) < LEAST:
             return False
-        width, _ = self._width_of(*pairs)
+        width, _ = self.width_of(*pairs)
         x, x_next = np.array([t.x for t in whole]), np.array([t.x_next for t in whole])
         u = np.array([t.candidates for t in whole])
         residual = (x_next - x @ self._A.T)[:, None] - u @ self._B.T

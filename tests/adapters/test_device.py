@@ -174,15 +174,17 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(actions)
     assert bench.device.calls == ["append", "apply"]
-    begun = bench.journal.begun()
+    begun = bench.journal.step()
     assert begun is not None
-    assert begun.coin == actions.write.coin
+    assert (begun.coin, begun.measurement) == (actions.write.coin, None)
     bench.do(bench.endpoint.wake(0.9))
     assert "sample" not in bench.device.calls
     bench.published.clear()
     bench.do(bench.endpoint.wake(1.05))
     assert bench.device.calls == ["append", "apply", "sample", "append", "write"]
-    assert bench.journal.begun() is None
+    read = bench.journal.step()
+    assert read is not None
+    assert read.measurement is not None
     (report,) = bench.published
     measurement = Measurement.model_validate_json(report.payload)
     assert (measurement.k, measurement.applied_k) == (1, 0)
@@ -239,7 +241,7 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     device = Device()
     bench = Bench(device)
     bench.do(bench.offer(0.2))  # applied, and then the process dies
-    begun = bench.journal.begun()
+    begun = bench.journal.step()
     assert begun is not None
     session = bench.record.session
     back = Bench(Device(), bench.journal)
@@ -399,20 +401,20 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     """What is saved while a device acts names the step: after a death its input is not made up."""
     bench = Bench(Device(), TwinPlantJournal(), fallback=fallback)
     bench.do(bench.offer(0.2))
-    chosen = bench.journal.begun()
+    chosen = bench.journal.step()
     assert chosen is not None
     if ends:
         bench.refuse(0.5)
     else:
         bench.greet(0.5)
-    assert bench.journal.begun() == chosen
+    assert bench.journal.step() == chosen
     session = bench.record.session
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert (event.session, event.coin) == (session, chosen.coin)
     assert event.u == chosen.offer.candidates[chosen.coin] != (0.0,)
     assert (back.record.transitions, back.record.missed) == (0, 1)
-    assert back.journal.begun() is None
+    assert back.journal.step() is None
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
     assert back.record.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
@@ -583,7 +585,7 @@ def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
 
     device, stopping = Device(), threading.Event()
     service = device_service(device, tmp_path, monkeypatch, stopping)
-    for channel in service._host._channels.values():
+    for channel in service._host.channels.values():
         monkeypatch.setattr(type(channel), "close", fails)
     stopping.set()
     with pytest.raises(TransportError, match="the channel is gone"):

@@ -1,6 +1,7 @@
 """A user's plant stays a guest: whatever its code does, it stops itself alone, in its limits."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -81,9 +82,9 @@ def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: P
     first = opened(tmp_path, "pass")
     first.start(None)
     first.close()
-    for process in sandbox._idle.values():
-        process._child.kill()
-        process._child.wait()
+    for process in sandbox.idle.values():
+        os.kill(process.child.pid, signal.SIGKILL)
+        process.child.wait(20.0)
     second = opened(tmp_path, "pass")
     assert len(stepped(second, 2)) == 3
     second.close()
@@ -177,7 +178,7 @@ def test_what_it_started_ends_with_it(tmp_path: Path, leave: str, then: str) -> 
 
 
 def guest_of(plant: Operated) -> sandbox.SandboxProcess:
-    found: sandbox.SandboxProcess = plant.adapter.plant._far._process  # type: ignore[attr-defined]
+    found: sandbox.SandboxProcess = plant.adapter.plant.far.process  # type: ignore[attr-defined]
     return found
 
 
@@ -190,7 +191,7 @@ folder = Path(sys.argv[1])
 act = FORKS.format(note=str(folder / "pid"), leave="os.setsid()", then="pass")
 plant = open_plant(scenario_of(folder, act), folder)
 stepped(plant, 4)
-print(guest_of(plant)._child.pid, flush=True)
+print(guest_of(plant).child.pid, flush=True)
 time.sleep(60)
 """
 
@@ -217,7 +218,7 @@ def test_plants_one_after_the_other_share_a_process(tmp_path: Path) -> None:
     for _ in range(3):
         plant = opened(tmp_path, "pass")
         assert stepped(plant, 2)[0] == stepped(open_plant(line()), 1)[0]
-        pids.add(guest_of(plant)._child.pid)
+        pids.add(guest_of(plant).child.pid)
         plant.close()
     assert len(pids) == 1
 

@@ -144,7 +144,7 @@ def test_the_files_of_an_fmu_go_when_it_is_closed(fmu: tuple[Path, str]) -> None
     from plant_service.adapters.fmu import Fmu
 
     plant = Fmu(*fmu, ["u"], ["place", "speed"])
-    folder = plant._folder
+    folder = plant.folder
     plant.reset(None)
     assert folder.is_dir()
     plant.close()

@@ -106,7 +106,7 @@ def test_without_the_package_ours_is_measured_and_it_is_said(
 def test_another_kind_of_plant_is_refused() -> None:
     tank = scenario_of("quadruple-tank")
     with pytest.raises(ValueError, match="expected a planar plant"):
-        bench_sets._exact(tank, synthesise(_shorter(tank)))
+        bench_sets.exact_rows(tank, synthesise(_shorter(tank)))
 
 
 def _shorter(scenario: Scenario) -> Scenario:
@@ -174,8 +174,8 @@ def test_states_are_drawn_in_their_set_and_in_none_before(design: Design) -> Non
 
 def test_a_violation_is_seen(paper: Scenario, design: Design) -> None:
     X = bench_qp.states_in(design, 5, 10, np.random.default_rng(4))
-    off = bench_qp._time(lambda *_: np.array([6.5]), 1, X, 5, paper, design)
+    off = bench_qp.timed(lambda *_: np.array([6.5]), 1, X, 5, paper, design)
     assert off["largest_violation"] >= 0.5
     assert off["violated_share"] == 1
-    none = bench_qp._time(lambda *_: None, 1, X, 5, paper, design)
+    none = bench_qp.timed(lambda *_: None, 1, X, 5, paper, design)
     assert (none["unsolved_share"], none["largest_violation"]) == (1, 0)

@@ -6,7 +6,17 @@ from typing import Any
 
 import pytest
 
-from benchmarks.timing import SIDES, Answers, difference, measure, recorded, render, response_times
+from benchmarks.check import make_run
+from benchmarks.timing import (
+    SIDES,
+    Answers,
+    bus_times,
+    difference,
+    measure,
+    recorded,
+    render,
+    response_times,
+)
 from benchmarks.work import work
 from controller_service.core import ControllerCore
 
@@ -55,6 +65,16 @@ def test_both_ends_answers_are_timed_in_both_states(scenario: str, tmp_path: Pat
         times_of = [sorted(ns for c, ns in found if c == carries) for carries in (False, True)]
         assert times_of[1][0] >= 300_000 > times_of[0][len(times_of[0]) // 2]
         assert len(found) >= 150
+
+
+def test_a_runs_capture_has_the_times_of_both_ends(tmp_path: Path) -> None:
+    make_run(tmp_path, 60)
+    found = bus_times(tmp_path)
+    assert set(found) == set(SIDES)
+    for answers in found.values():
+        assert 50 <= len(answers) <= 60
+        assert {carries for carries, _ in answers} == {False, True}
+        assert all(ns > 0 for _, ns in answers)
 
 
 @pytest.mark.slow

@@ -13,11 +13,10 @@ from typing import Final, Literal, NamedTuple
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Event, FrameRefused, SessionBegan
-from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
-from protocol.secret.blocks import ClosedBlock
+from protocol.secret.blocks import BlockResult, ClosedBlock
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.tasks import Task
 from runtime import perform as shell
@@ -268,7 +267,7 @@ class End:
             self.device.look(event, alive=not self._starting)
         if isinstance(event, FrameRefused):
             raise Broken("a frame was refused")
-        if isinstance(event, BlockJudged):
+        if isinstance(event, BlockResult):
             if event.what != "confirmed":
                 raise Broken("the two ends hold different key blocks")
             self.confirmed = True

@@ -118,8 +118,8 @@ def main(argv: list[str] | None = None) -> int:
         if len(looks) < 10:
             parser.error(f"--steps: got {args.steps}, expected more: {len(looks)} looks were taken")
         result = judged(looks, summary)
-        findings = check(read_evidence(run_dir))
-        result["wrong"] += [f"{f.clause.name} fails" for f in findings if f.result == "FAIL"]
+        results = check(read_evidence(run_dir))
+        result["wrong"] += [f"{r.clause.name} fails" for r in results if r.result == "FAIL"]
     print(json.dumps({"steps": args.steps, "looks": len(looks), **result}, indent=1))
     return 1 if result["wrong"] else 0
 

@@ -64,11 +64,11 @@ def loader(load: Callable[[Path], object]) -> Callable[[Path], int]:
     """Something that a command calls before it does more, within what is around each command."""
 
     def called(run: Path) -> int:
-        def answer(_args: argparse.Namespace) -> int:
+        def answer() -> int:
             load(run)
             return 0
 
-        return carry_out(lambda: argparse.Namespace(run=answer))
+        return carry_out(answer)
 
     return called
 
@@ -87,11 +87,11 @@ def _fleet(run: Path) -> None:
 
 
 def _secret(run: Path) -> None:
-    from runtime.key_opening import open_keeper
+    from runtime.key_opening import open_key_maker
 
     keys = load_scenario(ROOT / "runtime/scenarios/keys.toml")
     (run / "k.sqlite3").unlink(missing_ok=True)
-    open_keeper(run / "k.sqlite3", "plant", keys, None, run / "secret")
+    open_key_maker(run / "k.sqlite3", "plant", keys, None, run / "secret")
 
 
 def _knowledge(run: Path) -> None:

@@ -86,17 +86,17 @@ class Tap:
 
     def _look(self) -> None:
         self._waiting = 0
-        while self.service._queue:
+        while self.service.queue:
             self.service.work(0.0)
 
     def goes_on(self) -> None:
         """What is heard is written down, within its bound, and statuses are published."""
         self._look()
-        before = self.service._capture.written
+        before = self.service.capture.written
         for payload in self._good:
             self.hear(Measurement if b'"x"' in payload else Offer, payload)
         self._look()
-        assert self.service._capture.written >= before + 2
+        assert self.service.capture.written >= before + 2
         self.service.publish()
         self.service.write_beliefs()
         size = sum(path.stat().st_size for path in (self._folder / "tap").glob("*.jsonl"))
@@ -150,13 +150,13 @@ class Watcher:
     kinds: tuple[type[Message], ...] = (PlantStatus, ControllerStatus)
 
     def __init__(self) -> None:
-        from wyner.cli.up import _Progress
+        from wyner.cli.up import Progress
 
         class Nobody:
             def poll(self) -> None:
                 """No child."""
 
-        progress = _Progress(until_delivered=True, supervisor=Nobody())  # type: ignore[arg-type]
+        progress = Progress(until_delivered=True, supervisor=Nobody())  # type: ignore[arg-type]
         self._hear: dict[type[Message], Deliver] = {
             PlantStatus: progress.plant_said,
             ControllerStatus: progress.controller_said,

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
-from protocol.agreement import predict
+from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer
@@ -195,6 +195,8 @@ class Watched(Simulation):
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
+        if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
+            return  # the controller's
         assert event.session == self._plant.record.session, "counted in another session"
         if device.u is None:  # of a life before, or before an input was known
             return

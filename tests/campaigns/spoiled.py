@@ -178,13 +178,13 @@ class Spoiled:
                 self.wrong.append(f"{payload!r} was never sent")
             if times > 1 and not again:
                 self.wrong.append(f"{payload!r} was recovered {times} times")
-        findings = {f.clause.name: f for f in check(read_evidence(self.loop.folder))}
-        for name, finding in findings.items():
-            if finding.result == "FAIL":
+        results = {r.clause.name: r for r in check(read_evidence(self.loop.folder))}
+        for name, result in results.items():
+            if result.result == "FAIL":
                 self.counts[f"check: {name}"] += 1
                 if not back and (name not in FORGOTTEN or self.side == "plant"):
-                    self.wrong.append(f"{name}: {finding.tally.first}")
-        if back and findings["wire"].result != "FAIL":
+                    self.wrong.append(f"{name}: {result.counter.first}")
+        if back and results["wire"].result != "FAIL":
             self.wrong.append("the check does not see that both ends went back")
 
 

@@ -31,7 +31,7 @@ class Stores:
         if digest not in self._numbers:
             images = self._images[store.side]
             self._numbers[digest] = len(images)
-            images.append(zlib.compress(store._db.serialize(), 1))
+            images.append(zlib.compress(store.db.serialize(), 1))
             self.keys[store.side].append(
                 {
                     name: (state, key)
@@ -47,7 +47,7 @@ class Stores:
         known = self._worked.get((side, number, task))
         if known is None:
             with KeyStore(None, side) as store:
-                store._db.deserialize(zlib.decompress(self._images[side][number]))
+                store.db.deserialize(zlib.decompress(self._images[side][number]))
                 done = work(KeyMaker(store), task)
                 known = self._worked[side, number, task] = self.put(store), done
         return known

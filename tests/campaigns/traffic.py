@@ -151,12 +151,12 @@ class Traffic:
             if self.sealed:
                 self.wrong += _opened(run_dir, self.sealed)
             evidence = read_evidence(run_dir)
-            findings = check(evidence)
+            results = check(evidence)
         except (OSError, StoreError, ValueError) as error:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
-        failed = [f"{f.clause.name}: {f.tally.first}" for f in findings if f.result == "FAIL"]
+        failed = [f"{r.clause.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
         return self.wrong + failed
 
 

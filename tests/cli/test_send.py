@@ -1,6 +1,5 @@
 """``wyner send``: what it says on the bus while it waits."""
 
-import argparse
 import json
 import threading
 import time
@@ -12,11 +11,12 @@ from typing import Any
 import pytest
 
 from protocol.messages import SealCommand, SealReply, SendReply
+from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
 from wyner.cli import options
 from wyner.cli.main import main
 from wyner.cli.options import joined
-from wyner.cli.send import REPEAT_S, _answers, _print
+from wyner.cli.send import REPEAT_S, answers, print_reply
 from wyner.deployment.running import RunningLoop, announced
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
@@ -28,11 +28,6 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(options, "CONTROLLER_OPS", NOBODY)
-
-
-def asked(run_name: str | None = None) -> argparse.Namespace:
-    told = {"connect": [], "listen": [], "client": [], "scouting": False, "loop": "loop"}
-    return argparse.Namespace(**told, run_name=run_name)
 
 
 class CrowdedBus:
@@ -61,11 +56,11 @@ def test_answers_to_others_are_no_reason_to_say_it_again() -> None:
     """Where each answer made every operator ask again, five of them flooded the controller."""
     bus: Any = CrowdedBus(others=50)
     begun = time.monotonic()
-    answers = list(_answers(bus, "loop", SealCommand(id="mine", payload=b"x"), begun + 0.45))
+    told = list(answers(bus, "loop", SealCommand(id="mine", payload=b"x"), begun + 0.45))
     took = time.monotonic() - begun
     assert 1 <= bus.said <= took / REPEAT_S + 1
-    assert len(answers) == bus.said
-    assert {reply.id for reply in answers} == {"mine"}
+    assert len(told) == bus.said
+    assert {reply.id for reply in told} == {"mine"}
 
 
 @pytest.mark.usefixtures("alone")
@@ -77,12 +72,12 @@ def test_a_run_that_is_only_being_started_is_waited_for(
     with ExitStack() as note:
         later = threading.Timer(0.3, lambda: note.enter_context(announced(RUN)))
         later.start()
-        assert joined(asked(name), "operator", 30.0) == RUN
+        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
         later.join()
         which = "no run" if name is None else "no run 'a/run'"
         said = f"wyner: {which} on this machine yet; waiting 30 s for it\n"
         assert capsys.readouterr().err == said
-        assert joined(asked(name), "operator", 30.0) == RUN
+        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
         assert capsys.readouterr().err == ""
 
 
@@ -90,9 +85,9 @@ def test_a_run_that_is_only_being_started_is_waited_for(
 def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
     begun = time.monotonic()
     with pytest.raises(Failure, match=r"no run on this machine within 0.2 s: start one \(wyner up"):
-        joined(asked(), "operator", 0.2)
+        joined(BusOptions(), None, "operator", 0.2)
     with pytest.raises(UsageError, match="no run 'b' on this machine, running now: none"):
-        joined(asked("b"), "operator", 0.2)
+        joined(BusOptions(), "b", "operator", 0.2)
     assert 0.4 <= time.monotonic() - begun < 10
 
 
@@ -126,6 +121,6 @@ def test_for_machines_it_is_one_object(
     size: int,
     expected: dict[str, Any],
 ) -> None:
-    _print(reply, size, as_json=True)
+    print_reply(reply, size, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told == {"id": "m", "bytes": size, **expected}

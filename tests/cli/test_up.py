@@ -17,7 +17,7 @@ from wyner.deployment.one_machine import RunOptions
 def progress(returned: int | None) -> tuple[Any, SimpleNamespace]:
     plant = SimpleNamespace(returned=returned)
     supervisor: Any = SimpleNamespace(poll=lambda: None, child=lambda _name: plant)
-    return up._Progress(until_delivered=True, supervisor=supervisor), plant
+    return up.Progress(until_delivered=True, supervisor=supervisor), plant
 
 
 def test_a_run_is_over_with_its_plant_whatever_was_still_to_be_done(
@@ -42,8 +42,8 @@ def test_a_run_is_over_with_its_plant_whatever_was_still_to_be_done(
 def test_a_run_goes_on_until_its_background_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(up, "GRACE_S", 0.0)
     watching, _plant = progress(None)
-    watching._delivered = watching._received = 1
-    watching._waiting = False
+    watching.delivered = watching.received = 1
+    watching.waiting = False
     watching.background = lambda: False
     assert not watching.over()
     watching.background = lambda: True
@@ -61,7 +61,7 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
     mine = f"{tmp_path}/mine.py:Mine"
 
     def listening(asked: str | None) -> tuple[str, ...]:
-        return up._eavesdroppers(RunOptions(eavesdropper=asked), scenario)
+        return up.eavesdroppers_of(RunOptions(eavesdropper=asked), scenario)
 
     usual = listening(None)
     assert "list-decoder" in usual

@@ -47,12 +47,12 @@ from wyner.dashboard.view import (
     HELP,
     SILENT_AFTER_NS,
     SMALLEST,
-    Wishes,
+    ViewState,
     screen,
 )
 
 SCREENS = Path(__file__).parent / "screens"
-PLAIN = Wishes()
+PLAIN = ViewState()
 
 USUAL = Rehearsal()
 FOUR_STATES = Rehearsal(
@@ -101,7 +101,7 @@ def with_tap(board: Board, which: str, **changes: object) -> Board:
     return replace(board, taps={**board.taps, which: later})
 
 
-def shown(board: Board, width: int, height: int, wishes: Wishes = PLAIN) -> str:
+def shown(board: Board, width: int, height: int, wishes: ViewState = PLAIN) -> str:
     return to_text(screen(board, width, height, wishes, board.plant_seen_ns))
 
 
@@ -112,17 +112,19 @@ GOLDEN = {
     "80x24-delivered": (board_after(3000), 80, 24, PLAIN),
     "80x24-waiting": (Board(), 80, 24, PLAIN),
     "80x24-four-states": (board_after(700, FOUR_STATES), 80, 24, PLAIN),
-    "80x24-ascii": (board_after(700), 80, 24, Wishes(unicode=False)),
-    "80x24-help": (board_after(700), 80, 24, Wishes(help=True)),
-    "80x24-detail": (board_after(700), 80, 24, Wishes(detail=True, tap="nearest-centre")),
+    "80x24-ascii": (board_after(700), 80, 24, ViewState(unicode=False)),
+    "80x24-help": (board_after(700), 80, 24, ViewState(help=True)),
+    "80x24-detail": (board_after(700), 80, 24, ViewState(detail=True, tap="nearest-centre")),
     "80x24-end": (
         board_after(3000),
         80,
         24,
-        Wishes(caption=("What this run shows", "One.", "Two.", "Three."), press="Any key leaves."),
+        ViewState(
+            caption=("What this run shows", "One.", "Two.", "Three."), press="Any key leaves."
+        ),
     ),
-    "80x24-frozen": (board_after(700), 80, 24, Wishes(frozen=True, held_steps=40)),
-    "80x24-filter": (board_after(700), 80, 24, Wishes(typing=True, filter="near")),
+    "80x24-frozen": (board_after(700), 80, 24, ViewState(frozen=True, held_steps=40)),
+    "80x24-filter": (board_after(700), 80, 24, ViewState(typing=True, filter="near")),
     "120x40-under-way": (board_after(700), 120, 40, PLAIN),
     "120x40-delivered": (board_after(3000), 120, 40, PLAIN),
     "60x16-under-way": (board_after(700), 60, 16, PLAIN),
@@ -153,7 +155,7 @@ def test_golden_screens(name: str) -> None:
 def test_every_line_has_the_screens_width(
     width: int, height: int, board: Board, help: bool, unicode: bool
 ) -> None:
-    lines = screen(board, width, height, Wishes(help=help, unicode=unicode), 0)
+    lines = screen(board, width, height, ViewState(help=help, unicode=unicode), 0)
     assert len(lines) == height
     assert all(cell_len(line.plain) == width for line in lines)
     assert unicode or all(line.plain.isascii() for line in lines)
@@ -173,7 +175,7 @@ def test_every_line_has_the_screens_width_whatever_the_texts(
     board = with_model(board, scenario=guess[:20])
     board = with_plant(board, detail=other, partial=sent[:9])
     board = with_controller(board, sending=sent, phase="refused", detail=guess)
-    for line in screen(board, width, height, Wishes(unicode=unicode, filter=other[:1]), 0):
+    for line in screen(board, width, height, ViewState(unicode=unicode, filter=other[:1]), 0):
         assert cell_len(line.plain) == width
         assert all(c.isprintable() for c in line.plain)
         assert unicode or line.plain.isascii()
@@ -481,10 +483,10 @@ def test_garbage_is_told_at_every_width(width: int, tail: str) -> None:
 
 
 def test_a_filter_that_lets_nobody_through_does_not_say_that_nobody_was_heard() -> None:
-    text = shown(board_after(700), 80, 24, Wishes(filter="xyz"))
+    text = shown(board_after(700), 80, 24, ViewState(filter="xyz"))
     assert "no tap heard" not in text
     assert text.count("none by that name") == 3
-    assert shown(Board(), 80, 24, Wishes(filter="xyz")).count("no tap heard") == 2
+    assert shown(Board(), 80, 24, ViewState(filter="xyz")).count("no tap heard") == 2
 
 
 @pytest.mark.parametrize(
@@ -509,11 +511,11 @@ def test_figures_of_the_table_keep_to_their_columns() -> None:
 
 
 def test_the_filter_leaves_the_verdict_to_all_taps() -> None:
-    text = shown(board_after(3000), 80, 24, Wishes(filter="MEMBER"))
+    text = shown(board_after(3000), 80, 24, ViewState(filter="MEMBER"))
     assert "0 bit (list-decoder)" in text
     assert " nearest-centre" not in text
     assert "/MEMBER: 1 of 3 taps" in text
-    assert "none by that name" in shown(board_after(3000), 80, 24, Wishes(filter="zzz"))
+    assert "none by that name" in shown(board_after(3000), 80, 24, ViewState(filter="zzz"))
 
 
 def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
@@ -544,7 +546,7 @@ def test_no_text_of_any_status_moves_a_cursor(keys_made: int) -> None:
     assert len(boards) > 12
     for told in boards:
         (name,) = told.taps
-        for wishes in (PLAIN, Wishes(detail=True), Wishes(detail=True, tap=name)):
+        for wishes in (PLAIN, ViewState(detail=True), ViewState(detail=True, tap=name)):
             for size in ((80, 24), (200, 60)):
                 for line in screen(told, *size, wishes, told.plant_seen_ns):
                     assert line.plain.isprintable(), line.plain
@@ -686,7 +688,7 @@ def test_no_color_is_honoured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_help_is_made_from_the_key_table_and_covers_every_key_and_action() -> None:
-    text = shown(board_after(700), 80, 24, Wishes(help=True))
+    text = shown(board_after(700), 80, 24, ViewState(help=True))
     assert {key.action for key in KEYS} == set(Action)
     for key in KEYS:
         assert f" {key.label} " in text
@@ -699,7 +701,7 @@ def test_help_is_made_from_the_key_table_and_covers_every_key_and_action() -> No
 
 def test_the_end_of_a_run_keeps_its_lines_on_every_screen() -> None:
     caption = ("What this run shows", "first line", "second line", "third line")
-    wishes = Wishes(caption=caption, press="Any key leaves.")
+    wishes = ViewState(caption=caption, press="Any key leaves.")
     for width, height in ((80, 24), (60, 16), (40, 12), (120, 40)):
         text = shown(board_after(3000), width, height, wishes)
         assert all(line in text for line in caption)
@@ -710,7 +712,9 @@ def test_the_end_of_a_run_keeps_its_lines_on_every_screen() -> None:
 def test_a_long_line_at_the_end_of_a_run_is_broken_and_not_cut(width: int) -> None:
     """The demo's point once ended in an ellipsis: "the plant has it at step 296, the tap…"."""
     point = "1. Spoken:  16.9 bit/s by the rule; the plant has it at step 1328, the tap at 1328."
-    wishes = Wishes(caption=("What this run shows", point, "second line"), press="Any key leaves.")
+    wishes = ViewState(
+        caption=("What this run shows", point, "second line"), press="Any key leaves."
+    )
     text = shown(board_after(3000), width, 24, wishes)
     told = text.partition("What this run shows")[2].partition("\n")[2]
     assert " ".join(told.split()).startswith(" ".join(f"{point} second line".split()))
@@ -719,12 +723,12 @@ def test_a_long_line_at_the_end_of_a_run_is_broken_and_not_cut(width: int) -> No
 def test_the_page_of_a_step_and_a_tap_tells_all_that_is_known() -> None:
     board = board_after(700)
     k = max(board.pictures)
-    text = shown(board, 80, 24, Wishes(detail=True, step=k, tap="nearest-centre"))
+    text = shown(board, 80, 24, ViewState(detail=True, step=k, tap="nearest-centre"))
     assert f"── Step {k} ──" in text
     assert "── nearest-centre ──" in text
     assert "applied, tested for a key" in text
     assert "her A, true A" in text
-    assert "No step pictured yet" in shown(Board(), 80, 24, Wishes(detail=True))
+    assert "No step pictured yet" in shown(Board(), 80, 24, ViewState(detail=True))
 
 
 @pytest.mark.parametrize("value", [0, 1e-9, 0.00123, 0.5, 12.345, 999.9, 1e5, -2.5e-7, 1e12])

@@ -1,6 +1,7 @@
 """The documents: diagrams fresh, every function and every test that they name is there."""
 
 import ast
+import csv
 import importlib
 import importlib.util
 import re
@@ -13,19 +14,24 @@ import pytest
 from protocol.messages import FIELD, INTEL, OPS
 from protocol.schemes.registry import SCHEMES, make_scheme
 from runtime.errors import UsageError
-from tools.diagrams import DOCUMENT, PARTS, arrows_of, main, refreshed, state_diagram
 from tools.diagrams import DOCUMENTS as GENERATED
+from tools.diagrams import (
+    PARTS,
+    ROOMS,
+    arrows_of,
+    main,
+    refreshed,
+    rooms,
+    state_diagram,
+)
 from wyner.cli.main import build_parser, commands
 from wyner.runs.check import CLAUSES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
 
-ROWS = re.findall(
-    r"^\| (?P<item>[^|]+) \| `(?P<function>[a-z_]+\.[\w.]+)` \| `(?P<test>tests/\S+)` \|$",
-    DOCUMENT.read_text(encoding="utf-8"),
-    re.MULTILINE,
-)
+with (ROOT / "docs" / "data" / "paper-to-code.csv").open(encoding="utf-8", newline="") as file:
+    ROWS = [(row["paper"], row["function"], row["test"]) for row in csv.DictReader(file)]
 
 
 @cache
@@ -83,6 +89,7 @@ def test_the_parts_can_be_printed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_table_covers_the_papers_equations() -> None:
+    assert len(ROWS) > 25
     items = " ".join(item for item, _, _ in ROWS)
     for number in (5, 6, 10, 11, 12, 13, 14, 15, 20, 21, 22, 23, 24, 25, 26, 27):
         assert f"({number})" in items
@@ -97,22 +104,11 @@ def test_a_row_names_things_that_are_there(item: str, function: str, test: str) 
     assert name in names_in(ROOT / path), item
 
 
-def test_the_rooms_are_as_they_are_drawn() -> None:
-    """Every folder of the house stands in the picture, at its place, and none that is not there."""
-    text = DOCUMENT.read_text(encoding="utf-8").partition("## Rooms")[2].partition("## ")[0]
-    drawn: list[Path] = []
-    for indent, name in re.findall(r"^( *)([a-z_]+)/ ", text, re.MULTILINE):
-        above = drawn[-1] if drawn else Path()
-        while len(above.parts) > len(indent) // 2:
-            above = above.parent
-        drawn.append(above / name)
-    there = {
-        path.relative_to(ROOT).parent
-        for room in sorted({path.parts[0] for path in drawn})
-        for path in (ROOT / room).rglob("*.[pt][yo]*")
-        if "__pycache__" not in path.parts
-    }
-    assert {path for path in there if path.parts[0] != "tests"} == set(drawn) - {Path("tests")}
+def test_the_picture_of_the_rooms_has_every_package_with_what_it_says_of_itself() -> None:
+    drawn = rooms().splitlines()[1:-1]
+    packages = [p for room in ROOMS for p in (ROOT / room).rglob("__init__.py")]
+    assert len(drawn) == len(packages) > 30
+    assert all(len(line.split("/", 1)[1].split()) > 3 for line in drawn)
 
 
 def test_the_protocol_document_names_every_clause_of_a_check() -> None:

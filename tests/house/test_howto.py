@@ -3,10 +3,10 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 import threading
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import pytest
 from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
-from protocol.registry import load_file
+from protocol.registry import module_at
 from protocol.scenario import ScenarioError
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
@@ -32,6 +32,7 @@ from wyner.cli.main import main
 from wyner.studies.secrecy.runs import simulate
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
+EXAMPLES = PAGES.parents[1] / "examples"
 
 
 def program(page: str, folder: Path, name: str, language: str = "python") -> Path:
@@ -175,16 +176,14 @@ def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
     assert len(tap.belief().symbols) > 50
 
 
-def test_the_plant_of_the_page_moves(tmp_path: Path) -> None:
-    program("plant.md", tmp_path, "room.py")
-    room = stepped(load_file(tmp_path / "room.py").Room(), "room.py:Room")
+def test_the_plant_of_the_page_moves() -> None:
+    room = stepped(module_at("room.py", EXAMPLES / "room")[0].Room(), "room.py:Room")
     assert room.reset(None) == (20.0,)
     assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
 
 
 def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_path: Path) -> None:
-    program("plant.md", tmp_path, "room.py")
-    path = program("plant.md", tmp_path, "room.toml", "toml")
+    path = shutil.copytree(EXAMPLES / "room", tmp_path / "room") / "room.toml"
     assert main(["design", str(path)]) == 0
     scenario = load_scenario(path)
     point = scenario.plant.operating_point
@@ -192,7 +191,7 @@ def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_pat
     assert point.state is not None
     assert point.input is not None
     (at,), (rest,) = point.state, point.input
-    room = stepped(load_file(tmp_path / "room.py").Room(), "room.py:Room")
+    room = stepped(module_at("room.py", path.parent)[0].Room(), "room.py:Room")
     x = room.reset(None)[0] - at
     for u in (0.3, -0.3, 0.1):
         (t,) = room.step((rest + u,), scenario.plant.period_s)
@@ -201,12 +200,7 @@ def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_pat
 
 
 def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) -> None:
-    text = textwrap.dedent("\n".join((PAGES / "service.md").read_text().split("\n   ")))
-    blocks = re.findall(r"```python\n(.*?)\n```", text, re.DOTALL)
-    package = tmp_path / "logger_service"
-    package.mkdir()
-    for name, block in zip(("row", "__init__", "command", "__main__"), blocks, strict=True):
-        (package / f"{name}.py").write_text(block + "\n")
+    shutil.copytree(EXAMPLES / "logger_service", tmp_path / "logger_service")
     (end,) = free_endpoints(1)
     measurement = Measurement(
         session="0" * 16, k=3, x=(1.0,), applied_k=2, x_after=(1.0,), copy_number=0
@@ -239,7 +233,7 @@ def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) 
 def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = program("plant.md", tmp_path, "room.toml", "toml")
+    path = shutil.copytree(EXAMPLES / "room", tmp_path / "room") / "room.toml"
     path.write_text(path.read_text().replace("period_s", "initial_state = [-1.0]\nperiod_s"))
     assert main(["design", str(path)]) == 2
     told = capsys.readouterr().err

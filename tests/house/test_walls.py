@@ -85,8 +85,10 @@ def test_there_is_something_to_look_at() -> None:
     assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
 
 
-BESIDES: dict[str, set[str]] = defaultdict(set, attacker_service={"tap_service"})
-"""An attacker knows what this run's eavesdropper knows."""
+BESIDES: dict[str, set[str]] = defaultdict(
+    set, attacker_service={"tap_service"}, plant_service={"attacker_service"}
+)
+"""An attacker knows what this run's eavesdropper knows; a plant asks her process, no more."""
 
 
 # --- rooms ----------------------------------------------------------------------------------------
@@ -96,6 +98,19 @@ BESIDES: dict[str, set[str]] = defaultdict(set, attacker_service={"tap_service"}
 def test_a_service_imports_the_protocol_the_shell_and_itself_only(service: str) -> None:
     for path in inside(service):
         assert rooms_of(path) <= {"protocol", "runtime", service} | BESIDES[service], name_of(path)
+
+
+def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
+    """Her code, and her eavesdropper, run in a process of their own."""
+    naming = [p for p in inside("plant_service") if "attacker_service" in rooms_of(p)]
+    assert {n for p in naming for n in imports_of(p) if n.startswith("attacker_service.")} == {
+        "attacker_service.asking",
+        "attacker_service.asking.Attacker",
+        "attacker_service.asking.Heard",
+    }
+    loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
+    hers = {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}
+    assert hers == {"attacker_service", "attacker_service.asking"}
 
 
 def test_the_protocol_imports_no_other_room() -> None:
@@ -122,7 +137,17 @@ def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
     """What a clause is to find wrong in the protocol, it may not ask the protocol."""
     path = ROOT / "wyner" / "runs" / "check" / "paper.py"
     assert not rooms_of(path)
-    assert {name.split(".")[0] for name in imports_of(path)} == {"collections", "typing"}
+    assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}
+
+
+def test_a_parsed_command_line_stays_where_it_was_parsed() -> None:
+    """Commands hand on dataclasses of options; nobody makes a parsed command line up."""
+    for path in [*MODULES, *sorted((ROOT / "tests").rglob("*.py"))]:
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"\bNamespace\(", text.replace("SimpleNamespace(", "")), path
+        command = path.name in ("command.py", "__main__.py") and path.parent.name != "runtime"
+        if not command and path.parent.name != "cli":
+            assert "argparse.Namespace" not in text or path == Path(__file__), path
 
 
 SHELL = {
@@ -193,7 +218,7 @@ def test_the_dashboard_looks_on_through_messages_only() -> None:
 
 def test_the_main_modules_reach_down_only() -> None:
     for path in ROOT.glob("*_service/__main__.py"):
-        assert rooms_of(path) <= {"protocol", "runtime"}
+        assert rooms_of(path) <= {"protocol", "runtime", path.parent.name}
 
 
 def test_nothing_runs_in_a_circle() -> None:

@@ -384,7 +384,7 @@ def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
         assert one.ask("controller", "alice", "/api/v1/keys/bob/enc_keys")[0] == 200
         one.end_services()
         with closing(one.store("controller")) as store:
-            store._db.execute("DROP TABLE key")
+            store.db.execute("DROP TABLE key")
         for path in ("status", "enc_keys"):
             code, told = one.ask("controller", "alice", f"/api/v1/keys/bob/{path}")
             assert (code, told["message"][:7]) == (503, "no key:")

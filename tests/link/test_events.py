@@ -16,13 +16,13 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
-from protocol.link.key_events import BlockJudged, BlockStored, key_events, key_notices
+from protocol.link.key_events import BlockStored, key_events, key_notices
 from protocol.link.keying import Keying
 from protocol.link.peer import Notice
 from protocol.link.session import CountedTransition
-from protocol.secret.blocks import Schedule, Stored
+from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.tasks import Broken, Done, Judged
+from protocol.secret.tasks import Broken, Done
 
 S = "1" * 16
 STEP: dict[str, Any] = {"session": S, "k": 3, "x": (1.0,), "u": (2.0,), "x_next": (3.5,)}
@@ -97,7 +97,7 @@ CENTRES = ((3.0,), (5.0,))
             {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
         ),
         (
-            BlockJudged(S, 1, "confirmed"),
+            BlockResult(S, 1, "confirmed", 5),
             {"event": "judged", "session": S, "number": 1, "what": "confirmed"},
         ),
     ],
@@ -111,6 +111,7 @@ def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
 
 SCHEDULE = Schedule(Assumption(0.1), 32, 64)
 STORED = Stored(S, 0, "t", keys=5)
+DONE = BlockResult(S, 2, "confirmed", 5)
 CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
 
 
@@ -126,10 +127,10 @@ CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
             (BlockStored(S, 0, 0),),
             (Notice("no pad is left to sign key blocks with: make a new secret", "error"),),
         ),
-        (Judged(S, 2, "confirmed", 5), (BlockJudged(S, 2, "confirmed"),), ()),
+        (DONE, (DONE,), ()),
         (
-            Judged(S, 2, "unequal", 0),
-            (BlockJudged(S, 2, "unequal"),),
+            DONE._replace(what="unequal", keys=0),
+            (DONE._replace(what="unequal", keys=0),),
             (Notice(f"key block 2 of session {S} differs from the partner's: erased", "error"),),
         ),
         (Broken("disk"), (), (Notice("no key is made from here on: disk", "error"),)),

@@ -9,13 +9,12 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
-from protocol.secret.tasks import BlockVerdict, Broken, Judged
-from runtime.journal import ReceiverStep
+from protocol.secret.tasks import Broken
 from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import ScriptedLine
@@ -69,8 +68,8 @@ def test_without_keys_everything_is_constant() -> None:
     assert keying.again(sent) is sent
     assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
     assert keying.heard(said(0, THEIRS)) == ()
-    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
-    assert keying.done(Judged(S, 0, "confirmed", 5)) == ()
+    assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
+    assert keying.done(BlockResult(S, 0, "confirmed", 5)) == ()
     assert keying.obsolete_rows() == ()
     assert keying.told("") == {
         "keys_made": 0,
@@ -140,7 +139,7 @@ def test_the_partners_word_confirms_a_block_or_differs() -> None:
         stored(keying)
         judged = keying.heard(said(0, tag))
         assert [(j.number, j.what) for j in judged] == [(0, what)]
-        assert keying.tasks(judged) == (BlockVerdict(S, judged[0]),)
+        assert keying.tasks(judged) == (judged[0],)
         assert keying.heard(said(0, tag)) == ()
 
 
@@ -160,7 +159,7 @@ def test_a_session_that_is_over_leaves_nothing() -> None:
     keying.end()
     assert keying.blocks is None
     assert keying.word() == (-1, NO_TAG)
-    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
+    assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
     keying.begin(OTHER)
     assert keying.tasks() == ()
 
@@ -174,7 +173,7 @@ def test_a_verdict_goes_before_the_next_block() -> None:
     for j in range(3, 7):
         keying.count(j, 1, offer(), 0, NONCES[1])
     verdict, closed = keying.tasks(keying.heard(said(0, THEIRS)))
-    assert isinstance(verdict, BlockVerdict)
+    assert isinstance(verdict, BlockResult)
     assert isinstance(closed, ClosedBlock)
     assert closed.number == 1
 
@@ -183,10 +182,10 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
     keying = counting(3)
     stored(keying)
     assert keying.made == 0
-    keying.done(Judged(S, 0, "unequal", 5))
+    keying.done(BlockResult(S, 0, "unequal", 5))
     assert (keying.made, keying.last) == (0, (0, 0))
-    keying.done(Judged(S, 0, "confirmed", 5))
-    keying.done(Judged(S, 1, "confirmed", 3))
+    keying.done(BlockResult(S, 0, "confirmed", 5))
+    keying.done(BlockResult(S, 1, "confirmed", 3))
     assert keying.told("why") == {
         "keys_made": 8,
         "keys_of_block": 3,
@@ -206,7 +205,7 @@ def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
     keying.heard(said(0, THEIRS))
     keying.word()
     assert keying.obsolete_rows() == ()
-    keying.done(Judged(S, 0, "confirmed", 5))
+    keying.done(BlockResult(S, 0, "confirmed", 5))
     assert keying.obsolete_rows() == (range(1, 3),)
     assert keying.obsolete_rows() == ()
 
@@ -219,7 +218,7 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
     keying.done(Stored(S, 1, TAG, THEIRS, keys=5))
     keying.heard(said(1, THEIRS))
     late = Stored(S, 0, TAG, THEIRS, keys=5)
-    assert keying.done(late) == (BlockVerdict(S, BlockResult(0, "confirmed")),)
+    assert keying.done(late) == (BlockResult(S, 0, "confirmed"),)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +251,7 @@ def test_the_newest_block_says_how_things_stand_and_the_lost_ones_are_counted() 
     for done in (
         Stored(S, 0, TAG, keys=5),
         Stored(S, 1, ""),
-        Judged(S, 0, "confirmed", 5),  # an older block's verdict is late: the newest is lost
+        BlockResult(S, 0, "confirmed", 5),  # an older block's verdict is late: the newest is lost
         Stored(S, 3, TAG, keys=5),
         Stored(S, 2, ""),  # told after a later one that made keys
         Stored(S, 4, ""),
@@ -276,7 +275,7 @@ def test_the_newest_block_says_how_things_stand_and_the_lost_ones_are_counted() 
 
 def test_blocks_that_differ_stop_the_keys_until_a_new_session() -> None:
     keying = counting(3)
-    keying.done(Judged(S, 0, "unequal", 5))
+    keying.done(BlockResult(S, 0, "unequal", 5))
     keying.done(Stored(S, 1, TAG, keys=5))  # stored before, and never to be confirmed
     assert state(keying) == ("block 0 differs from the partner's", 1)
     keying.begin(OTHER)
@@ -293,7 +292,7 @@ def test_a_new_session_without_pads_makes_no_keys_either() -> None:
 def test_a_broken_store_is_asked_for_nothing_more() -> None:
     keying = counting(3)
     assert keying.done(Broken("disk full")) == ()
-    assert keying.tasks([BlockResult(0, "confirmed")]) == ()
+    assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
     assert keying.told("why")["keys_refused"] == "disk full"
 
 
@@ -321,7 +320,7 @@ def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) 
 
 def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCore:
     draws = iter(NONCES[2:])
-    step = None if word is None else ReceiverStep(offer(), word, 0)
+    step = None if word is None else PlantStep(offer(), 0, word)
     line = ScriptedLine()
     return PlantCore(
         RULES,

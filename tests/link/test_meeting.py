@@ -395,6 +395,7 @@ def test_a_measurement_too_large_to_reckon_with_is_garbage(number: float) -> Non
     offer = answer(sender, receiver.measurement())
     before = sender.record
     true = receiver.dies_over(offer, 0, (0.5,)).measurement
+    assert true is not None
     for change in ({"x": (number,)}, {"x_after": (number,)}):
         with pytest.raises(ValueError, match="beyond 1e"):
             sender.measured(true.model_copy(update=change))

@@ -14,10 +14,9 @@ from protocol.link.session import Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
-from protocol.secret.blocks import Schedule, Stored
+from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, fresh_nonce
-from protocol.secret.tasks import BlockVerdict
 from protocol.vectors import Vector
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
 from tests.support.line_plant import line_rules
@@ -431,9 +430,7 @@ def test_a_difference_of_key_blocks_begins_a_session() -> None:
     receiver.applied(OFFER.model_copy(update=differs), 0, (1.5,))
     assert not receiver.accepted
     assert (receiver.record.session, receiver.record.sessions) == (NEW, 2)
-    assert [task.judgement.what for task in receiver.tasks if isinstance(task, BlockVerdict)] == [
-        "unequal"
-    ]
+    assert [task.what for task in receiver.tasks if isinstance(task, BlockResult)] == ["unequal"]
 
 
 @pytest.mark.parametrize("record", [AT_THE_PLANT, AT_THE_PLANT._replace(transitions=0, sessions=2)])

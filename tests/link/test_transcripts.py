@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
-from runtime.journal import ReceiverStep
 from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_plant import line_rules
 from tests.support.plant_in_hand import PlantInHand
@@ -74,7 +73,7 @@ class Link:
         self.saved_sender = (None, None)
         self.sender = self.new_sender(None)
         first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, ReceiverStep | None] = (first, None)
+        self.saved_receiver: tuple[ReceiverRecord, PlantStep | None] = (first, None)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -103,7 +102,7 @@ class Link:
             fresh=self.draws,
         )
 
-    def new_receiver(self, record: ReceiverRecord, step: ReceiverStep | None = None) -> PlantInHand:
+    def new_receiver(self, record: ReceiverRecord, step: PlantStep | None = None) -> PlantInHand:
         return PlantInHand(RULES, self.instance(), record, step=step)
 
     # --- commands ---------------------------------------------------------------------------------

@@ -28,6 +28,10 @@ COMMAND = """
 from wyner.cli.main import main
 code = main(["{0}", sys.argv[1]])
 """
+EXPORT = """
+from wyner.cli.main import main
+code = main(["export", "--steps", "--truth", "--to", "csv", sys.argv[1]])
+"""
 HIGHEST = """
 with open("/proc/self/status") as status:
     print(next(line for line in status if line.startswith("VmHWM")), file=sys.stderr)
@@ -40,6 +44,7 @@ READERS = {
     "score": COMMAND.format("score"),
     "check": COMMAND.format("check"),
     "report": COMMAND.format("report"),
+    "export": EXPORT,
 }
 
 

@@ -49,4 +49,4 @@ def test_a_port_is_free_again_once_its_program_has_ended() -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
     )
-    assert addresses._taken_down(int(done.stdout.strip().rpartition(":")[2]))
+    assert addresses.taken_down(int(done.stdout.strip().rpartition(":")[2]))

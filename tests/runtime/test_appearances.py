@@ -7,7 +7,7 @@ import pytest
 
 from runtime.addresses import appearances, free_endpoints, is_group
 from runtime.bus import TransportError
-from runtime.host import _Sparing
+from runtime.host import Sparing
 from runtime.zenoh_bus import ZenohBus
 
 HOME, AWAY, OTHER = "tcp/127.0.0.1:1", "udp/192.0.2.1:1", "udp/192.0.2.2:1"
@@ -64,7 +64,7 @@ def test_a_message_is_not_sent_once_there_are_more_links_than_it_was_made_for() 
             sent.append(payload)
 
     crowding = False
-    sparing = _Sparing(Publisher(), lambda: crowding)
+    sparing = Sparing(Publisher(), lambda: crowding)
     sparing.put(b"one")
     crowding = True
     sparing.put(b"two")

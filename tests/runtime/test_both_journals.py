@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from protocol.link.peer import Append, Save
-from protocol.link.records import BegunStep, ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.journal import ControllerJournal, PlantJournal, ReceiverJournal, SenderJournal
@@ -63,7 +63,7 @@ def test_a_new_journal_has_nothing(
 ) -> None:
     for journal in (plant(), controller()):
         assert (journal.load(), journal.step(), journal.contributions(SESSION)) == (None, None, [])
-    assert (plant().begun(), plant().chunks(), plant().inbox()) == (None, "", [])
+    assert (plant().chunks(), plant().inbox()) == ("", [])
     assert (controller().queued, controller().payload(0), controller().queued_as("a")) == (
         0,
         None,
@@ -81,8 +81,7 @@ def test_a_step_comes_back_with_the_record_before_it_until_the_next_record(
     queue.write(Save(SENDER))
     queue.write(Append(MEASUREMENT.wire(), OFFER.wire()))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, (OFFER, MEASUREMENT, 1))
-    assert journal.begun() is None
+    assert (journal.load(), journal.step()) == (RECEIVER, PlantStep(OFFER, 1, MEASUREMENT))
     assert (controller().load(), controller().step()) == (SENDER, (MEASUREMENT, OFFER))
     journal.write(Save(RECEIVER._replace(k=5)))
     assert (plant().load(), plant().step()) == (RECEIVER._replace(k=5), None)
@@ -105,10 +104,9 @@ def test_a_step_is_begun_and_then_read(plant: PlantAfterDeath) -> None:
     journal.write(Save(RECEIVER))
     journal.write(Append(OFFER.wire(), b"", 1))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, None)
-    assert journal.begun() == BegunStep(OFFER, 1)
-    journal.write(Save(RECEIVER._replace(begun=BegunStep(OFFER, 1))))
-    assert plant().begun() == BegunStep(OFFER, 1)
+    assert (journal.load(), journal.step()) == (RECEIVER, PlantStep(OFFER, 1))
+    journal.write(Save(RECEIVER._replace(begun=PlantStep(OFFER, 1))))
+    assert plant().step() == PlantStep(OFFER, 1)
 
 
 def test_rows_go_when_they_are_obsolete_and_with_their_session(plant: PlantAfterDeath) -> None:

@@ -19,12 +19,12 @@ from plant_service.service import run_plants
 from protocol.messages import LATENCY_BOUNDS_S, Offer, PlantStatus
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime import fleet_host, host
-from runtime.bus_options import fleet_of
+from runtime.bus_options import ServiceOptions, fleet_of
 from runtime.errors import DONE, UsageError
 from runtime.files import StatusFile
 from runtime.fleet import Fleet, FleetLoop, numbered, read_fleet
 from runtime.memory_bus import MemoryBus, MemoryHub
-from runtime.options import add_fleet_arguments, add_message_arguments, message_of
+from runtime.options import add_fleet_arguments, add_message_arguments, message_of, picked
 from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
@@ -96,7 +96,8 @@ def test_each_loop_of_a_number_has_the_message_that_was_given(tmp_path: Path, op
     add_fleet_arguments(parser)
     parser.set_defaults(loop=DEFAULT_LOOP, scenario="sustained", seed=None)
     args = parser.parse_args(["--loops", "2", option, value])
-    fleet = fleet_of(args, message_of(args.message, args.message_file))
+    options = picked(ServiceOptions, vars(args))
+    fleet = fleet_of(options, message_of(args.message, args.message_file))
     assert fleet is not None
     expected = given.read_bytes() if option == "--message-file" else value.encode()
     assert [loop.payload for loop in fleet.loops.values()] == [expected] * 2
@@ -341,7 +342,7 @@ def test_a_host_ends_where_an_interrupt_has_left_a_turn_taken() -> None:
     """A second signal is raised where the program stands, be it between lock and body."""
     buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     ended = host.Host(*buses, threading.Event(), fleet=True)
-    ended._turns.__enter__()
+    ended.turns.__enter__()
     closing = threading.Thread(target=ended.close, daemon=True)
     closing.start()
     closing.join(10)
@@ -393,7 +394,7 @@ def test_an_interrupt_while_its_threads_are_started_stays_one(
         raise KeyboardInterrupt
 
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()), threading.Event())
-    running._subscribe(Offer, key_of(Offer, "loop"))
+    running.subscribe(Offer, key_of(Offer, "loop"))
     monkeypatch.setattr(threading.Thread, "start", interrupted)
     with pytest.raises(KeyboardInterrupt):
         running.run()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from protocol.link.peer import Append, Save
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Message, Offer
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JournalError
@@ -122,7 +122,7 @@ def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
         journal2.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
-        assert journal2.step() == (OFFER, MEASUREMENT, 1)
+        assert journal2.step() == PlantStep(OFFER, 1, MEASUREMENT)
         assert journal2.chunks() == "10"
 
 
@@ -140,7 +140,7 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
         journal.write(Save(RECEIVER._replace(k=5), later=True))
         journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))
         assert journal.load() == RECEIVER._replace(k=5)
-        assert journal.step() == (OFFER, MEASUREMENT, 0)
+        assert journal.step() == PlantStep(OFFER, 0, MEASUREMENT)
         journal.write(Save(RECEIVER._replace(k=6)))
         assert journal.step() is None
 
@@ -311,6 +311,7 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             assert record.k + (step is not None) in (acknowledged, acknowledged + 1)
             if step is not None:
                 assert step.offer.k == record.k
+                assert step.measurement is not None
                 assert step.measurement.k == record.k + 1
                 assert step.coin == record.k % 2
             # all or nothing: the symbols and messages are those of this very record
@@ -341,4 +342,4 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
             journal.write(Save(RECEIVER, chunk="01"))
         one_line(error, path)
     with PlantJournal(path, SCENARIO) as journal:
-        assert journal.step() == (OFFER, MEASUREMENT, 0)
+        assert journal.step() == PlantStep(OFFER, 0, MEASUREMENT)

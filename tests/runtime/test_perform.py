@@ -11,7 +11,7 @@ from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Status
 from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import BlockVerdict, Done, Task
+from protocol.secret.tasks import Done, Task
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
@@ -20,7 +20,7 @@ from tools.rehearsal import Rehearsal
 
 STEP = Append(b"heard", b"said")
 RECORD = Save(SenderRecord(), later=True)
-VERDICT = BlockVerdict("1" * 16, BlockResult(0, "confirmed"))
+VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
     arrival.message
     for arrival in next(Rehearsal().arrivals(10))

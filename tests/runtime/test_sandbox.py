@@ -1,7 +1,6 @@
 """How much processor time a guest may use, and that what goes on between its answers ends."""
 
 import os
-import pickle
 import subprocess
 import sys
 import time
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
-from runtime.sandbox import OVERSPENT, SandboxError, SandboxProcess, _Patience
+from runtime.sandbox import OVERSPENT, SandboxError, SandboxProcess
 
 
 def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
@@ -92,5 +91,5 @@ def test_what_loops_between_the_answers_is_ended(guest: SandboxProcess, what: st
 @pytest.mark.slow
 def test_a_loop_ends_though_whoever_asked_does_not_look(guest: SandboxProcess) -> None:
     """Nobody waits for the answer: the asker may be stopped."""
-    guest._send(pickle.dumps(("loop", None, 0.5)), _Patience(5.0))
-    assert guest._child.wait(120) == OVERSPENT
+    guest.begin("loop", None, 0.5)
+    assert guest.child.wait(120) == OVERSPENT

@@ -31,6 +31,9 @@ class Faulty:
     def wake(self, now: float) -> Actions:
         return NOTHING_TO_DO
 
+    def finish_step(self) -> Actions:
+        return NOTHING_TO_DO
+
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         self.heard.append(payload)
         if len(self.heard) == 1:

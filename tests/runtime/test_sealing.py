@@ -261,11 +261,11 @@ def test_what_cannot_be_opened_is_refused_and_given_up_and_the_next_one_goes_out
 ) -> None:
     """The plant's store is put back: it knows of no message under these keys."""
     world.block()
-    copy = world.stores["plant"]._db.serialize()
+    copy = world.stores["plant"].db.serialize()
     for name in ("m", "n"):
         commanded(world, name, b"text")
     sealed = world.sealed()
-    world.stores["plant"]._db.deserialize(copy)
+    world.stores["plant"].db.deserialize(copy)
     why = "2 of the keys asked for are not in this store"
     told = Notice(f"not opened: {why}", "warning", "sealed")
     refusal = SealedReceipt(id="m", key_ids=sealed.key_ids, refused=why).wire()

@@ -52,7 +52,6 @@ def state(path: Path) -> Any:
         return (
             record,
             journal.step(),
-            journal.begun(),
             journal.chunks(),
             journal.inbox(),
             contributions,
@@ -160,7 +159,7 @@ def test_a_rare_write_is_before_or_after_too(tmp_path: Path, cleared: bool) -> N
     files = after if cleared else after | {f"{NAME}-steps": before[f"{NAME}-steps"]}
     folder = tmp_path / "try"
     states = [state(put(folder, files)) for files in (before, files)]
-    assert states[1] == (kept.record, None, None, "01", [], [row(2), row(3), row(4)])
+    assert states[1] == (kept.record, None, "01", [], [row(2), row(3), row(4)])
     if not cleared:
         found = tried(folder, files, name, torn(before[name], after[name], every=97))
         assert all(one in (*states, None) for one in found)
@@ -215,9 +214,9 @@ def test_steps_of_another_journal_or_that_do_not_follow_are_left_out(tmp_path: P
         journal.write(Save(RECORD._replace(k=3), chunk="1"))
         steps(journal, 4, 6)
         shutil.copyfile(two.with_name(log.name), old.with_name(log.name))
-    assert state(old)[3] == ""
+    assert state(old)[2] == ""
     assert state(old)[0].k == 0
-    assert state(two)[3] == "1"
+    assert state(two)[2] == "1"
 
 
 def test_a_long_run_of_steps_is_put_into_the_database(
@@ -232,7 +231,7 @@ def test_a_long_run_of_steps_is_put_into_the_database(
         journal.write(Save(record, later=True, contribution=row(59)))
         for k in range(60, 90):  # begun and read in two writes
             journal.write(Append(offer(k), b"", 1))
-            assert state(copied(path, tmp_path / f"{k}"))[2] is not None
+            assert state(copied(path, tmp_path / f"{k}"))[1] is not None
             journal.write(Append(offer(k), measurement(k), 1))
             journal.write(Save(RECORD._replace(k=k + 1), later=True, contribution=row(k)))
     found = state(path)

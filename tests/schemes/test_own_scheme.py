@@ -170,7 +170,7 @@ def test_two_ends_whose_files_differ_do_not_share_a_fingerprint(
     ("name", "expected"),
     [
         ("hording", "expected switched"),
-        ("no/such/file.py:Name", "expected an existing Python file"),
+        ("no/such/file.py:Name", "no/such/file.py: no such file"),
         (f"{__file__}:Nobody", "expected a class Nobody that extends protocol.schemes.base.Scheme"),
         (f"{__file__}:Held", "expected a class Held that extends protocol.schemes.base.Scheme"),
     ],

@@ -118,7 +118,10 @@ def test_a_later_block_that_holds_confirms_the_one_before() -> None:
     blocks.stored(Stored(SESSION, 2, "c", "z"))  # block 1 made no key
     assert blocks.word() == (0, "a")
     assert blocks.word() == (0, "a")  # not before block 0 is confirmed
-    assert blocks.heard(2, "z") == (BlockResult(0, "confirmed"), BlockResult(2, "confirmed"))
+    assert blocks.heard(2, "z") == (
+        BlockResult(SESSION, 0, "confirmed"),
+        BlockResult(SESSION, 2, "confirmed"),
+    )
     assert blocks.heard(0, "never looked at") == ()
     assert blocks.word() == (2, "c")
 
@@ -126,7 +129,7 @@ def test_a_later_block_that_holds_confirms_the_one_before() -> None:
 def test_a_tag_that_differs_is_told_once() -> None:
     blocks = Blocks(SMALL, SESSION)
     blocks.stored(Stored(SESSION, 0, "a", "x"))
-    assert blocks.heard(0, "y") == (BlockResult(0, "unequal"),)
+    assert blocks.heard(0, "y") == (BlockResult(SESSION, 0, "unequal"),)
     assert blocks.heard(0, "y") == ()
     assert blocks.heard(0, "x") == ()
 
@@ -171,7 +174,7 @@ class End:
 
     def start(self) -> None:
         self.store = KeyStore(self.path, self.side, create=True)  # type: ignore[arg-type]
-        self.store._db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
+        self.store.db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
         guard = None
         if self.secret is not None:
             take_secret(self.store, self.secret)
@@ -202,7 +205,7 @@ class End:
             self.verdicts += self.blocks.stored(self.key_maker.make_keys(block))
         elif self.verdicts:
             verdict = self.verdicts.pop(0)
-            self.key_maker.judge(SESSION, verdict)
+            self.key_maker.judge(verdict)
             self.blocks.judged(SESSION, verdict.number)
 
     def speak(self) -> tuple[int, str]:

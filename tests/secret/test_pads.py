@@ -83,11 +83,11 @@ def test_a_ledger_that_is_put_back_signs_no_other_session_under_the_same_set(
     store = signed.stores[end]
     assert store.path is not None
     count = Anchor(store.path).path
-    copy, counted = store._db.serialize(), count.read_bytes()
+    copy, counted = store.db.serialize(), count.read_bytes()
     first = signed.ends[end].tags("a" * 16, 0, b"text", [bytes(32)])
     if other_first:
         assert signed.ends[1 - end].tags("a" * 16, 0, b"text", [bytes(32)]) is not None
-    store._db.deserialize(copy)
+    store.db.deserialize(copy)
     count.write_bytes(counted)
     for who in (end, 1 - end):
         second = signed.ends[who].tags("b" * 16, 0, b"other", [bytes(32)])
@@ -98,9 +98,9 @@ def test_a_ledger_that_is_put_back_signs_no_other_session_under_the_same_set(
 
 def test_a_ledger_that_does_not_know_the_block_before_signs_nothing(signed: Signed) -> None:
     signed.block("a" * 16, 0)
-    copy = signed.stores[0]._db.serialize()
+    copy = signed.stores[0].db.serialize()
     signed.block("a" * 16, 1)
-    signed.stores[0]._db.deserialize(copy)
+    signed.stores[0].db.deserialize(copy)
     assert signed.ends[0].tags("a" * 16, 2, b"text", [bytes(32)]) is None
 
 

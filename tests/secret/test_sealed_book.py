@@ -158,11 +158,11 @@ def test_a_death_within_sealing_leaves_message_and_keys(
 
 
 def copy_of(store: KeyStore) -> bytes:
-    return store._db.serialize()
+    return store.db.serialize()
 
 
 def put_back(store: KeyStore, copy: bytes) -> None:
-    store._db.deserialize(copy)
+    store.db.deserialize(copy)
 
 
 @pytest.mark.parametrize("when", ["before", "queued", "asked"])

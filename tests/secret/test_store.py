@@ -184,7 +184,7 @@ def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
         steps: list[int] = []
         for number in range(160):
             spent: list[int] = []
-            keys._db.set_progress_handler(partial(spent.append, 0), 100)
+            keys.db.set_progress_handler(partial(spent.append, 0), 100)
             signed = authentication.tags(SESSION, number, b"message", [bytes(32)] * 87)
             assert signed is not None
             keys.add(row(number, 84), bodies(0, 84), pads=signed[3])
@@ -326,13 +326,13 @@ def test_a_key_that_is_not_as_it_was_written_is_not_given(
         keys.confirm(SESSION, 0)
         other = {"body": bodies(1, 1)[0], "row": 3, "own": 1, "id": key_id(SESSION, 0, 9)}[column]
         place = 2 if column == "own" else 1
-        keys._db.execute(f"UPDATE key SET {column} = ? WHERE place = ?", (other, place))
+        keys.db.execute(f"UPDATE key SET {column} = ? WHERE place = ?", (other, place))
         if not named:
             wrong = rf"the key at place {place} is not as it was written"
             with pytest.raises(StoreError, match=wrong):
                 deliver(keys, 2)
             return
-        keys._db.execute("UPDATE key SET own = 0 WHERE place = 1")
+        keys.db.execute("UPDATE key SET own = 0 WHERE place = 1")
         name = other if column == "id" else key_id(SESSION, 0, 1)
         with pytest.raises(StoreError, match="is not as it was written"):
             deliver_named(keys, [str(name)])
@@ -346,7 +346,7 @@ def test_notes_blocks_and_pads_are_seen_to_be_as_they_were_written(tmp_path: Pat
         assert authentication.tags("a", 0, b"", [bytes(32)]) is not None
         keys.add(row(0, 2), bodies(0, 2), tag="ab")
         for table, column in (("pad", "body"), ("block", "tag"), ("meta", "value")):
-            keys._db.execute(f"UPDATE {table} SET {column} = 'x'")
+            keys.db.execute(f"UPDATE {table} SET {column} = 'x'")
         for ask in (
             lambda: authentication.tags("a", 0, b"", [bytes(32)]),
             lambda: keys.block_tag(SESSION, 0),
@@ -360,7 +360,7 @@ def test_notes_blocks_and_pads_are_seen_to_be_as_they_were_written(tmp_path: Pat
 
 def test_a_store_that_cannot_be_read_any_more_says_so(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
-        keys._db.execute("DROP TABLE key")
+        keys.db.execute("DROP TABLE key")
         for ask in (keys.available, keys.counts, keys.ids):
             with pytest.raises(StoreError, match=r"^[^\n]*controller.sqlite3: [^\n]*$"):
                 ask()

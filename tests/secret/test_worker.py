@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
-from protocol.secret.tasks import BlockVerdict, Broken, Done, Judged
+from protocol.secret.tasks import Broken, Done
 from runtime.keys import worker as worker_module
 from runtime.keys.key_maker import KeyMaker, KeyMakerAt
 from runtime.keys.store import KeyStore
@@ -32,8 +32,8 @@ def closed(number: int) -> ClosedBlock:
     return ClosedBlock(SESSION, number, 44, 44, 88, 9, "3" * 44, nonces, 44 * (number + 1))
 
 
-def verdict(number: int) -> BlockVerdict:
-    return BlockVerdict(SESSION, BlockResult(number, "confirmed"))
+def verdict(number: int) -> BlockResult:
+    return BlockResult(SESSION, number, "confirmed")
 
 
 def made(folder: Path, name: str = "keys") -> KeyMakerAt:
@@ -81,7 +81,7 @@ def test_it_makes_what_a_keeper_makes_and_shows_nothing(tmp_path: Path) -> None:
             worker.put(where, told.put, closed(1))
             worker.put(where, told.put, verdict(1))
             assert isinstance(told.get(timeout=PATIENCE_S), Stored)
-            assert told.get(timeout=PATIENCE_S) == Judged(SESSION, 1, "confirmed", 8)
+            assert told.get(timeout=PATIENCE_S) == BlockResult(SESSION, 1, "confirmed", 8)
         worker.leave(other)
         worker.put(other, told.put, closed(2))
         assert isinstance(told.get(timeout=PATIENCE_S), Stored)

@@ -45,10 +45,12 @@ PAGES = {
     "network": ROOT / "docs" / "networks.md",
     "noise-bound": ROOT / "docs" / "secrecy.md",
     "key-controls": ROOT / "docs" / "keys.md",
+    "undetected": ROOT / "docs" / "attacks.md",
+    "dither-price": ROOT / "docs" / "attacks.md",
 }
 """Where a figure stands that is in neither of the two other documents."""
-CERTAIN = ("idea", "two-step", "block-codes")
-"""Figures without an estimate: a single step, and a search."""
+CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
+"""Figures without an estimate: a single step, a search, and a closed form."""
 DOCUMENT = ROOT / "docs" / "experiments.md"
 
 

@@ -128,12 +128,17 @@ def test_true_bits_a_step_and_keys_of_a_thousand_coins(
 # --- no tap is below it --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("noise", "whole", "bits"), [(0.12, 0.2799, 3.861), (0.24, 0.0580, 6.586)])
+@pytest.mark.parametrize(
+    ("noise", "whole", "most", "bits", "least"),
+    [(0.12, 0.2799, 0.2932, 3.861, 3.752), (0.24, 0.0580, 0.0602, 6.586, 6.549)],
+)
 def test_all_sequences_of_eight_coins_weighed_by_one_who_knows_d(
-    two: LinearLoop, noise: float, whole: float, bits: float
+    two: LinearLoop, noise: float, whole: float, most: float, bits: float, least: float
 ) -> None:
     left = block_left(two, D, noise, 8, 20_000, 1, told=True)
     coin = two.coin(noise)
+    assert coin.guess**8 == pytest.approx(most, abs=5e-5)
+    assert 8 * coin.bits == pytest.approx(least, abs=5e-4)
     assert left.whole == pytest.approx(whole, abs=4 * left.whole_error + 5e-4)
     assert 8 * left.bits == pytest.approx(bits, abs=8 * 4 * left.bits_error)
     assert left.whole + 3 * left.whole_error <= coin.guess**8

@@ -1,13 +1,18 @@
 """What the tests of checks share: a law that is designed once, and a run that makes keys."""
 
-from collections.abc import Iterator
+import fcntl
+import os
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Final
+from uuid import uuid4
 
 import pytest
 
 from controller_service.laws import registry
+from runtime.run_folder import CAPTURE
 from wyner.cli.demo import SealedMessage
 from wyner.cli.up import run_session
 from wyner.deployment.one_machine import RunOptions
@@ -28,19 +33,49 @@ def one_law() -> Iterator[None]:
         patch.undo()
 
 
-def run_with_keys(folder: Path, text: bytes, eavesdroppers: str) -> None:
-    """All three services with signed keys, until a sealed ``text`` is delivered."""
+SEALED: Final = b"The old mill, at nine."
+
+
+def keyed_run(factory: pytest.TempPathFactory) -> Path:
+    """A run of all three services with signed keys, made once in a session of tests.
+
+    It goes on until a sealed message was delivered: blocks are then confirmed at both ends. The tap
+    loses three messages of ten, the sealed one as well: runs are made until she has it.
+    """
+    for number in range(30):
+        folder = made_once(factory, f"keys-{number}", _run_with_keys)
+        if b'"topic":"sealed"' in (folder / CAPTURE).read_bytes():
+            return folder
+    pytest.fail("she lost the sealed message in every run")
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that the first test process to ask for it makes, and all others share."""
+    shared = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    folder = shared / name
+    with (shared / f"{name}.lock").open("w") as lock:
+        fcntl.lockf(lock, fcntl.LOCK_EX)
+        if not folder.is_dir():
+            making = shared / f"{name}-making-{uuid4().hex}"
+            make(making)
+            making.rename(folder)
+    return folder
+
+
+def _run_with_keys(folder: Path) -> None:
     options = RunOptions(
         scenario="keys",
         message="hi",
         pace="fast",
         steps=100_000,
         until_delivered=True,
-        eavesdropper=eavesdroppers,
+        eavesdropper="nearest-centre,smoother,key-solver",
         headless=True,
         json=True,
         run_dir=str(folder),
         secret=True,
     )
-    outcome = run_session(options, lambda ops: SealedMessage(ops, text), stays=False)
+    outcome = run_session(options, lambda ops: SealedMessage(ops, SEALED), stays=False)
     assert outcome.failure is None

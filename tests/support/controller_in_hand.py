@@ -15,7 +15,6 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
-from protocol.secret.tasks import BlockVerdict
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import USAGE
@@ -89,7 +88,7 @@ def done(actions: Actions) -> Done:
         reply=said.get(ControllerHello),
         refusal=refusals[0] if refusals else "",
         contribution=write.contribution if isinstance(write, Save) else None,
-        judged=tuple(t.judgement for t in actions.keys if isinstance(t, BlockVerdict)),
+        judged=tuple(t for t in actions.keys if isinstance(t, BlockResult)),
     )
 
 

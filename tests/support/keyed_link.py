@@ -10,10 +10,10 @@ from typing import Literal
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Event
-from protocol.link.key_events import BlockJudged
 from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
+from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.tasks import Done, Task
 from runtime.keys.key_maker import KeyMaker, work
@@ -234,7 +234,7 @@ class World:
             self.copies.left(message)
 
     def traced(self, side: Side, event: Event) -> None:
-        if isinstance(event, BlockJudged):
+        if isinstance(event, BlockResult):
             assert event.what == "confirmed", "the ends hold different blocks"
         if isinstance(event, CountedTransition):
             transition = event.shared

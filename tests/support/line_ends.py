@@ -9,7 +9,7 @@ from protocol.link.events import Event
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Append, Notice, Outgoing, Write
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import Rules
+from protocol.link.session import Rules, Truth
 from protocol.messages import Measurement, Message, Status
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
@@ -24,6 +24,7 @@ class LinePlant(Coin):
     """x+ = x + u + d; on a missed step u is held. ``coin`` and ``d`` are the next step's."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self) -> None:
         self.coin = 0
@@ -186,7 +187,6 @@ def line_core(
         chunks=journal.chunks(),
         contributions=journal.contributions(first.session),
         step=journal.step(),
-        begun=journal.begun() if plant.acts else None,
         back=None if record is None else x,
         fresh=record is None,
         nonces=nonces,

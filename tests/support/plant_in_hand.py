@@ -14,14 +14,13 @@ from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
-from protocol.link.records import ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.records import PlantStep, ReceiverRecord
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.tasks import Task
 from protocol.vectors import Vector
-from runtime.journal import ReceiverStep
 
 STEP_S = 1e5
 """A step is so long that nothing in it takes any of its time."""
@@ -33,6 +32,7 @@ class ScriptedLine(Coin):
     """A plant that goes where it is told, by a coin that falls as it is told."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def __init__(self) -> None:
         self.coin = 0
@@ -80,7 +80,7 @@ class PlantInHand:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
-        step: ReceiverStep | None = None,
+        step: PlantStep | None = None,
         fresh: NonceSource = fresh_nonce,
         *,
         plant: Plant | None = None,
@@ -297,7 +297,7 @@ class PlantInHand:
         self.events, self.notices, self.saved, self.appended = kept
         return applied
 
-    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> ReceiverStep:
+    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> PlantStep:
         """The offer is applied and saved, and the process is dead: what its journal has."""
         self.line.coin, self.line.x_next = coin, x_next
         self._forget()
@@ -308,14 +308,13 @@ class PlantInHand:
         return self.step
 
     @property
-    def step(self) -> ReceiverStep | None:
+    def step(self) -> PlantStep | None:
         """The step that was saved last, as its journal has it."""
         if self.appended is None:
             return None
         request, response, coin = self.appended
-        return ReceiverStep(
-            Offer.model_validate_json(request), Measurement.model_validate_json(response), coin
-        )
+        measurement = Measurement.model_validate_json(response)
+        return PlantStep(Offer.model_validate_json(request), coin, measurement)
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""

@@ -257,5 +257,5 @@ class RecordedLoop:
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
-        findings = check(read_evidence(self.folder))
-        return [f"{f.clause.name}: {f.tally.first}" for f in findings if f.result == "FAIL"]
+        results = check(read_evidence(self.folder))
+        return [f"{r.clause.name}: {r.counter.first}" for r in results if r.result == "FAIL"]

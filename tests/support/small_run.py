@@ -17,12 +17,11 @@ from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
 from protocol.link.events import Recovered, SessionBegan
 from protocol.link.fallback import Fallback
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
-from runtime.journal import ReceiverStep
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.controller_in_hand import ControllerInHand
@@ -239,7 +238,7 @@ class SmallRun:
         )
 
     def _new_plant(
-        self, record: ReceiverRecord, reason: str, step: ReceiverStep | None = None
+        self, record: ReceiverRecord, reason: str, step: PlantStep | None = None
     ) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)

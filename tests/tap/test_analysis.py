@@ -2,18 +2,16 @@
 
 import logging
 import os
-import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from protocol.messages import TapStatus
 from runtime import recording
+from runtime.child import Line
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE
 from tap_service import analysis
@@ -43,8 +41,6 @@ def heard(monkeypatch: pytest.MonkeyPatch) -> list[object]:
             messages.append(message)
             return super().hear(message)
 
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr(os, "nice", lambda _: 0)
     monkeypatch.setattr(analysis, "Transcript", Counting)
     monkeypatch.setattr(analysis, "SLICE_S", 0.0)
     monkeypatch.setattr(analysis, "REST_RATIO", 0.0)
@@ -71,22 +67,29 @@ def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
 
 
 @contextmanager
-def started(run: Run, run_dir: Path) -> Iterator[Connection]:
+def started(run: Run, run_dir: Path) -> Iterator[Line]:
     knowledge = {NAME: run.scenario.knowledge()}
     given = Assignment(run_dir, (NAME,), knowledge, Limits(free_bytes=0), header(run, View()))
-    ours, theirs = Pipe()
-    thread = threading.Thread(target=analyse, args=(given, theirs))
+    (hers, told), (asked, mine) = os.pipe(), os.pipe()
+
+    def run_until_nobody_listens() -> None:
+        with suppress(EOFError, ConnectionError):
+            analyse(given, Line(asked, told))
+
+    thread = threading.Thread(target=run_until_nobody_listens)
     thread.start()
     try:
-        yield ours
+        yield Line(hers, mine)
     finally:
-        ours.close()
+        for end in (hers, mine):
+            os.close(end)
         thread.join(20.0)
-        theirs.close()
+        for end in (asked, told):
+            os.close(end)
     assert not thread.is_alive()
 
 
-def status_when_caught_up(pipe: Connection) -> TapStatus:
+def status_when_caught_up(pipe: Line) -> TapStatus:
     while True:
         assert pipe.poll(20.0)
         status: TapStatus = pipe.recv()[0]

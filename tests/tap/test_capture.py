@@ -189,8 +189,8 @@ def test_a_full_disk_pauses_the_recording_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     free = [10**9]
-    monkeypatch.setattr(RotatingLog, "_free", lambda _self: free[0])
-    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: free[0])
+    monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
     log = RotatingLog(tmp_path / CAPTURE, {}, Limits(free_bytes=10**6), LOG)
     with caplog.at_level(logging.INFO):
         log.write(line_of(measurement(0)))
@@ -211,8 +211,8 @@ def test_parts_that_end_in_a_pause_count_towards_the_bound(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = [10**9]
-    monkeypatch.setattr(RotatingLog, "_free", lambda _self: free[0])
-    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: free[0])
+    monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
     limits = Limits(part_bytes=10_000, total_bytes=20_000, free_bytes=1000)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {}, limits, LOG)
@@ -230,13 +230,13 @@ def test_parts_that_end_in_a_pause_count_towards_the_bound(
 def test_a_disk_that_others_fill_costs_no_part_of_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
     path = tmp_path / CAPTURE
     log = record(path, 100, Limits(part_bytes=2048, free_bytes=0))
     log.close()
     before = {p: p.read_bytes() for p in parts_of(path)}
     assert len(before) > 5
-    monkeypatch.setattr(RotatingLog, "_free", lambda _self: 10)
+    monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: 10)
     log = RotatingLog(path, {"loop": "loop"}, Limits(part_bytes=2048, free_bytes=1000), LOG)
     log.write(line_of(measurement(100)))
     log.close()
@@ -255,7 +255,7 @@ def test_a_header_that_cannot_be_written_leaves_nothing_behind(
             raise OSError(errno.ENOSPC, "No space left on device")
         return put(file, block[:written])
 
-    monkeypatch.setattr(RotatingLog, "_LOOK_AT_DISK_S", 0.0)
+    monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
     path = tmp_path / CAPTURE
     log = record(path, 3)
     log.flush()

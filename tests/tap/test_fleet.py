@@ -116,15 +116,15 @@ def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(
     put["b"](body)
     for _ in range(1000):
         put["a"](body)
-    a, b = (taps._taps[name]._queue for name in "ab")
+    a, b = (taps.taps[name].queue for name in "ab")
     assert (len(a), a.dropped) == (50, 950)
     assert (len(b), b.dropped) == (1, 0)
-    taps._close("c")
-    taps._close("d")
+    taps.leave("c")
+    taps.leave("d")
     put["a"](body)
     assert len(a) == 51, "where two have left there is more for each"
     for name in "ab":
-        taps._close(name)
+        taps.leave(name)
 
 
 def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
@@ -147,12 +147,12 @@ def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
         def breaks() -> None:
             raise RuntimeError("on purpose")
 
-        monkeypatch.setattr(taps._taps["raises"], "publish", breaks)
+        monkeypatch.setattr(taps.taps["raises"], "publish", breaks)
         stopping = threading.Event()
         thread = threading.Thread(target=taps.run, args=(stopping,))
         thread.start()
-        wait(lambda: "raises" not in taps._taps)
-        assert "good" in taps._taps
+        wait(lambda: "raises" not in taps.taps)
+        assert "good" in taps.taps
         stopping.set()
         thread.join(10)
     assert not thread.is_alive()

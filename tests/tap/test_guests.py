@@ -172,7 +172,7 @@ def test_one_after_the_other_shares_a_process(tmp_path: Path) -> None:
     for _ in range(3):
         tap = kind(KNOWLEDGE)
         assert tap.observe(step(1)).k == 1
-        pids.add(tap._process._child.pid)  # type: ignore[attr-defined]
+        pids.add(tap.process.child.pid)  # type: ignore[attr-defined]
         del tap
     assert len(pids) == 1
 

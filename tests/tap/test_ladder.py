@@ -243,7 +243,7 @@ def test_the_documented_eavesdropper_runs(tmp_path: Path) -> None:
     ("name", "expected"),
     [
         ("nobody", "expected set-membership"),
-        ("missing.py:Tap", "expected an existing Python file"),
+        ("missing.py:Tap", "missing.py: no such file"),
         ("{file}:Absent", "expected a class Absent"),
         ("{file}:Nameless", "expected a class attribute name .* got None"),
         ("{file}:Quoted", "expected a class attribute name .* got 'my \"tap\"'"),

@@ -38,7 +38,7 @@ def follow(steps: list[STEP], size: int, edge: float | None, cap: int = 100_000)
 
 
 def decodings(decoding: ListDecoding) -> set[tuple[tuple[int, int], ...]]:
-    h, paths = decoding._hypotheses, decoding._paths
+    h, paths = decoding.beam, decoding.paths
     return {tuple(paths.path(int(node))) for node in h.node[: h.n]}
 
 
@@ -76,11 +76,11 @@ def test_rectangles_stay_disjoint_and_true_thresholds_stay_covered(seed: int) ->
     steps = [([rng.uniform(0, 3), rng.uniform(0, 3)], rng.randrange(2)) for _ in range(40)]
     decoding = follow(steps, 2, None)
     t_c, t_e = rng.uniform(0, 2), rng.uniform(0, 4)
-    h = decoding._hypotheses
+    h = decoding.beam
     at = (h.lo[: h.n] <= t_c) & (t_c < h.hi[: h.n])
     at &= (h.edge_lo[: h.n] <= t_e) & (t_e < h.edge_hi[: h.n])
     assert at.sum() == 1
-    assert decoding._paths.path(int(h.node[at.argmax()])) == decode(steps, t_c, t_e, 2)
+    assert decoding.paths.path(int(h.node[at.argmax()])) == decode(steps, t_c, t_e, 2)
 
 
 def message_steps(payload: bytes, size: int, seed: int, idle: int = 30) -> list[STEP]:
@@ -142,7 +142,7 @@ def test_old_symbols_are_let_go_and_the_message_still_comes(
     decoding = ListDecoding(Switched(2), edge=3.0)
     for k, (gauges, cipher) in enumerate(steps):
         decoding.step(k, gauges, cipher)
-        assert len(decoding._paths) <= nodes + decoding.hypotheses
+        assert len(decoding.paths) <= nodes + decoding.hypotheses
     assert decoding.whole[-1] == b"of the old"
     expected = decode(steps, 1.0, 3.0, 2)
     got = decoding.symbols()

@@ -160,12 +160,12 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
 @pytest.mark.parametrize("alpha", [3.0, 8.0])
 def test_the_width_of_the_defenders_set_is_learned(alpha: float) -> None:
     _, tap, _, _ = played(1, steps=300 if alpha == 8.0 else 200, alpha=alpha)
-    assert tap._reader.width is not None
-    low, high = tap._reader.width
+    assert tap.reader.width is not None
+    low, high = tap.reader.width
     assert 0.93 / alpha < low < high < 1.08 / alpha
     assert high / low < 1.07
     # D is 10/12 of D_c here
-    assert 0.6 / alpha < tap._reader.support < 1.2 / alpha
+    assert 0.6 / alpha < tap.reader.support < 1.2 / alpha
 
 
 @pytest.mark.parametrize("alpha", [2.0, 3.0, 8.0])
@@ -173,7 +173,7 @@ def test_states_with_their_offers_tell_the_width_to_a_thousandth(alpha: float) -
     run = simulate(1000, 0, alpha=alpha)
     heard = heard_by(run, View())
     x = np.array([t.x for t in heard])
-    width, left = reader_for(run)._width_of(x, np.array([t.candidates for t in heard]))
+    width, left = reader_for(run).width_of(x, np.array([t.candidates for t in heard]))
     assert width == pytest.approx(1 / alpha, rel=1e-3)
     assert left < 5e-3
 
@@ -247,7 +247,7 @@ def test_lost_messages_are_inferred_by_the_law_that_she_was_told() -> None:
     _, tap, _, scored = played(0, View(loss=0.3, seed=0), 600)
     assert scored.keys_reviewed.right > 0.88 * scored.keys_reviewed.of
     assert scored.bits.right > 0.75 * scored.bits.of
-    low, high = tap._reader.width or (0.0, 0.0)
+    low, high = tap.reader.width or (0.0, 0.0)
     assert 0.995 / 8 < low < high < 1.005 / 8  # states beside their offers give it away
 
 

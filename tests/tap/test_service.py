@@ -1,6 +1,7 @@
 """The live service on buses in memory, and as a process over real Zenoh."""
 
 import base64
+import gc
 import json
 import logging
 import os
@@ -180,7 +181,7 @@ def test_an_overflowing_queue_drops_counts_and_does_not_grow(
     wire = Wire(config(run, tmp_path))
     for message in run.messages:
         wire.send(message)
-    waiting = len(wire.service._queue)
+    waiting = len(wire.service.queue)
     assert 50 < waiting < 150
     wire.finish()
     assert wire.statuses[-1].mirrored == waiting
@@ -229,6 +230,7 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     limits = Limits(part_bytes=100_000, total_bytes=400_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
     sizes = []
+    logging.disable()  # pytest keeps every record, and a part that is dropped is told of
     tracemalloc.start()
     try:
         for turn in range(4):
@@ -236,11 +238,14 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
                 # the same loop again, as another session
                 wire.send(message.model_copy(update={"session": f"{turn:016x}"}))
                 wire.service.work(0)
+            gc.collect()
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
+        logging.disable(logging.NOTSET)
     wire.finish()
-    assert sizes[3] - sizes[2] < 150_000
+    # message symbols are kept up to a bound that is not reached here: 18 kB a turn
+    assert sizes[3] - sizes[2] < 40_000
     assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 400_000
 
 
@@ -266,13 +271,11 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     run: Run, tmp_path: Path
 ) -> None:
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
-    assert wire.service._heavy is not None
-    child = wire.service._heavy.process
-    assert child.pid is not None
-    os.kill(child.pid, signal.SIGINT)  # while it is still being loaded
+    assert wire.service.heavy is not None
+    child = wire.service.heavy.process
+    assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.exitcode == 0
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert child.wait(5.0) == 0
 
 
 @pytest.mark.slow
@@ -294,9 +297,8 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         wire.send(message)
     wait_for(lambda: (its := newest()) is not None and its.steps > 400, "a first look")
     said = wire.statuses[-1]
-    assert wire.service._heavy is not None
-    process = wire.service._heavy.process
-    assert process.pid is not None
+    assert wire.service.heavy is not None
+    process = wire.service.heavy.process
     with log_of("tap") as told_of:
         os.kill(process.pid, signal.SIGKILL)
         for message in run.messages[half:]:
@@ -312,7 +314,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         assert "her process died" in (tmp_path / "tap" / "health").read_text()
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in told_of)
-    assert wire.service._heavy.process is not process
+    assert wire.service.heavy.process is not process
     wire.finish()
     record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
     assert (record["failed"], record["behind"]) == ("", 0)
@@ -326,9 +328,8 @@ def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
 ) -> None:
     monkeypatch.setattr(heavy, "RESTARTS", 0)
     wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
-    assert wire.service._heavy is not None
-    process = wire.service._heavy.process
-    assert process.pid is not None
+    assert wire.service.heavy is not None
+    process = wire.service.heavy.process
     os.kill(process.pid, signal.SIGKILL)  # before it has said a word
     for message in run.messages:
         wire.send(message)
@@ -346,7 +347,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wire = Wire(config(run, tmp_path))
-    nearest = wire.service._listeners.listeners[1].tap
+    nearest = wire.service.listeners.listeners[1].tap
     observe = nearest.observe
 
     def breaks(transition: Transition) -> Guess:

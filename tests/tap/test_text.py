@@ -1,8 +1,10 @@
 """`text`: lattice and alignment against brute force, the search for any M, and what she claims."""
 
+import dataclasses
 import itertools
 import lzma
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import text
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.alignment import align
 from tap_service.inference.english import TEXT, AnyBytes, Contexts, english, log2_probability
@@ -215,16 +218,18 @@ def test_random_bytes_are_reported_as_such() -> None:
 
 def test_two_messages_and_one_under_way() -> None:
     first, second = b"The first one was short", b"and the second came later"
-    steps = stretch(first, 4, "pipelined", 3, missed=0.1, agree=1.0)
+    steps = stretch(first, 4, "pipelined", 3, missed=0.1, agree=1.0, second=second)
     reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    messages = reader.read(steps, (0.0, 1.0), {})
+    assert [(m.payload, m.whole) for m in messages] == [(first, True), (second, True)]
     part = steps[: len(steps) - 70]
-    (under_way,) = reader.read(part, (0.0, 1.0), {})
+    whole, under_way = reader.read(part, (0.0, 1.0), {})
+    assert (whole.payload, whole.whole) == (first, True)
     assert not under_way.whole
-    assert first.startswith(under_way.payload[:5])
+    assert second.startswith(under_way.payload[:5])
     assert 0 < under_way.due_k - part[-1].transition.k < 80
-    unsent = len(first) - len(under_way.payload) - 1  # but for the byte that is begun
+    unsent = len(second) - len(under_way.payload) - 1  # but for the byte that is begun
     assert under_way.bits_left > 8 * unsent
-    del second
 
 
 @pytest.mark.parametrize(("seed", "at", "steps"), [(5, 1, 14), (1, 7, 15)])
@@ -406,8 +411,8 @@ def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
 def test_what_she_states_comes_true() -> None:
     """200 messages, a third to a half of their symbols missed: 20 short ones by seeds 0 to 9."""
     stated: list[tuple[float, bool]] = []
-    for seed, text in itertools.product(range(10), SHORT):
-        payload = text.encode("ascii")
+    for seed, words in itertools.product(range(10), SHORT):
+        payload = words.encode("ascii")
         missed = 0.35 + 0.15 * seed / 9
         steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
         reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
@@ -443,6 +448,79 @@ def test_she_reads_a_sentence_of_which_a_third_was_missed() -> None:
     scored = score(run.truth, said)
     assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
     assert 0 < said.belief.solved_k < 319  # live, before the end
+
+
+@pytest.mark.slow
+def test_a_message_that_another_follows_at_once_is_read() -> None:
+    """Of 160 lengths the true one is likely for what comes after its text, and not before."""
+    payloads = [s.encode() for s in SENTENCES[:2]]
+    run = simulate(700, 6, name="packed", payloads=payloads)
+    view = View(seed=6, loss=0.3)
+    tap = Text(view.told(run.scenario.knowledge()), live=False)
+    said = said_about(tap, heard_by(run, view))
+    assert said.belief.whole == tuple(payloads)
+
+
+@pytest.mark.slow
+def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits() -> None:
+    """Sixteen random bytes, a third missed: searched as long as later steps may say more."""
+    payload = random.Random(2).randbytes(16)
+    run = simulate(1000, 2, name="packed", payloads=[payload])
+    view = View(seed=2, loss=0.3)
+    tap = Text(view.told(run.scenario.knowledge()))
+    tap._reader = MessageReader(tap.scheme, english(), certain=tap.certain, beam=100)
+    told = []
+    for t in heard_by(run, view):
+        tap.observe(t)
+        if t.k in (300, 800, 999):
+            tap.decode()
+            told.append((tap.belief().bits_left, tap.belief().whole, len(tap._past)))
+    assert told[1] == told[2]
+    (first, *_), (last, whole, past) = told[0], told[2]
+    assert first is not None
+    assert last is not None
+    assert min(first, last) > 8
+    assert (whole, past) == ((), 1)
+
+
+@pytest.mark.slow
+def test_four_thousand_steps_of_silence_take_a_third_of_a_gigabyte() -> None:
+    rng, key, table, steps = random.Random(1), 0, np.array([0.05, 0.5, 0.5, 0.5]), []
+    for k in range(text.KEPT):
+        cipher = None if rng.random() < 0.3 else encrypt(0, key, 4)
+        t = Transition("s", k, (0.0,), None, cipher, (0.0,), start=k == 0)
+        key = rng.randrange(4)
+        steps.append(InferredStep(t, np.roll(table, key)[None]))
+    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True)
+    tracemalloc.start()
+    try:
+        assert reader.read(steps, (0.0, 1.0), {}) == []
+        left, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 400e6
+    assert left < 20e6
+
+
+def test_what_she_keeps_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine sessions of 200 steps, where she keeps 256 and 300 message symbols."""
+    monkeypatch.setattr(text, "KEPT", 256)
+    monkeypatch.setattr(text, "KEPT_SYMBOLS", 300)
+    run = simulate(200, 7, name="packed", payloads=[b"Lower the bridge"])
+    tap = Text(run.scenario.knowledge(), live=False)
+    heard = heard_by(run, View())
+    reviewed = 0
+    for session in range(9):
+        for t in heard:
+            tap.observe(dataclasses.replace(t, session=f"{session}"))
+        reviewed += len(tap.final_guesses)
+        tap.final_guesses.clear()
+    assert reviewed > 1400
+    assert len(tap.review()) < 256
+    kept = (tap._kept, tap._thoughts, tap._after)
+    assert all(len(part) < 300 for part in kept)
+    assert len(tap._symbols) < 300 + 256
+    assert tap.belief().whole_count == 9
 
 
 @pytest.mark.slow

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wyner.runs.check.clause import Finding
+    from wyner.runs.check.clause import Result
 
 
-def check(run_dir: str | Path) -> "list[Finding]":
+def check(run_dir: str | Path) -> "list[Result]":
     """What ``wyner check`` says of a run's folder, clause by clause.
 
     Raises

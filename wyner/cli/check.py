@@ -10,7 +10,7 @@ from protocol.text import printable
 from runtime.errors import DONE, FAILED, UsageError
 
 if TYPE_CHECKING:
-    from wyner.runs.check.clause import Finding
+    from wyner.runs.check.clause import Result
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,23 +47,23 @@ def run(args: argparse.Namespace) -> int:
 
     loops = loops_below(args.run_dir)
     if not loops:
-        findings = findings_of(args.run_dir)
+        results = results_of(args.run_dir)
         if args.json:
-            print(json.dumps(summary_of(args.run_dir, findings), ensure_ascii=False))
+            print(json.dumps(summary_of(args.run_dir, results), ensure_ascii=False))
         else:
-            for finding in findings:
-                print("\n".join(printable(line) for line in lines_of(finding)))
-            print(counted(findings))
-        return FAILED if any(f.result == "FAIL" for f in findings) else DONE
+            for result in results:
+                print("\n".join(printable(line) for line in lines_of(result)))
+            print(counted(results))
+        return FAILED if any(f.result == "FAIL" for f in results) else DONE
     summaries: list[dict[str, Any]] = []
     for folder in loops:
-        findings = findings_of(folder)
-        summaries.append(summary_of(folder, findings))
+        results = results_of(folder)
+        summaries.append(summary_of(folder, results))
         if not args.json:
-            print(f"{folder.name}: {counted(findings)}")
-            for finding in findings:
-                if finding.result == "FAIL":
-                    print("\n".join(printable(f"  {line}") for line in lines_of(finding)))
+            print(f"{folder.name}: {counted(results)}")
+            for result in results:
+                if result.result == "FAIL":
+                    print("\n".join(printable(f"  {line}") for line in lines_of(result)))
     failed = sum(not summary["passed"] for summary in summaries)
     if args.json:
         whole = {"run_dir": str(args.run_dir), "passed": not failed, "loops": summaries}
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     return FAILED if failed else DONE
 
 
-def findings_of(folder: Path) -> "list[Finding]":
+def results_of(folder: Path) -> "list[Result]":
     """What each clause says of a run.
 
     Raises
@@ -93,40 +93,40 @@ def findings_of(folder: Path) -> "list[Finding]":
         raise UsageError(str(error)) from None
 
 
-def summary_of(folder: Path, findings: "Sequence[Finding]") -> dict[str, Any]:
-    """The findings of a run, for machines."""
+def summary_of(folder: Path, results: "Sequence[Result]") -> dict[str, Any]:
+    """The results of a run, for machines."""
     from wyner.runs.check.covered import KINDS
     from wyner.runs.check.seal import is_sealed
     from wyner.runs.run import Run
 
-    failed = sum(f.result == "FAIL" for f in findings)
+    failed = sum(f.result == "FAIL" for f in results)
     return {
         "run_dir": str(folder),
         "passed": not failed,
         "failed": failed,
-        "skipped": sum(f.result == "SKIP" for f in findings),
+        "skipped": sum(f.result == "SKIP" for f in results),
         "sealed": is_sealed(Run.load(folder).manifest),
-        "clauses": [f.as_json() for f in findings],
+        "clauses": [f.as_json() for f in results],
         "files": [kind._asdict() for kind in KINDS],
     }
 
 
-def counted(findings: "Sequence[Finding]") -> str:
-    """How many findings there are of each kind."""
-    results = [f.result for f in findings]
-    return ", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
+def counted(results: "Sequence[Result]") -> str:
+    """How many results there are of each kind."""
+    kinds = [r.result for r in results]
+    return ", ".join(f"{kinds.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
 
 
-def lines_of(finding: "Finding") -> list[str]:
-    """A finding for people: one line, and one more where it does not hold."""
-    clause, tally = finding.clause, finding.tally
-    counted = f"{tally.counted} {clause.of}"
-    details = tally.skipped or "; ".join(part for part in (counted, tally.note) if part)
-    lines = [f"{finding.result}  {clause.name:15} {clause.source:13} {clause.says} [{details}]"]
-    first = tally.first
+def lines_of(result: "Result") -> list[str]:
+    """A clause for people: one line, and one more where it does not hold."""
+    clause, counter = result.clause, result.counter
+    counted = f"{counter.counted} {clause.of}"
+    details = counter.skipped or "; ".join(part for part in (counted, counter.note) if part)
+    lines = [f"{result.result}  {clause.name:15} {clause.source:13} {clause.says} [{details}]"]
+    first = counter.first
     if first is not None:
         where = f"session {first.session}, " if first.session else ""
         where += f"transition {first.j}, " if first.j >= 0 else ""
         where += f"step {first.k}, " if first.k >= 0 else ""
-        lines.append(f"      failures: {tally.failures}, first: {where}{first.text}")
+        lines.append(f"      failures: {counter.failures}, first: {where}{first.text}")
     return lines

@@ -4,7 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
+from runtime.options import picked
 from runtime.services import CONTROLLER_OPS, PLANT_OPS
 from wyner.cli.options import add_run_argument, joined
 
@@ -43,13 +44,13 @@ def run(args: argparse.Namespace) -> int:
 
     if args.run_dir is not None and not args.run_dir.is_dir():
         raise UsageError(f"--run-dir: got {str(args.run_dir)!r}, expected an existing folder")
-    run = joined(args, "dashboard")
+    run, buses = joined(picked(BusOptions, vars(args)), args.run_name, "dashboard")
     if run is not None:
         told = printable(f"joining the run {run.seen_from(Path.cwd())} ({run.scenario})")
         print(f"wyner: {told}", file=sys.stderr)
     elif (
-        not args.connect
-        and not args.scouting
+        not buses.connect
+        and not buses.scouting
         and not any(map(listens, (PLANT_OPS, CONTROLLER_OPS)))
     ):
         print(
@@ -57,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
             "hand. Start `wyner up` first, or say --connect",
             file=sys.stderr,
         )
-    loop = loop_of(args)
-    ops, intel = (endpoints_of(args, "dashboard", bus) for bus in ("ops", "intel"))
+    loop = loop_of(buses)
+    ops, intel = (endpoints_of(buses, "dashboard", bus) for bus in ("ops", "intel"))
     try:
         with stop_on_signals() as stopping, open_bus(ops) as ops_bus, open_bus(intel) as intel_bus:
             if args.fleet:

@@ -1,6 +1,8 @@
 """``wyner export``: write a capture as MCAP, CSV or Parquet."""
 
 import argparse
+from collections.abc import Iterator
+from typing import Any
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,7 +86,7 @@ def _steps(args: argparse.Namespace) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from wyner.runs.run import Run, RunError
     from wyner.runs.score.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
-    from wyner.runs.score.step_table import step_rows, truth_by_step, write_csv, write_parquet
+    from wyner.runs.score.step_table import step_rows, truth_of, write_csv, write_parquet
 
     if args.truth and not args.steps:
         raise UsageError("--truth: expected together with --steps")
@@ -93,13 +95,16 @@ def _steps(args: argparse.Namespace) -> int:
         raise UsageError(f"--{kind}: expected --to csv or --to parquet")
     output = args.output or (None if args.to == "csv" else f"{kind}.parquet")
     try:
-        reader = CaptureReader(Path(args.capture))
         views: list[LeakedKey] = []
-        if args.leakage:
-            views = leaked_keys(reader, truth_by_step(Run.load(args.capture)))
-            rows = leakage_rows(views)
-        else:
-            rows = step_rows(reader, truth_by_step(Run.load(args.capture)) if args.truth else None)
+        truth = truth_of(Run.load(args.capture)) if args.truth or args.leakage else None
+        if truth is not None and args.leakage:
+            views = leaked_keys(CaptureReader(Path(args.capture)), truth)
+
+        def rows() -> Iterator[dict[str, Any]]:
+            if args.leakage:
+                return leakage_rows(views)
+            return step_rows(CaptureReader(Path(args.capture)), truth)
+
         if output is None:
             count = write_csv(rows, sys.stdout)
         else:

@@ -133,12 +133,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((a for a in arguments if not a.startswith("-")), None)
 
-    def parsed() -> argparse.Namespace:
+    def command() -> int:
         if name in GONE:
             raise UsageError(f"{name}: is no command any more; `{GONE[name]}` does its work")
-        return build_parser(name).parse_args(arguments)
+        args = build_parser(name).parse_args(arguments)
+        return int(args.run(args))
 
-    return carry_out(parsed)
+    return carry_out(command)
 
 
 if __name__ == "__main__":

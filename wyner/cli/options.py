@@ -3,9 +3,11 @@
 import argparse
 import sys
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from protocol.topics import DEFAULT_LOOP
+from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
 from runtime.services import CONTROLLER_OPS, SERVICES
 
@@ -27,18 +29,26 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def joined(args: argparse.Namespace, service: str, wait_s: float = 0.0) -> "RunningLoop | None":
+def joined(
+    buses: BusOptions, run_name: str | None, service: str, wait_s: float = 0.0
+) -> "tuple[RunningLoop | None, BusOptions]":
     """The loop on this machine that is meant where no option says where to connect.
-
-    Its endpoints take the place of the defaults in ``args``.
 
     Parameters
     ----------
-    args : argparse.Namespace
+    buses : BusOptions
+    run_name : str, optional
+        The run that ``--run`` names.
     service : str
         Who joins.
     wait_s : float, optional
         How long to wait for one that is only being started; standard error is told of it.
+
+    Returns
+    -------
+    RunningLoop or None
+    BusOptions
+        With its endpoints in place of the defaults.
 
     Raises
     ------
@@ -49,28 +59,26 @@ def joined(args: argparse.Namespace, service: str, wait_s: float = 0.0) -> "Runn
     """
     from wyner.deployment.running import chosen, is_there
 
-    told = args.connect or args.listen or args.client or args.scouting
-    if (told or args.loop != DEFAULT_LOOP) and args.run_name is None:
-        return None
-    if wait_s and not is_there(args.run_name, CONTROLLER_OPS):
-        which = "no run" if args.run_name is None else f"no run {args.run_name!r}"
+    told = buses.connect or buses.listen or buses.client or buses.scouting
+    if (told or buses.loop != DEFAULT_LOOP) and run_name is None:
+        return None, buses
+    if wait_s and not is_there(run_name, CONTROLLER_OPS):
+        which = "no run" if run_name is None else f"no run {run_name!r}"
         print(f"wyner: {which} on this machine yet; waiting {wait_s:g} s for it", file=sys.stderr)
         until = time.monotonic() + wait_s
-        while time.monotonic() < until and not is_there(args.run_name, CONTROLLER_OPS):
+        while time.monotonic() < until and not is_there(run_name, CONTROLLER_OPS):
             time.sleep(LOOK_S)
-        if args.run_name is None and not is_there(None, CONTROLLER_OPS):
+        if run_name is None and not is_there(None, CONTROLLER_OPS):
             raise Failure(
                 f"no run on this machine within {wait_s:g} s: start one (wyner up; it is there "
                 "once its design is computed), or say where it is (--connect BUS=tcp/HOST:PORT)"
             )
-    loop = chosen(args.run_name, CONTROLLER_OPS)
-    if loop is not None:
-        args.loop = loop.loop
-        ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
-        args.connect = [
-            f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())
-        ]
-    return loop
+    loop = chosen(run_name, CONTROLLER_OPS)
+    if loop is None:
+        return None, buses
+    ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
+    connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
+    return loop, replace(buses, loop=loop.loop, connect=connect)
 
 
 def host_port(option: str, text: str) -> tuple[str, int]:

@@ -13,11 +13,11 @@ from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
 from protocol.secret.sealed import keys_needed
 from protocol.text import printable
 from protocol.topics import key_of
-from runtime.bus_options import add_endpoint_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
-from runtime.options import message_of
+from runtime.options import message_of, picked
 from wyner.cli.options import add_run_argument, joined
 
 if TYPE_CHECKING:
@@ -76,17 +76,18 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    run = joined(args, "operator", args.timeout)
-    loop = loop_of(args)
-    ends = endpoints_of(args, "operator", "ops")
+    told = picked(BusOptions, vars(args))
+    run, buses = joined(told, args.run_name, "operator", args.timeout)
+    loop = loop_of(buses)
+    ends = endpoints_of(buses, "operator", "ops")
     said, until = "no answer", time.monotonic() + args.timeout
     try:
         with open_bus(ends, args.timeout) as ops:
-            for reply in _answers(ops, loop, command, until):
+            for reply in answers(ops, loop, command, until):
                 if not reply.accepted:
                     raise Failure(reply.detail)
                 if isinstance(reply, SendReply) or reply.delivered:
-                    _print(reply, len(payload), as_json=args.json)
+                    print_reply(reply, len(payload), as_json=args.json)
                     return DONE
                 said = reply.detail
     except TransportError as error:
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _print(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
+def print_reply(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
     """Tell what became of a message that was taken in."""
     sealed = isinstance(reply, SealReply)
     queued = None if isinstance(reply, SealReply) else reply.queued
@@ -121,7 +122,7 @@ def _print(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
         print(f"queued as {reply.id}: {size} bytes, {queued} not delivered yet")
 
 
-def _answers(
+def answers(
     ops: "Bus", loop: str, command: SendCommand | SealCommand, until: float
 ) -> "Iterator[SendReply | SealReply]":
     """Say the command again and again; each answer to it.
@@ -132,8 +133,8 @@ def _answers(
 
     kind: type[SendReply | SealReply]
     kind = SealReply if isinstance(command, SealCommand) else SendReply
-    answers: Inbox[bytes] = Inbox()
-    ops.subscribe(key_of(kind, loop), lambda _key, reply, _t_ns: answers.put(reply, len(reply)))
+    heard: Inbox[bytes] = Inbox()
+    ops.subscribe(key_of(kind, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply)))
     publisher = ops.publisher(key_of(type(command), loop))
     again = -math.inf
     while (now := time.monotonic()) < until:
@@ -141,7 +142,7 @@ def _answers(
             publisher.put(command.wire())
             again = now + REPEAT_S
         try:
-            reply = kind.model_validate_json(answers.get(timeout=again - now))
+            reply = kind.model_validate_json(heard.get(timeout=again - now))
         except (queue.Empty, ValidationError):
             continue
         if reply.id == command.id:

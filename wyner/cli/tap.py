@@ -3,7 +3,8 @@
 import argparse
 
 from runtime.errors import UsageError
-from tap_service.command import ToldKnowledge, add_options, run_told, told_by
+from runtime.options import picked
+from tap_service.command import TapOptions, ToldKnowledge, add_options, run_told, told_by
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,8 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
+    options = picked(TapOptions, vars(args))
     if args.knowledge is not None:
-        return run_told(args, told_by(args.knowledge))
+        return run_told(options, told_by(args.knowledge))
     if args.scenario is None and args.fleet is None:
         raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
     from runtime.scenario_file import scenario_of
@@ -34,4 +36,4 @@ def run(args: argparse.Namespace) -> int:
         )
 
     told = None if args.scenario is None else told_of(args.scenario)
-    return run_told(args, told, lambda loop: told_of(loop.scenario))
+    return run_told(options, told, lambda loop: told_of(loop.scenario))

@@ -27,10 +27,11 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_JOURNAL,
 )
-from runtime.scenario_file import scenario_of
+from runtime.scenario_file import attack_option, scenario_of
 from wyner.deployment.one_machine import RunOptions, lay_out
 
 if TYPE_CHECKING:
+    from protocol.link.events import AttackBegan
     from protocol.scenario import Scenario
     from runtime.bus import Bus
     from wyner.dashboard.app import Stage
@@ -65,6 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
+    parser.add_argument(
+        "--attack",
+        metavar="KIND@STEP",
+        help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
+    )
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
     parser.add_argument(
         "--secret",
@@ -89,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             steps=args.steps,
             seed=args.seed,
             secret=args.secret,
+            attack=args.attack,
             until_delivered=args.until_delivered,
             headless=args.headless,
             json=args.json,
@@ -163,13 +170,14 @@ def run_session(
     scenario = scenario_of(options.scenario)
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
-    eavesdroppers = _eavesdroppers(options, scenario)
+    eavesdroppers = eavesdroppers_of(options, scenario)
+    attack = _attack(options, scenario)
     run_dir = run_dir_of(options.run_dir)
     traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
     if any((run_dir / path).exists() for path in traces_of_a_run):
         raise UsageError(f"--run-dir: {run_dir}: has a run already, expected a new folder")
     try:
-        supervisor, loop = lay_out(options, scenario, eavesdroppers, run_dir, payload)
+        supervisor, loop = lay_out(options, scenario, eavesdroppers, run_dir, payload, attack)
     except OSError as error:
         raise UsageError(f"--run-dir: {run_dir}: cannot be written: {error.strerror}") from None
     summary: dict[str, Any] = {}
@@ -183,7 +191,7 @@ def run_session(
             summary.update(summarise(Run.load(run_dir), payload))
         return (epilogue or verdict_lines)(summary)
 
-    watching = _Progress(until_delivered=options.until_delivered, supervisor=supervisor)
+    watching = Progress(until_delivered=options.until_delivered, supervisor=supervisor)
     screen = not options.headless and not options.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
@@ -249,7 +257,7 @@ def _design(scenario: "Scenario") -> None:
         ) from None
 
 
-def _eavesdroppers(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]:
+def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]:
     """The scenario's eavesdroppers, and those asked for besides: true is what the best one leaves.
 
     Each is looked for before anything starts.
@@ -275,29 +283,41 @@ def _eavesdroppers(options: RunOptions, scenario: "Scenario") -> tuple[str, ...]
         raise UsageError(f"--eavesdropper: {error}") from None
 
 
-class _Progress:
+def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
+    """The attack with every parameter, made once before anything starts."""
+    from attacker_service.asking import Attacker
+
+    attack = attack_option(options.attack, scenario.attack, options.steps)
+    if attack is None:
+        return None
+    attacker = Attacker(scenario, attack, options.seed)
+    attacker.close()
+    return attacker.began
+
+
+class Progress:
     """Says when the run is over, from what plant and controller say on ops."""
 
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
         self.background: Background = lambda: True
-        self._received = 0
-        self._delivered = 0
-        self._waiting = True
+        self.received = 0
+        self.delivered = 0
+        self.waiting = True
         self._over_at: float | None = None
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
         with suppress(ValidationError):  # the dashboard counts malformed
-            self._received = PlantStatus.model_validate_json(payload).messages
+            self.received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
-            self._delivered = status.delivered
-            self._waiting = status.queue > 0 or status.frame_symbols < status.frame_length
+            self.delivered = status.delivered
+            self.waiting = status.queue > 0 or status.frame_symbols < status.frame_length
 
     def over(self) -> bool:
         """Whether there is nothing more to watch.
@@ -311,7 +331,7 @@ class _Progress:
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
         done = self.background()  # asked each time: it goes on while it is asked
-        arrived = 0 < self._delivered <= self._received and not self._waiting
+        arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived and done)):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at

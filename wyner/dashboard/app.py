@@ -22,7 +22,7 @@ from wyner.dashboard.screenshot import save
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import MOMENTS, Moment, next_moment
 from wyner.dashboard.terminal import BACKSPACES, ENTERS, ESCAPE, cbreak, hold_stderr
-from wyner.dashboard.view import Wishes, screen
+from wyner.dashboard.view import ViewState, screen
 
 REFRESH_S: Final = 0.1
 """Time between two looks at keys and messages."""
@@ -65,7 +65,7 @@ class Watch:
         self._told = set() if story else set(range(len(MOMENTS)))
         self._moments: deque[tuple[Moment, Board, int]] = deque()
         self._ending: tuple[str, ...] = ()
-        self.wishes = Wishes(unicode=unicode)
+        self.wishes = ViewState(unicode=unicode)
         self.quit = False
         self.saved: list[Path] = []
         self._folder = folder

@@ -147,6 +147,8 @@ def _events(before: Board, board: Board) -> Iterator[str]:
         yield from _session(before, plant, board.model)
         if was is None or was.phase != plant.phase:
             yield f"plant {plant.phase}{_because(plant.detail)}"
+        if plant.attack and (was is None or was.attack != plant.attack):
+            yield f"attack: {plant.attack}"
         if was is not None and plant.symbol_errors > was.symbol_errors:
             more = plant.symbol_errors - was.symbol_errors
             yield f"{more} symbols decoded unlike b_r at step {plant.k}"

@@ -98,7 +98,8 @@ class Board:
 
     ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn,
     ``pictures`` holds those of the last steps by k; ``automata`` is the last moment at which both
-    automata were known, None before the first one of a session.
+    automata were known, None before the first one of a session; ``states`` are those that the
+    plant reports, ``true_states`` what they are where it is attacked.
     """
 
     model: PlantModel | None = None
@@ -113,6 +114,7 @@ class Board:
     taps: Mapping[str, TapBoard] = field(default_factory=dict)
     truths: Mapping[int, ShownTruth] = field(default_factory=dict)
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
     received: int = 0
     refused: int = 0
@@ -205,6 +207,7 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
             pictures={},
             truths={},
             states={},
+            true_states={},
             taps={
                 name: replace(tap, guesses={})
                 for name, tap in _forgotten(board, board.truths).items()
@@ -223,6 +226,9 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
         truths[k] = ShownTruth(role, symbol, coin)
         states[k] = x
     states[status.k] = status.x
+    true_states = dict(board.true_states)
+    for k, true in zip(status.tail_k, status.tail_true_x, strict=False):
+        true_states[k + 1] = true
     board = _picture(board, status, t_ns)
     kept = _newest(truths, STEPS_KEPT)
     if len(kept) < len(truths):
@@ -235,6 +241,7 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
             plant_seen_ns=t_ns,
             truths=kept,
             states=_newest(states, STATES_KEPT),
+            true_states=_newest(true_states, STATES_KEPT),
             texts=_with_text(board.texts, status.last_message),
         )
     )

@@ -2,8 +2,9 @@
 
 import itertools
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Final
 
 from rich.cells import cell_len, set_cell_size
@@ -53,7 +54,7 @@ STATE_CELLS: Final = 13
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class ViewState:
     """What the user asked of the view, and what the terminal can show.
 
     ``held_steps`` counts the steps made since the view was frozen, None when another session began
@@ -81,7 +82,7 @@ class Wishes:
 class Panels:
     """The panels that one screen is put together from."""
 
-    def __init__(self, board: Board, width: int, wishes: Wishes, now_ns: int) -> None:
+    def __init__(self, board: Board, width: int, wishes: ViewState, now_ns: int) -> None:
         self.board = board
         self.width = width
         self.wishes = wishes
@@ -108,8 +109,7 @@ class Panels:
             seconds = plant.k * model.period_s
             time = longest(room, f"  {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
         lines.append(Text(step + time + pace))
-        states = [self.board.states[k] for k in sorted(self.board.states)]
-        lines += self._states(plant.x, states, width, 2 + max(0, extra))
+        lines += self._states(plant.x, width, 2 + max(0, extra))
         lines.append(self._carried(width))
         if extra > 0:
             lines.append(self._trouble(plant, width))
@@ -162,22 +162,28 @@ class Panels:
         )
         return Text(told)
 
-    def _states(
-        self, x: Sequence[float], states: Sequence[Sequence[float]], width: int, rows: int
-    ) -> list[Text]:
-        """Each component with its history: one to a row, or where rows are short more."""
-        per_row = max(1, min(-(-len(x) // rows), (width - 1) // STATE_CELLS))
+    def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
+        """Each component with its history: one to a row, or where rows are short more.
+
+        Of an attacked plant the true one, t, stands beside the one that is reported, in one scale.
+        """
+        board, attacked = self.board, bool(self.board.true_states)
+        entries = len(x) * (1 + attacked)
+        per_row = max(1, min(-(-entries // rows), (width - 1) // STATE_CELLS))
         each = (width - 1) // per_row
         bars = max(0, each - 14)
-        room = per_row * rows
-        cells = []
+        cells: list[str] = []
         for i, value in enumerate(x):
-            if i == room - 1 < len(x) - 1:
-                cells.append(f" {len(x) - i} more")
-                break
-            history = [state[i] for state in states if i < len(state)][-bars:] if bars else []
-            bar = sparkline(history, self.glyphs.levels)
-            cells.append(f" x{i + 1} {component(value, '+'):>8}  {bar}"[:each].ljust(each))
+            shown, true = _history(board.states, i, bars), _history(board.true_states, i, bars)
+            told = [(f"x{i + 1}", value, shown)]
+            if attacked:
+                told.append((f"t{i + 1}", true[-1] if true else nan, true))
+            for name, now, history in told:
+                bar = sparkline(history, self.glyphs.levels, [*shown, *true])
+                cells.append(f" {name} {component(now, '+'):>8}  {bar}"[:each].ljust(each))
+        room = per_row * rows
+        if len(cells) > room:
+            cells[room - 1 :] = [f" {len(cells) - room + 1} more"]
         lines = [Text("".join(cells[i : i + per_row])) for i in range(0, len(cells), per_row)]
         return lines + [Text()] * (min(2, rows) - len(lines))
 
@@ -332,3 +338,8 @@ class Panels:
         """The taps that the filter lets through, strongest first."""
         wanted = self.wishes.filter.lower()
         return [pair for pair in self.taps if wanted in pair[0].status.name.lower()]
+
+
+def _history(states: Mapping[int, Sequence[float]], i: int, bars: int) -> list[float]:
+    """The last values of component ``i``, for so many bars: one at least."""
+    return [states[k][i] for k in sorted(states) if i < len(states[k])][-max(1, bars) :]

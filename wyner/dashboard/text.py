@@ -123,11 +123,11 @@ def _changes_width(c: str) -> bool:
     return "\ufe00" <= c <= "\ufe0f" or "\U0001f3fb" <= c <= "\U0001f3ff"
 
 
-def sparkline(values: Sequence[float], levels: str) -> str:
-    """Values as bars between their smallest and their largest."""
+def sparkline(values: Sequence[float], levels: str, among: Sequence[float] = ()) -> str:
+    """Values as bars between the smallest and the largest of them, or of those ``among`` which."""
     if not values:
         return ""
-    low, high = min(values), max(values)
+    low, high = min(among or values), max(among or values)
     if high == low:
         return levels[len(levels) // 2] * len(values)
     top = len(levels) - 1

@@ -13,11 +13,11 @@ from rich.text import Text
 from wyner.dashboard import keymap
 from wyner.dashboard.detail import detail
 from wyner.dashboard.model import Board
-from wyner.dashboard.panels import Panels, Wishes
+from wyner.dashboard.panels import Panels, ViewState
 from wyner.dashboard.secrecy_panel import curves, distilled, explanation, table, verdict
 from wyner.dashboard.text import count, drawn, fit, in_ascii, longest, number, row
 
-__all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "Wishes", "screen"]
+__all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "ViewState", "screen"]
 
 WHOLE: Final = (80, 24)
 """The size, columns and rows, from which every panel is shown."""
@@ -58,7 +58,7 @@ HELP: Final = (
 )
 
 
-def screen(board: Board, width: int, height: int, wishes: Wishes, now_ns: int) -> list[Text]:
+def screen(board: Board, width: int, height: int, wishes: ViewState, now_ns: int) -> list[Text]:
     """Exactly ``height`` lines of ``width`` cells each."""
     page = _Page(board, width, wishes, now_ns)
     if width < SMALLEST[0] or height < SMALLEST[1]:
@@ -170,6 +170,8 @@ class _Page(Panels):
                 parts.append((3, "SEEDED"))
             if plant.frames_refused:
                 parts.append((2, f"{count(plant.frames_refused)} frames refused"))
+            if plant.attack:
+                parts.append((1, f"ATTACK: {drawn(plant.attack)}"))
             if plant.detail:
                 parts.append((DETAIL_RANK, drawn(plant.detail)))
         controller = self.board.controller

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
@@ -26,7 +27,7 @@ class RunOptions:
     ----------
     scenario : str
         A file or a shipped name.
-    message, message_file, eavesdropper, run_dir : str, optional
+    message, message_file, eavesdropper, attack, run_dir : str, optional
         As they are typed.
     pace : str
         ``realtime``, ``xN`` or ``fast``.
@@ -43,6 +44,7 @@ class RunOptions:
     message: str | None = None
     message_file: str | None = None
     eavesdropper: str | None = None
+    attack: str | None = None
     run_dir: str | None = None
     pace: str = "realtime"
     steps: int | None = None
@@ -60,6 +62,7 @@ def lay_out(
     eavesdroppers: tuple[str, ...],
     run_dir: Path,
     payload: bytes,
+    attack: AttackBegan | None = None,
 ) -> tuple[Supervisor, RunningLoop]:
     """Write what a run's folder begins with, and name its processes; nothing is started yet.
 
@@ -71,6 +74,8 @@ def lay_out(
     run_dir : Path
     payload : bytes
         The message.
+    attack : AttackBegan, optional
+        What is written down of an attack.
 
     Raises
     ------
@@ -92,13 +97,18 @@ def lay_out(
         **scenario.identity(),
         "seed": options.seed,
         "pace": options.pace,
+        **({} if attack is None else {"attack": attack.attack}),
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
-    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = free_endpoints(6)
+    ends = free_endpoints(8)
+    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = ends[:6]
+    plant_side, controller_side = ends[6:]
+    on_bus = attack is not None and attack.attack["at"] == "bus"
     common = ["--run-dir", str(run_dir)]
     seed = [] if options.seed is None else ["--seed", str(options.seed)]
     steps = [] if options.steps is None else ["--steps", str(options.steps)]
+    attacked = [] if options.attack is None else ["--attack", options.attack]
     secrets = _secrets(run_dir) if options.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
@@ -112,6 +122,7 @@ def lay_out(
                 *seed,
                 *secrets.get("plant", ()),
                 *steps,
+                *attacked,
                 "--scenario",
                 str(scenario_file),
                 "--pace",
@@ -122,6 +133,7 @@ def lay_out(
                 f"field={plant_field}",
                 "--connect",
                 f"field={tap_field}",
+                *(("--connect", f"field={plant_side}") if on_bus else ()),
                 "--listen",
                 f"ops={plant_ops}",
             ],
@@ -144,7 +156,7 @@ def lay_out(
                 "--listen",
                 f"field={controller_field}",
                 "--connect",
-                f"field={plant_field}",
+                f"field={controller_side if on_bus else plant_field}",
                 "--connect",
                 f"field={tap_field}",
                 "--listen",
@@ -169,6 +181,11 @@ def lay_out(
             run_dir / "tap" / "log",
         ),
     ]
+    if on_bus:
+        relay = [*seed, *attacked, "--scenario", str(scenario_file)]
+        relay += ["--plant-side", plant_side, "--controller-side", controller_side]
+        log = run_dir / "attacker" / "log"
+        children.append(Child("attacker", relay, log, package="attacker_service"))
     return (
         Supervisor(children, first="tap", first_endpoint=tap_field),
         RunningLoop(

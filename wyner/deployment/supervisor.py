@@ -26,6 +26,9 @@ RESTART_S: Final = 0.2
 RESTARTS: Final = 20
 """A service that was killed more often than this in one run stays down."""
 
+STOP_S: Final = 5.0
+"""Seconds that one which is no service has to stop by itself."""
+
 START_S: Final = 60.0
 """Seconds that the first service has to come up, as long as it lives: a machine may be busy."""
 
@@ -40,16 +43,19 @@ class Child:
     Parameters
     ----------
     name : str
-        A service of the registry.
+        A service of the registry, or what is called so here.
     arguments : list of str
         After ``python -m PACKAGE``.
     log : Path
         Where its output goes, appended.
+    package : str
+        What ``python -m`` runs; the service's own where empty.
     """
 
     name: str
     arguments: list[str]
     log: Path
+    package: str = ""
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
     restart_at: float = 0.0
@@ -65,10 +71,11 @@ class Child:
         """
         make_folder(self.log.parent)
         self.alone = False
+        package = self.package or SERVICES[self.name].package
         log = open_private(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", SERVICES[self.name].package, *self.arguments],
+                [sys.executable, "-m", package, *self.arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -116,7 +123,7 @@ class Child:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(SERVICES[self.name].stop_s)
+                self.process.wait(STOP_S if self.package else SERVICES[self.name].stop_s)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()

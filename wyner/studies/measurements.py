@@ -21,6 +21,8 @@ from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.studies import keys, network, shape, signalling
+from wyner.studies.attacks import study as attacks
+from wyner.studies.attacks import watermark
 from wyner.studies.grid import Point, code_version, load_sweep, points_of
 from wyner.studies.noise import study as noise
 from wyner.studies.results import Results
@@ -308,5 +310,7 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
     "network": measure_rows(network.COLUMNS, network.network_rows, network.SOURCES),
     "key-controls": measure_rows(keys.CONTROL_COLUMNS, keys.control_rows, keys.SOURCES),
+    "attacks": attacks.add_rows,
+    "dither-price": measure_rows(watermark.COLUMNS, watermark.price_rows, watermark.SOURCES),
 }
 """How each data file of docs/data is made."""

@@ -1,21 +1,17 @@
 """A clause that judges parts made by hand."""
 
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from wyner.runs.check.capture import Seen
-from wyner.runs.check.clause import Judging, Tally
+from wyner.runs.check.capture import CapturedMessage
+from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 
 SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
 """Blocks of 4, 8, 8, ... transitions; a weak claim, so that so few make keys."""
-
-Judge = Callable[[Evidence, Tally], Judging]
 
 
 def evidence(
@@ -37,18 +33,16 @@ def evidence(
     )
 
 
-def judge(clause: Judge, e: Evidence, *parts: Part) -> Tally:
-    """A clause that has begun to look goes on until there are no more parts."""
-    tally = Tally()
-    judging = clause(e, tally)
-    if next(judging, "over") == "over":
-        return tally
-    for part in parts:
-        judging.send(part)
-    with suppress(StopIteration):
-        judging.send(None)
-    return tally
+def judge(clause: type[Clause], e: Evidence, *parts: Part) -> Counter:
+    """What a clause counts over these parts."""
+    counter = Counter(skipped=clause.skipped(e))
+    if not counter.skipped:
+        judging = clause(e, counter)
+        for part in parts:
+            judging.feed(part)
+        judging.finish()
+    return counter
 
 
-def heard(*seen: Seen) -> Part:
+def heard(*seen: CapturedMessage) -> Part:
     return Part([], [], [], list(seen))

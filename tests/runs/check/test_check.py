@@ -14,7 +14,7 @@ from tests.support.lines import unmark
 from tests.support.small_run import Lines, SmallRun, read_lines, write_lines
 from wyner.cli.main import main
 from wyner.runs.check import CLAUSES, OF_KEYS, check
-from wyner.runs.check.clause import Finding
+from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import read_evidence
 
 Event = dict[str, Any]
@@ -23,7 +23,7 @@ HERE = [clause.name for clause in CLAUSES if clause.name not in OF_KEYS]
 """Clauses for a scenario that makes no keys."""
 
 
-def findings(folder: Path) -> dict[str, Finding]:
+def findings(folder: Path) -> dict[str, Result]:
     return {finding.clause.name: finding for finding in check(read_evidence(folder))}
 
 
@@ -79,18 +79,18 @@ def copied_eventful(eventful: Path, tmp_path: Path) -> Path:
 def test_a_clean_run_passes_every_clause(clean: Path) -> None:
     results = findings(clean)
     assert {f.result for f in results.values()} == {"PASS"}
-    assert all(f.tally.counted > 0 for f in results.values())
-    assert results["messages"].tally.note == "1 of 1 queued messages arrived"
-    assert results["prefix"].tally.counted == 65
+    assert all(f.counter.counted > 0 for f in results.values())
+    assert results["messages"].counter.note == "1 of 1 queued messages arrived"
+    assert results["prefix"].counter.counted == 65
 
 
 def test_a_run_with_faults_passes_every_clause(eventful: Path) -> None:
     results = findings(eventful)
-    assert {name: f.tally.first for name, f in results.items() if f.result != "PASS"} == {}
-    assert "12 written again" in results["traces"].tally.note
-    assert results["switching"].tally.note.startswith("13 missed")
-    assert "13 offers that were not applied" in results["one-cipher"].tally.note
-    assert results["receiver"].tally.note == "sessions: 2"
+    assert {name: f.counter.first for name, f in results.items() if f.result != "PASS"} == {}
+    assert "12 written again" in results["traces"].counter.note
+    assert results["switching"].counter.note.startswith("13 missed")
+    assert "13 offers that were not applied" in results["one-cipher"].counter.note
+    assert results["receiver"].counter.note == "sessions: 2"
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_message_that_was_whole_comes_again_if_the_controller_did_not_know(
     run.close()
     assert run.received == received
     assert failed(run.folder) == set()
-    assert findings(run.folder)["messages"].tally.note == "2 of 2 queued messages arrived"
+    assert findings(run.folder)["messages"].counter.note == "2 of 2 queued messages arrived"
 
 
 def test_a_capture_may_have_parts(copied: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_capture_may_have_parts(copied: Path) -> None:
     write_lines(second, [header | {"part": 1}, *lines[half:]])
     results = findings(copied)
     assert {f.result for f in results.values()} == {"PASS"}
-    assert results["public-fields"].tally.counted == len(lines)
+    assert results["public-fields"].counter.counted == len(lines)
 
 
 def test_a_torn_end_is_no_failure(copied: Path) -> None:
@@ -128,7 +128,7 @@ def test_a_torn_end_is_no_failure(copied: Path) -> None:
         with (copied / name).open("ab") as file:
             file.write(b'{"event":"transition","session":"00')
     assert failed(copied) == set()
-    assert findings(copied)["traces"].tally.note.startswith("2 torn lines")
+    assert findings(copied)["traces"].counter.note.startswith("2 torn lines")
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_a_disturbance_that_may_leave_is_counted_and_no_failure(tmp_path: Path) 
     run.steps(400)
     run.close()
     assert failed(run.folder) == set()
-    note = findings(run.folder)["reachable"].tally.note
+    note = findings(run.folder)["reachable"].counter.note
     assert "the disturbance may leave D_c here, and did in " in note
     assert int(note.split(" did in ")[1].split()[0]) > 5
 
@@ -165,7 +165,7 @@ def test_the_papers_own_law_passes(tmp_path: Path) -> None:
     run.steps(60)
     run.close()
     assert failed(run.folder) == set()
-    assert "K x inside T_0" in findings(run.folder)["admissible"].tally.note
+    assert "K x inside T_0" in findings(run.folder)["admissible"].counter.note
 
 
 # --- wrong runs -----------------------------------------------------------------------------------
@@ -395,7 +395,7 @@ def test_what_is_wrong_fails_its_clause(
     found = findings(copied)
     assert expected <= {name for name, f in found.items() if f.result == "FAIL"}
     for finding in (f for f in found.values() if f.result == "FAIL"):
-        first = finding.tally.first
+        first = finding.counter.first
         assert first is not None
         assert [type(v) for v in (first.session, first.j, first.k)] == [str, int, int], finding
         assert first.text, "a failure says what does not hold"
@@ -405,7 +405,7 @@ def test_a_failure_says_where(copied: Path) -> None:
     flip_a_verdict(copied)
     lines = read_lines(copied / CONTROLLER_TRACE)
     t = lines[agreement(lines)]
-    place = findings(copied)["agreement"].tally.first
+    place = findings(copied)["agreement"].counter.first
     assert place is not None
     assert (place.session, place.j, place.k) == (t["session"], t["j"], t["k"])
     assert "controller's verdict" in place.text
@@ -413,7 +413,7 @@ def test_a_failure_says_where(copied: Path) -> None:
 
 def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
     shout_on_the_field_bus(copied)
-    place = findings(copied)["public-fields"].tally.first
+    place = findings(copied)["public-fields"].counter.first
     assert place is not None
     assert place.text == (
         "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v1/loop/offer: b'hi')"
@@ -424,7 +424,7 @@ def test_a_key_reuse_says_where(copied: Path) -> None:
     use_a_key_twice(copied)
     lines = read_lines(copied / PLANT_TRACE)
     at = next(i for i, t in enumerate(lines) if i > 40 and t.get("role") == "message") + 1
-    place = findings(copied)["one-time-pad"].tally.first
+    place = findings(copied)["one-time-pad"].counter.first
     assert place is not None
     assert place.j == lines[at]["j"]
     assert "without a key of its own" in place.text
@@ -545,5 +545,5 @@ def test_a_service_that_was_killed_before_its_first_line_is_honest(copied: Path)
     for trace in (PLANT_TRACE, CONTROLLER_TRACE):
         (copied / trace).write_bytes(b"")
     findings = {f.clause.name: f for f in check(read_evidence(copied))}
-    assert findings["whole"].result != "FAIL" or "journal" in str(findings["whole"].tally.first)
-    assert "header" not in str([f.tally.first for f in findings.values()])
+    assert findings["whole"].result != "FAIL" or "journal" in str(findings["whole"].counter.first)
+    assert "header" not in str([f.counter.first for f in findings.values()])

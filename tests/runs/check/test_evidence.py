@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import MANIFEST, SUMMARY
-from tests.support.checked_runs import one_law, run_with_keys
+from tests.support.checked_runs import keyed_run, one_law
 from wyner.runs.check import check
 from wyner.runs.check.covered import KINDS, OTHER, evidence_below, kind_of
 from wyner.runs.check.evidence import read_evidence
@@ -27,10 +27,7 @@ def _one_law() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of all three services with signed keys; one sealed message was delivered."""
-    folder = tmp_path_factory.mktemp("runs") / "keys"
-    run_with_keys(folder, b"At nine.", "smoother,key-solver")
-    return folder
+    return keyed_run(tmp_path_factory)
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 from protocol.secret.records import BlockRow, Side, key_id
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-from tests.runs.check.judged import SCHEDULE, Judge, evidence, heard, judge
+from tests.runs.check.judged import SCHEDULE, evidence, heard, judge
 from wyner.runs.check import key_blocks
-from wyner.runs.check.capture import Seen
-from wyner.runs.check.clause import Place, Tally
+from wyner.runs.check.capture import CapturedMessage
+from wyner.runs.check.clause import Clause, Counter, Place
 from wyner.runs.check.evidence import Pair, Part
 from wyner.runs.check.records import (
     BlockStoredLine,
@@ -26,8 +26,8 @@ from wyner.runs.check.records import (
 A, B = "a" * 16, "b" * 16
 
 
-def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -> Seen:
-    return Seen("capture.jsonl", number, b"", topic, session, k, message)
+def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -> CapturedMessage:
+    return CapturedMessage("capture.jsonl", number, b"", topic, session, k, message)
 
 
 def walked(j: int, counts: int, k: int | None = None, session: str = A) -> Walked:
@@ -47,10 +47,10 @@ def first(k: int, text: str, *, session: str = A, j: int = -1) -> Place:
 
 def test_a_nonce_leaves_once() -> None:
     part = heard(told(2, "offer", 5, nonce="p"), told(3, "offer", 6, nonce="q"))
-    assert judge(key_blocks.nonce_once, evidence(), part) == Tally(2)
+    assert judge(key_blocks.NonceOnce, evidence(), part) == Counter(2)
     again = heard(told(4, "measurement", 7, nonce="p"), told(5, "offer", 8, nonce="p"))
     text = "capture.jsonl line 4: measurement 7 carries a nonce that was there before"
-    assert judge(key_blocks.nonce_once, evidence(), part, again) == Tally(4, 2, first(7, text))
+    assert judge(key_blocks.NonceOnce, evidence(), part, again) == Counter(4, 2, first(7, text))
 
 
 def test_copy_0_leaves_once_a_step_and_a_session() -> None:
@@ -61,11 +61,11 @@ def test_copy_0_leaves_once_a_step_and_a_session() -> None:
         told(5, "offer", 5, B, copy_number=0),
         told(6, "offer", 6, copy_number=0),
     )
-    assert judge(key_blocks.copy_0_once, evidence(), part) == Tally(4)
+    assert judge(key_blocks.Copy0Once, evidence(), part) == Counter(4)
     again = heard(told(7, "offer", 5, copy_number=0))
     text = "capture.jsonl line 7: a second copy 0 of offer 5"
-    found = judge(key_blocks.copy_0_once, evidence(), part, again)
-    assert found == Tally(5, 1, first(5, text))
+    found = judge(key_blocks.Copy0Once, evidence(), part, again)
+    assert found == Counter(5, 1, first(5, text))
 
 
 def test_a_field_of_another_type_is_another_clauses_matter() -> None:
@@ -74,25 +74,27 @@ def test_a_field_of_another_type_is_another_clauses_matter() -> None:
         fields = ("nonce", "copy_number", "applied_k", "applied_copy", "heard", "block", "tag")
         message: dict[str, Any] = dict.fromkeys(fields, value)
         seen = [told(2, topic, 5, **message) for topic in ("offer", "measurement")]
-        for clause in (key_blocks.copy_0_once, key_blocks.counted, key_blocks.tags):
+        for clause in (key_blocks.Copy0Once, key_blocks.Counted, key_blocks.Tags):
             assert judge(clause, evidence(), heard(*seen)).failures == 0
-        assert judge(key_blocks.nonce_once, evidence(), heard(*seen)).failures == 1
+        assert judge(key_blocks.NonceOnce, evidence(), heard(*seen)).failures == 1
 
 
 @pytest.mark.parametrize(
     ("clause", "without", "said"),
     [
-        (key_blocks.nonce_once, {"wire": None}, "no capture in this run's folder"),
-        (key_blocks.copy_0_once, {"wire": None}, "no capture in this run's folder"),
-        (key_blocks.tags, {"wire": None}, "no capture in this run's folder"),
-        (key_blocks.counted, {"plant": None}, "no plant trace in this run's folder"),
-        (key_blocks.blocks, {"plant": None}, "no plant trace in this run's folder"),
-        (key_blocks.blocks, {"controller": None}, "no controller trace in this run's folder"),
+        (key_blocks.NonceOnce, {"wire": None}, "no capture in this run's folder"),
+        (key_blocks.Copy0Once, {"wire": None}, "no capture in this run's folder"),
+        (key_blocks.Tags, {"wire": None}, "no capture in this run's folder"),
+        (key_blocks.Counted, {"plant": None}, "no plant trace in this run's folder"),
+        (key_blocks.Blocks, {"plant": None}, "no plant trace in this run's folder"),
+        (key_blocks.Blocks, {"controller": None}, "no controller trace in this run's folder"),
     ],
 )
-def test_what_is_not_there_is_not_judged(clause: Judge, without: dict[str, Any], said: str) -> None:
+def test_what_is_not_there_is_not_judged(
+    clause: type[Clause], without: dict[str, Any], said: str
+) -> None:
     part = heard(told(2, "offer", 5, nonce="p"), told(3, "offer", 5, nonce="p"))
-    assert judge(clause, evidence(**without), part) == Tally(skipped=said)
+    assert judge(clause, evidence(**without), part) == Counter(skipped=said)
 
 
 # --- counts ---------------------------------------------------------------------------------------
@@ -100,10 +102,12 @@ def test_what_is_not_there_is_not_judged(clause: Judge, without: dict[str, Any],
 
 def test_both_ends_count_alike() -> None:
     alike = Part([], [], [Pair(walked(1, 3), walked(1, 3)), Pair(walked(2, 2), None)], [])
-    assert judge(key_blocks.counted, evidence(), alike) == Tally(1)
+    assert judge(key_blocks.Counted, evidence(), alike) == Counter(1)
     unlike = Part([], [], [Pair(None, walked(3, 1)), Pair(walked(4, 2, 7), walked(4, 3, 7))], [])
     text = "the plant counts 2, the controller 3"
-    assert judge(key_blocks.counted, evidence(), alike, unlike) == Tally(2, 1, first(7, text, j=4))
+    assert judge(key_blocks.Counted, evidence(), alike, unlike) == Counter(
+        2, 1, first(7, text, j=4)
+    )
 
 
 def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
@@ -111,8 +115,8 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
     pairs = [Pair(walked(j, c, j + 4), None) for j, c in ((0, 3), (1, 3), (2, 1), (3, 2), (4, 0))]
     counting = Part([], [], pairs, [])
 
-    def found(*seen: Seen) -> Tally:
-        return judge(key_blocks.counted, evidence(), counting, heard(*seen))
+    def found(*seen: CapturedMessage) -> Counter:
+        return judge(key_blocks.Counted, evidence(), counting, heard(*seen))
 
     for seen in (
         told(2, "measurement", 6, applied_k=5, applied_copy=0),
@@ -126,15 +130,15 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
         told(2, "offer", 5, heard=None),
         told(2, "offer", 70, heard=3),
     ):
-        assert found(seen) == Tally(1), seen
+        assert found(seen) == Counter(1), seen
     old = told(2, "offer", 5, heard=2)._replace(part="too-old.jsonl")
-    assert found(old, told(3, "offer", 5, heard=0)) == Tally(1)
+    assert found(old, told(3, "offer", 5, heard=0)) == Counter(1)
     text = "capture.jsonl line 3: copy 2 was taken, and the plant counts 3"
     late = told(3, "measurement", 6, applied_k=5, applied_copy=2)
-    assert found(late) == Tally(1, 1, first(5, text, j=1))
+    assert found(late) == Counter(1, 1, first(5, text, j=1))
     late = told(3, "offer", 7, heard=2)
     text = "capture.jsonl line 3: copy 2 was taken, and the plant counts 2"
-    assert found(late) == Tally(1, 1, first(7, text, j=3))
+    assert found(late) == Counter(1, 1, first(7, text, j=3))
 
 
 # --- blocks ---------------------------------------------------------------------------------------
@@ -161,23 +165,23 @@ def test_blocks_make_what_their_transitions_allow() -> None:
     assert keys[1] == keys[2] > keys[0]
     start: list[Item] = [walked(0, 3)]
     items = [*start, *block_items(0, keys[0]), *block_items(1, keys[1])]
-    found = judge(key_blocks.blocks, evidence(), Part(items, items, [], []))
+    found = judge(key_blocks.Blocks, evidence(), Part(items, items, [], []))
     made = sum(keys[:2])
-    assert found == Tally(6, note=f"{made} keys made of 2 blocks at the plant")
+    assert found == Counter(6, note=f"{made} keys made of 2 blocks at the plant")
     more = block_items(2, keys[2])
-    found = judge(key_blocks.blocks, evidence(), Part(items, items, [], []), Part(more, [], [], []))
-    assert found == Tally(7, note=f"{made + keys[2]} keys made of 3 blocks at the plant")
+    found = judge(key_blocks.Blocks, evidence(), Part(items, items, [], []), Part(more, [], [], []))
+    assert found == Counter(7, note=f"{made + keys[2]} keys made of 3 blocks at the plant")
 
 
 def test_a_block_with_too_many_keys_fails_at_its_end() -> None:
     right, wrong = rows(0) - 1, rows(0)
     honest: list[Item] = [walked(0, 3, session=B), *block_items(0, right, session=B)]
     items = [walked(0, 3, session=B), *block_items(0, wrong, session=B)]
-    found = judge(key_blocks.blocks, evidence(), Part(items, honest, [], []))
+    found = judge(key_blocks.Blocks, evidence(), Part(items, honest, [], []))
     text = f"the plant made {wrong} keys of block 0, expected {right}"
     note = f"{wrong} keys made of 1 blocks at the plant"
-    assert found == Tally(3, 2, first(-1, text, session=B), note)
-    found = judge(key_blocks.blocks, evidence(), Part(honest, items, [], []))
+    assert found == Counter(3, 2, first(-1, text, session=B), note)
+    found = judge(key_blocks.Blocks, evidence(), Part(honest, items, [], []))
     assert found.first == first(-1, text.replace("plant", "controller"), session=B)
 
 
@@ -185,11 +189,11 @@ def test_ends_that_made_other_numbers_of_a_block_fail() -> None:
     """One of them had no pad for the block's tag, and made none."""
     start: list[Item] = [walked(0, 3)]
     some, none = ([*start, *block_items(0, keys)] for keys in (rows(0) - 1, 0))
-    found = judge(key_blocks.blocks, evidence(), Part(some, none, [], []))
+    found = judge(key_blocks.Blocks, evidence(), Part(some, none, [], []))
     text = f"block 0: {rows(0) - 1} keys at the plant, 0 at the controller"
     note = f"{rows(0) - 1} keys made of 1 blocks at the plant"
-    assert found == Tally(3, 1, first(-1, text), note)
-    assert judge(key_blocks.blocks, evidence(), Part(none, none, [], [])).failures == 0
+    assert found == Counter(3, 1, first(-1, text), note)
+    assert judge(key_blocks.Blocks, evidence(), Part(none, none, [], [])).failures == 0
 
 
 def test_missed_steps_and_uncounted_copies_cost_rows() -> None:
@@ -202,7 +206,7 @@ def test_missed_steps_and_uncounted_copies_cost_rows() -> None:
     assert 0 <= expected < rows(1) - 3
     for keys, failures in ((expected, 0), (expected + 1, 2)):
         items = [*start, *late, stored(1, keys)]
-        found = judge(key_blocks.blocks, evidence(), Part(items, items, [], []))
+        found = judge(key_blocks.Blocks, evidence(), Part(items, items, [], []))
         assert (found.counted, found.failures) == (6, failures if keys else 0)
 
 
@@ -210,22 +214,22 @@ def test_a_gap_before_the_sessions_first_transition_is_no_missed_step() -> None:
     items: list[Item] = [walked(0, 3, 100)]
     items += [walked(j, 3, 100 + j) for j in range(1, 5)]
     items.append(stored(0, rows(0) - 1))
-    assert judge(key_blocks.blocks, evidence(), Part(items, items, [], [])).failures == 0
+    assert judge(key_blocks.Blocks, evidence(), Part(items, items, [], [])).failures == 0
 
 
 def test_a_trace_that_begins_within_a_session_counts_from_there() -> None:
     items: list[Item] = [walked(j, 3, 50 + j) for j in range(1, 5)]
     items.append(stored(0, rows(0, missed=-1) - 1))
-    assert judge(key_blocks.blocks, evidence(), Part(items, items, [], [])).failures == 0
+    assert judge(key_blocks.Blocks, evidence(), Part(items, items, [], [])).failures == 0
 
 
 def test_a_block_that_is_not_whole_makes_no_key() -> None:
     alone: list[Item] = [stored(0, 1)]
     for items in (block_items(0, 1)[1:], alone):
-        found = judge(key_blocks.blocks, evidence(), Part(items, [], [], []))
+        found = judge(key_blocks.Blocks, evidence(), Part(items, [], [], []))
         assert found.first == first(-1, "the plant made 1 keys of block 0, expected None")
     poor: list[Item] = block_items(0, 1, counts=0)
-    found = judge(key_blocks.blocks, evidence(), Part(poor, [], [], []))
+    found = judge(key_blocks.Blocks, evidence(), Part(poor, [], [], []))
     assert found.first == first(-1, "the plant made 1 keys of block 0, expected 0")
 
 
@@ -233,7 +237,7 @@ def test_a_block_that_began_before_what_is_left_of_a_trace_is_not_judged() -> No
     items: list[Item] = [stored(0, 5), stored(1, 5), stored(0, 5, B), *block_items(2, 0)]
     for at, expected in {None: 4, 0: 3, 3: 3, 4: 2, 11: 2, 12: 1}.items():
         cut = None if at is None else SimpleNamespace(session=A, j=at)
-        judged = judge(key_blocks.blocks, evidence(cut=cut), Part(items, [], [], []))
+        judged = judge(key_blocks.Blocks, evidence(cut=cut), Part(items, [], [], []))
         assert judged.counted == expected, at
 
 
@@ -255,21 +259,21 @@ def test_a_block_has_one_tag_at_both_ends(tmp_path: Path) -> None:
         told(7, "measurement", 6, block=1, tag="z"),
         told(8, "offer", 7, block=0, tag="x"),
     )
-    assert judge(key_blocks.tags, evidence(tmp_path), part) == Tally(6, note="public")
+    assert judge(key_blocks.Tags, evidence(tmp_path), part) == Counter(6, note="public")
     other = heard(told(9, "offer", 8, block=0, tag="w"))
     text = "capture.jsonl line 9: block 0 has another tag than before"
-    found = judge(key_blocks.tags, evidence(tmp_path), part, other)
-    assert found == Tally(7, 1, first(8, text), "public")
+    found = judge(key_blocks.Tags, evidence(tmp_path), part, other)
+    assert found == Counter(7, 1, first(8, text), "public")
 
 
 def test_public_tags_are_the_same_and_signed_ones_need_not_be(tmp_path: Path) -> None:
     part = heard(told(2, "offer", 1, block=3, tag="x"), told(3, "measurement", 1, block=3, tag="y"))
-    expected = Tally(3, 1, first(-1, "block 3: the ends' tags differ"), "public")
-    assert judge(key_blocks.tags, evidence(tmp_path), part) == expected
+    expected = Counter(3, 1, first(-1, "block 3: the ends' tags differ"), "public")
+    assert judge(key_blocks.Tags, evidence(tmp_path), part) == expected
     with store(tmp_path, "controller"), store(tmp_path, "plant") as plant:
         plant.set_note("secret", "yes")
-    signed = judge(key_blocks.tags, evidence(tmp_path), part)
-    assert signed == Tally(2, note="signed with a shared secret")
+    signed = judge(key_blocks.Tags, evidence(tmp_path), part)
+    assert signed == Counter(2, note="signed with a shared secret")
 
 
 # --- stores ---------------------------------------------------------------------------------------
@@ -285,7 +289,7 @@ def test_stores_hold_the_same_ids_in_disjoint_halves(tmp_path: Path) -> None:
     with store(tmp_path, "controller") as controller, store(tmp_path, "plant") as plant:
         fill(controller, (7, 1), (0, 2), (1, 3))
         fill(plant, (0, 2), (1, 3), (2, 1))
-    assert judge(key_blocks.key_ids, evidence(tmp_path), heard()) == Tally(6)
+    assert judge(key_blocks.KeyIds, evidence(tmp_path), heard()) == Counter(6)
 
 
 def test_stores_in_another_order_fail(tmp_path: Path) -> None:
@@ -294,8 +298,8 @@ def test_stores_in_another_order_fail(tmp_path: Path) -> None:
         fill(plant, (1, 1), (0, 1))
     ids = key_id(A, 0, 1), key_id(A, 1, 1)
     text = f"key {ids[0]} at the controller stands where {ids[1]} does"
-    found = judge(key_blocks.key_ids, evidence(tmp_path))
-    assert found == Tally(3, 2, Place("", -1, -1, text))
+    found = judge(key_blocks.KeyIds, evidence(tmp_path))
+    assert found == Counter(3, 2, Place("", -1, -1, text))
 
 
 def test_a_key_of_both_halves_fails(tmp_path: Path) -> None:
@@ -304,20 +308,20 @@ def test_a_key_of_both_halves_fails(tmp_path: Path) -> None:
         fill(plant, (0, 4))
         with plant.transaction() as db:
             db.execute("UPDATE key SET own = 1 WHERE row IN (1, 3)")
-    found = judge(key_blocks.key_ids, evidence(tmp_path))
-    assert found == Tally(5, 1, Place("", -1, -1, "2 keys belong to both halves"))
+    found = judge(key_blocks.KeyIds, evidence(tmp_path))
+    assert found == Counter(5, 1, Place("", -1, -1, "2 keys belong to both halves"))
 
 
 def test_stores_that_are_not_there_or_not_stores(tmp_path: Path) -> None:
-    none = Tally(skipped="no key store at one of the ends")
-    assert judge(key_blocks.key_ids, evidence(tmp_path)) == none
+    none = Counter(skipped="no key store at one of the ends")
+    assert judge(key_blocks.KeyIds, evidence(tmp_path)) == none
     with store(tmp_path, "controller") as controller:
         fill(controller, (0, 1))
-    assert judge(key_blocks.key_ids, evidence(tmp_path)) == none
+    assert judge(key_blocks.KeyIds, evidence(tmp_path)) == none
     path = tmp_path / PLANT_KEYS
     path.parent.mkdir()
     path.write_bytes(b"no store" * 1000)
-    found = judge(key_blocks.key_ids, evidence(tmp_path))
+    found = judge(key_blocks.KeyIds, evidence(tmp_path))
     assert found.failures == 1
     assert found.first is not None
     assert (found.first.session, found.first.j, found.first.k) == ("", -1, -1)
@@ -330,24 +334,24 @@ def test_stores_that_are_not_there_or_not_stores(tmp_path: Path) -> None:
 def test_other_lines_are_passed_over() -> None:
     other = Told(SessionLine("session", A, "met"), b"")
     items: list[Item] = [other, walked(0, 3), *block_items(0, rows(0) - 1), other]
-    assert judge(key_blocks.blocks, evidence(), Part(items, items, [], [])).failures == 0
+    assert judge(key_blocks.Blocks, evidence(), Part(items, items, [], [])).failures == 0
 
 
 def test_where_nothing_is_claimed_nothing_is_counted() -> None:
     e = evidence(schedule=None, keys=None)
     clean: list[Item] = [walked(1, 0), stored(0, 0)]
     part = Part(clean, clean, [], [told(2, "offer", 1, nonce="", tag=""), told(3, "offer", 2)])
-    assert judge(key_blocks.refused_at_zero, e, part) == Tally(4)
+    assert judge(key_blocks.RefusedAtZero, e, part) == Counter(4)
     for message in ({"nonce": "p"}, {"tag": "p"}, {"nonce": "p", "tag": "p"}):
         text = "capture.jsonl line 4: a nonce or a tag, and no key is claimed"
-        found = judge(key_blocks.refused_at_zero, e, part, heard(told(4, "offer", 3, **message)))
-        assert found == Tally(5, 1, first(3, text))
+        found = judge(key_blocks.RefusedAtZero, e, part, heard(told(4, "offer", 3, **message)))
+        assert found == Counter(5, 1, first(3, text))
     for side, trace in (("plant", 0), ("controller", 1)):
         items: list[list[Item]] = [[], []]
         items[trace] = [walked(6, 2, 8)]
-        found = judge(key_blocks.refused_at_zero, e, part, Part(items[0], items[1], [], []))
+        found = judge(key_blocks.RefusedAtZero, e, part, Part(items[0], items[1], [], []))
         text = f"the {side} counts copies, and no key is claimed"
-        assert found == Tally(5, 1, first(8, text, j=6))
+        assert found == Counter(5, 1, first(8, text, j=6))
 
 
 @pytest.mark.parametrize("seeded", [False, True])
@@ -358,20 +362,20 @@ def test_keys_that_are_for_nobody_are_refused(seeded: bool, claimed: bool, tmp_p
     e = evidence(tmp_path, schedule=SCHEDULE if claimed else None, manifest=manifest)
     with store(tmp_path, "controller") as controller, store(tmp_path, "plant"):
         controller.refuse("seeded")
-    expected = Tally(2, 1, Place("", -1, -1, "the plant's keys are not refused"))
+    expected = Counter(2, 1, Place("", -1, -1, "the plant's keys are not refused"))
     used = heard(told(2, "offer", 1, nonce="p")) if claimed else heard()
     looked = seeded or not claimed
-    assert judge(key_blocks.refused_at_zero, e, used) == (expected if looked else Tally())
+    assert judge(key_blocks.RefusedAtZero, e, used) == (expected if looked else Counter())
     with store(tmp_path, "plant") as plant:
         plant.refuse("seeded")
-    assert judge(key_blocks.refused_at_zero, e, used) == (Tally(2) if looked else Tally())
+    assert judge(key_blocks.RefusedAtZero, e, used) == (Counter(2) if looked else Counter())
 
 
 def test_of_a_lone_store_its_own_end_is_named(tmp_path: Path) -> None:
     with store(tmp_path, "plant"):
         e = evidence(tmp_path, manifest={"seed": 0})
-        found = judge(key_blocks.refused_at_zero, e, heard())
-    assert found == Tally(1, 1, Place("", -1, -1, "the plant's keys are not refused"))
+        found = judge(key_blocks.RefusedAtZero, e, heard())
+    assert found == Counter(1, 1, Place("", -1, -1, "the plant's keys are not refused"))
 
 
 def test_a_run_of_a_scenario_without_keys_needs_no_store(tmp_path: Path) -> None:
@@ -379,6 +383,6 @@ def test_a_run_of_a_scenario_without_keys_needs_no_store(tmp_path: Path) -> None
         pass
     for manifest in (None, {}, {"seed": 1}):
         e = evidence(tmp_path, schedule=None, keys=None, manifest=manifest)
-        assert judge(key_blocks.refused_at_zero, e, heard()) == Tally()
+        assert judge(key_blocks.RefusedAtZero, e, heard()) == Counter()
     e = evidence(tmp_path, manifest=None)
-    assert judge(key_blocks.refused_at_zero, e, heard()) == Tally()
+    assert judge(key_blocks.RefusedAtZero, e, heard()) == Counter()

@@ -18,7 +18,7 @@ from runtime.run_folder import (
     PLANT_TRACE,
 )
 from tests.runs.check.mutants import Mutant, of_kind
-from tests.support.checked_runs import run_with_keys
+from tests.support.checked_runs import SEALED, keyed_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -27,21 +27,12 @@ from wyner.runs.score.keys import audit_keys
 
 Line = dict[str, Any]
 
-TEXT = "The old mill, at nine."
+TEXT = SEALED.decode()
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """It goes on until a sealed message was delivered: blocks are then confirmed at both ends.
-
-    The tap loses three messages of ten, the sealed one as well: runs are made until she has it.
-    """
-    for _ in range(30):
-        folder = tmp_path_factory.mktemp("runs") / "keys"
-        run_with_keys(folder, TEXT.encode(), "nearest-centre,key-solver")
-        if b'"topic":"sealed"' in (folder / CAPTURE).read_bytes():
-            return folder
-    pytest.fail("she lost the sealed message in every run")
+    return keyed_run(tmp_path_factory)
 
 
 @pytest.fixture
@@ -77,7 +68,8 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     audit = audit_keys(Run.load(run), read_evidence(run).scenario)
     assert audit is not None
     live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
-    assert main(["score", str(run), "--decode", "--json"]) == 0
+    again = ["score", str(run), "--decode", "--eavesdropper", "key-solver", "--json"]
+    assert main(again) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
     exact = {(block.session, block.number): block for block in audit.blocks}

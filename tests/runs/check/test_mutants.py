@@ -122,7 +122,7 @@ def only_marked(m: Mutant) -> bool:
 def test_honest_runs_pass(ended: Path, killed: Path) -> None:
     for folder in (ended, killed):
         findings = check(read_evidence(folder))
-        assert {f.clause.name: f.tally for f in findings if f.result != "PASS"} == {}
+        assert {f.clause.name: f.counter for f in findings if f.result != "PASS"} == {}
 
 
 def test_every_change_of_meaning_fails_the_clause_that_names_it(

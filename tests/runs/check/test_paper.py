@@ -3,27 +3,29 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule
+from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, predict
 from protocol.schemes.base import Carry
 from protocol.schemes.switched import State, Switched
 from tests.support.checked_runs import one_law
 from tests.support.small_run import SmallRun
 from wyner.runs.check import check
-from wyner.runs.check.clause import Finding
+from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, scale
 from wyner.runs.check.paper import key_symbols as keys_of_scales
 
-BOX = (((1.0, 0.0), 0.5), ((-1.0, 0.0), 0.5), ((0.0, 1.0), 0.5), ((0.0, -1.0), 0.5))
-LARGE = tuple((row, 8 * bound) for row, bound in BOX)
+BOX = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), np.full(4, 0.5)
+LARGE = BOX[0], 8 * BOX[1]
 
 
 def key_symbols(*centres: tuple[float, float], x_next: tuple[float, float]) -> set[int]:
-    return keys_of_scales(
-        [scale(BOX, x_next, c) for c in centres], [scale(LARGE, x_next, c) for c in centres]
-    )
+    """The keys of one transition."""
+    one, of_one = np.array([x_next]), np.array([centres])
+    keys = keys_of_scales(scale(*BOX, one, of_one), scale(*LARGE, one, of_one))
+    return set(keys[0].tolist())
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +34,7 @@ def _one_law() -> Iterator[None]:
         yield
 
 
-def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[str, Finding]:
+def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[str, Result]:
     run = SmallRun(folder, name=name)
     run.steps(steps, {4: "plant dies", 9: "offer lost", 30: "plant forgets"})
     run.close()
@@ -43,13 +45,15 @@ def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[st
 
 
 def test_equation_5_by_hand() -> None:
-    A, B = [[1.0, 2.0], [3.0, 4.0]], [[5.0], [6.0]]
-    assert f_c(A, B, [1.0, 10.0], [100.0]) == [1 + 20 + 500, 3 + 40 + 600]
+    """Two transitions, of two candidates each."""
+    A, B = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0], [6.0]])
+    x, u = np.array([[1.0, 10.0], [0.0, 1.0]]), np.array([[[100.0], [0.0]], [[1.0], [-1.0]]])
+    assert f_c(A, B, x, u).tolist() == [[[521, 643], [21, 43]], [[7, 10], [-3, -2]]]
 
 
 def test_a_key_is_agreed_where_one_is_possible_for_the_defender_and_all_for_her() -> None:
     near, far, out = (0.0, 0.0), (2.0, 0.0), (9.0, 0.0)
-    assert scale(BOX, (0.25, -0.5), near) == 1.0
+    assert scale(*BOX, np.array([[0.25, -0.5]]), np.array([[near, far]])).tolist() == [[1.0, 3.5]]
     assert key_symbols(near, far, x_next=(0.1, 0.2)) == {0}
     assert key_symbols(far, near, x_next=(0.1, 0.2)) == {1}
     assert key_symbols(near, near, x_next=(0.1, 0.2)) == {NO_KEY}  # both possible
@@ -81,8 +85,8 @@ def test_figure_6_by_hand() -> None:
 @pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank", "pendulum"])
 def test_it_agrees_with_honest_runs(tmp_path: Path, name: str) -> None:
     found = recorded(tmp_path, name)["paper"]
-    assert (found.result, found.tally.first) == ("PASS", None)
-    assert found.tally.counted > 250  # both ends
+    assert (found.result, found.counter.first) == ("PASS", None)
+    assert found.counter.counted > 250  # both ends
 
 
 def test_ends_that_agree_where_the_paper_does_not_fail_it_alone(
@@ -101,14 +105,14 @@ def test_ends_that_agree_where_the_paper_does_not_fail_it_alone(
         AgreementRule,
         "verdict",
         lambda self, x, candidates, x_next: generous(
-            self, [f_c(self.A, self.B, x, u) for u in candidates], x_next
+            self, [predict(self.A, self.B, x, u) for u in candidates], x_next
         ),
     )
     findings = recorded(tmp_path)
     assert findings["agreement"].result == "PASS"
     assert findings["paper"].result == "FAIL"
-    assert findings["paper"].tally.first is not None
-    assert "Fig. 5 gives" in findings["paper"].tally.first.text
+    assert findings["paper"].counter.first is not None
+    assert "Fig. 5 gives" in findings["paper"].counter.first.text
 
 
 def test_ends_whose_automata_are_not_the_papers_fail_it(

@@ -12,13 +12,13 @@ from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 from wyner.runs.check import check
-from wyner.runs.check.clause import Finding
+from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import read_evidence
 
 PART = 40_000
 
 
-def findings(folder: Path) -> dict[str, Finding]:
+def findings(folder: Path) -> dict[str, Result]:
     return {finding.clause.name: finding for finding in check(read_evidence(folder))}
 
 
@@ -66,8 +66,10 @@ def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
         assert len(parts_of(parted / path)) > 5
         assert read_trace(parted / path).events == read_trace(whole / path).events
     one, many = findings(whole), findings(parted)
-    assert one.pop("whole").tally.counted < many.pop("whole").tally.counted  # recordings
-    assert {name: f.tally for name, f in one.items()} == {name: f.tally for name, f in many.items()}
+    assert one.pop("whole").counter.counted < many.pop("whole").counter.counted  # recordings
+    assert {name: f.counter for name, f in one.items()} == {
+        name: f.counter for name, f in many.items()
+    }
     assert not results(parted, "FAIL")
 
 
@@ -87,13 +89,13 @@ def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
     all_of, left = findings(whole), findings(bounded)
     assert not results(bounded, "FAIL"), left
     assert left["messages"].result == "SKIP"
-    assert left["messages"].tally.skipped == (
+    assert left["messages"].counter.skipped == (
         "the beginning of the plant's trace and of the controller's trace is gone"
     )
-    assert "of the plant's trace are gone, judged after transition" in left["traces"].tally.note
+    assert "of the plant's trace are gone, judged after transition" in left["traces"].counter.note
     for name in ("traces", "switching", "agreement", "in-step", "receiver", "sender", "prefix"):
         assert left[name].result == "PASS"
-        assert 0.1 < left[name].tally.counted / all_of[name].tally.counted < 0.7
+        assert 0.1 < left[name].counter.counted / all_of[name].counter.counted < 0.7
 
 
 @pytest.mark.slow
@@ -104,7 +106,7 @@ def test_a_side_that_begins_later_is_compared_from_there_on(parted: Path, copied
         shutil.copytree(parted, copied)
         _cut_off(copied / path, 4)
         assert not results(copied, "FAIL"), findings(copied)
-        assert findings(copied)["in-step"].tally.counted > 0
+        assert findings(copied)["in-step"].counter.counted > 0
 
 
 def test_a_wrong_number_in_what_is_left_fails(bounded: Path, tmp_path: Path) -> None:

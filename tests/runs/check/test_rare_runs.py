@@ -12,7 +12,7 @@ from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, law_of, read_lines, write_lines
 from wyner.runs.check import check, evidence
-from wyner.runs.check.clause import EDGE, Finding, Place
+from wyner.runs.check.clause import EDGE, Place, Result
 from wyner.runs.check.evidence import read_evidence
 
 
@@ -23,12 +23,12 @@ def _ready_laws(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
 
 
-def findings(folder: Path) -> dict[str, Finding]:
+def findings(folder: Path) -> dict[str, Result]:
     return {finding.clause.name: finding for finding in check(read_evidence(folder))}
 
 
 def wrong(folder: Path) -> dict[str, str]:
-    tallies = {name: f.tally for name, f in findings(folder).items()}
+    tallies = {name: f.counter for name, f in findings(folder).items()}
     return {name: t.first.text for name, t in tallies.items() if t.first is not None}
 
 
@@ -58,8 +58,8 @@ def test_a_plant_whose_journal_was_put_back_begins_a_new_session(tmp_path: Path)
     assert wrong(folder) == {}
     found = findings(folder)
     behind = "1 by an end whose journal was put back from an older copy"
-    assert behind in found["traces"].tally.note
-    assert found["receiver"].tally.note == found["sender"].tally.note == "sessions: 2"
+    assert behind in found["traces"].counter.note
+    assert found["receiver"].counter.note == found["sender"].counter.note == "sessions: 2"
 
 
 def test_a_first_step_that_is_missed_holds_the_input_zero(tmp_path: Path) -> None:
@@ -68,7 +68,7 @@ def test_a_first_step_that_is_missed_holds_the_input_zero(tmp_path: Path) -> Non
     run.step("offer lost")
     folder = ended(run, 20)
     assert wrong(folder) == {}
-    assert findings(folder)["switching"].tally.note == "1 missed, hold as the fallback"
+    assert findings(folder)["switching"].counter.note == "1 missed, hold as the fallback"
 
 
 def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Path) -> None:
@@ -81,11 +81,11 @@ def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Pa
     assert len(left) > len(unlike) > 0
     found = findings(folder)
     largest = max(t["gauges"][t["coin"]] for t in made)
-    assert found["reachable"].tally.note == (
+    assert found["reachable"].counter.note == (
         f"largest gauge {largest:.6f}, alpha 8; "
         f"the disturbance may leave D_c here, and did in {len(left)} steps"
     )
-    assert found["coin"].tally.note == (
+    assert found["coin"].counter.note == (
         f"{len(unlike)} unlike the coin, each with a disturbance outside D_c"
     )
 
@@ -109,7 +109,7 @@ def test_a_scenario_for_which_there_are_no_sets_fails(
     folder = ended(SmallRun(tmp_path / "run"), 5)
     monkeypatch.setattr(registry, "cached_design", none)
     assert wrong(folder) == {"admissible": "no terminal set"}
-    assert findings(folder)["admissible"].tally.first == Place("", -1, -1, "no terminal set")
+    assert findings(folder)["admissible"].counter.first == Place("", -1, -1, "no terminal set")
 
 
 def test_a_run_is_judged_the_same_in_smaller_parts(

@@ -256,7 +256,7 @@ def test_the_check_names_the_file(run: Path) -> None:
     put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
     found = {f.clause.name: f for f in check(read_evidence(run)) if f.result == "FAIL"}
     assert set(found) == {"whole"}
-    first = found["whole"].tally.first
+    first = found["whole"].counter.first
     assert first is not None
     assert first.text == "plant/status.json: it is not as the run left it"
 

@@ -12,10 +12,10 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import evidence, judge
 from tests.support.giving import sealed_by
-from wyner.runs.check.capture import Seen
-from wyner.runs.check.clause import Place, Tally
+from wyner.runs.check.capture import CapturedMessage
+from wyner.runs.check.clause import Counter, Place
 from wyner.runs.check.evidence import Part
-from wyner.runs.check.sealed import sealed_once
+from wyner.runs.check.sealed import SealedOnce
 
 TEXT = b"at nine"
 
@@ -53,34 +53,36 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path, *texts)
 
 
-def seen(number: int, text: SealedText) -> Seen:
+def seen(number: int, text: SealedText) -> CapturedMessage:
     raw = Sealed(id=text.identifier, key_ids=text.key_ids, cipher=text.cipher, tag=text.tag).wire()
-    return Seen("capture.jsonl", number, raw, Sealed.topic, "", -1, {})
+    return CapturedMessage("capture.jsonl", number, raw, Sealed.topic, "", -1, {})
 
 
-def judged(run: Run, *texts: SealedText) -> Tally:
+def judged(run: Run, *texts: SealedText) -> Counter:
     part = Part([], [], [], [], [seen(i, text) for i, text in enumerate(texts, 2)])
-    return judge(sealed_once, evidence(run.folder), part)
+    return judge(SealedOnce, evidence(run.folder), part)
 
 
-def wrong(counted: int, failures: int, text: str, messages: int = 2, opened: int = 2) -> Tally:
+def wrong(counted: int, failures: int, text: str, messages: int = 2, opened: int = 2) -> Counter:
     note = f"{messages} messages, {opened} opened"
-    return Tally(counted, failures, Place("", -1, -1, text), note)
+    return Counter(counted, failures, Place("", -1, -1, text), note)
 
 
 def test_what_travels_as_it_was_sealed_passes(run: Run) -> None:
     """Counted: three that travelled, two as stored, two as opened, two that are no clear text."""
-    assert judged(run, run.m, run.n, run.m) == Tally(9, note="2 messages, 2 opened")
+    assert judged(run, run.m, run.n, run.m) == Counter(9, note="2 messages, 2 opened")
 
 
 def test_without_a_capture_there_is_nothing_to_look_at(run: Run) -> None:
-    found = judge(sealed_once, evidence(run.folder, wire=None))
-    assert found == Tally(skipped="no capture in this run's folder")
+    found = judge(SealedOnce, evidence(run.folder, wire=None))
+    assert found == Counter(skipped="no capture in this run's folder")
 
 
 def test_what_is_no_message_is_another_clauses_matter(run: Run) -> None:
-    part = Part([], [], [], [], [Seen("capture.jsonl", 2, b"{", Sealed.topic, "", -1, {})])
-    assert judge(sealed_once, evidence(run.folder), part) == Tally(4, note="0 messages, 2 opened")
+    part = Part(
+        [], [], [], [], [CapturedMessage("capture.jsonl", 2, b"{", Sealed.topic, "", -1, {})]
+    )
+    assert judge(SealedOnce, evidence(run.folder), part) == Counter(4, note="0 messages, 2 opened")
 
 
 @pytest.mark.parametrize(("cipher", "what"), [(None, "tag"), (b"at nino", "cipher, tag")])
@@ -136,9 +138,9 @@ def test_what_was_opened_is_what_was_sealed(run: Run) -> None:
 
 def test_without_stores_what_travels_is_judged_by_itself(run: Run) -> None:
     (run.folder / PLANT_KEYS).unlink()
-    assert judged(run, run.m, run.n) == Tally(4, note="2 messages, 0 opened")
+    assert judged(run, run.m, run.n) == Counter(4, note="2 messages, 0 opened")
     (run.folder / CONTROLLER_KEYS).unlink()
-    assert judged(run, run.m, run.n) == Tally(2, note="2 messages, 0 opened")
+    assert judged(run, run.m, run.n) == Counter(2, note="2 messages, 0 opened")
 
 
 def test_a_store_that_cannot_be_read_fails(run: Run) -> None:

@@ -153,15 +153,15 @@ def test_messages_that_left_twice_are_judged_by_themselves(
     assert audit.rates["measurements that left 2 times"].refuted
 
 
-def test_a_million_copies_take_a_few_bytes_each() -> None:
+def test_copies_take_a_few_bytes_each() -> None:
     tracemalloc.start()
     sent, heard = Copies(), Heard()
-    for k in range(100_000):
+    for k in range(30_000):
         sent.add(("measurement", S, k), ("offer", S, k))
         heard.add(("offer", S, k), 1)
     taken, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert taken < 12 * len(sent)
-    assert list(sent)[-2:] == [("measurement", S, 99_999), ("offer", S, 99_999)]
+    assert list(sent)[-2:] == [("measurement", S, 29_999), ("offer", S, 29_999)]
     assert heard.life(("offer", S, 7)) == 1
     assert heard.life(("measurement", S, 7)) is None

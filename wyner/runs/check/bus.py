@@ -10,9 +10,10 @@ from pydantic import ValidationError
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, Measurement, Offer
-from wyner.runs.check.capture import Seen
-from wyner.runs.check.clause import Judging, Tally, need
-from wyner.runs.check.evidence import Evidence
+from wyner.runs.check.attacked import rewrites
+from wyner.runs.check.capture import CapturedMessage
+from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import wrong
 from wyner.runs.check.steps import AppliedStep
 
@@ -56,7 +57,7 @@ class _First:
         self._dense: dict[tuple[str, str], array[int]] = {}
         self._sparse: dict[tuple[str, str, int], int] = {}
 
-    def same(self, seen: Seen) -> bool | None:
+    def same(self, seen: CapturedMessage) -> bool | None:
         """Whether it is the same as the first of its number; None where it is the first."""
         mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
         at = (seen.topic, seen.session)
@@ -72,83 +73,108 @@ class _First:
         return None if not first else first == mine
 
 
-def same_answer(e: Evidence, tally: Tally) -> Judging:
+class SameAnswer(Clause):
     """A measurement and an offer of one number never change (rules 1 and 2)."""
-    if not need(tally, capture=e.wire):
-        return
-    assert e.wire is not None
-    if e.wire.blurred:
-        tally.skipped = BLURRED
-        return
-    first = _First()
-    repeated = {"measurement": 0, "offer": 0}
-    while (part := (yield)) is not None:
+
+    name = "same-answer"
+    source = "rule 2"
+    says = "a repeated message is the same, but for its copy and nonce"
+    of = "messages"
+    needs = ("wire",)
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._first = _First()
+        self._repeated = {"measurement": 0, "offer": 0}
+
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        return super().skipped(evidence) or _blurred(evidence)
+
+    def feed(self, part: Part) -> None:
         for seen in part.seen:
-            same = first.same(seen)
-            if same is not None and seen.topic in repeated:
-                repeated[seen.topic] += 1
-            text = (
-                ""
-                if same is not False
-                else (f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number")
-            )
-            tally.count(same is not False, seen.session, -1, seen.k, text)
-    tally.note = f"{repeated['measurement']} measurements and {repeated['offer']} offers repeated"
+            same = self._first.same(seen)
+            if same is not None and seen.topic in self._repeated:
+                self._repeated[seen.topic] += 1
+            text = ""
+            if same is False:
+                text = f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
+            self.counter.count(not text, seen.session, -1, seen.k, text)
+
+    def finish(self) -> None:
+        measurements, offers = self._repeated.values()
+        self.counter.note = f"{measurements} measurements and {offers} offers repeated"
 
 
-def wire(e: Evidence, tally: Tally) -> Judging:
+class Wire(Clause):
     """The captured numbers are the plant's own."""
-    if not need(tally, capture=e.wire, plant_trace=e.plant):
-        return
-    assert e.wire is not None
-    if e.wire.blurred:
-        tally.skipped = BLURRED
-        return
-    older = 0
-    while (part := (yield)) is not None:
+
+    name = "wire"
+    source = "assumption 2"
+    says = "what the tap read is what the plant worked with"
+    of = "messages"
+    needs = ("wire", "plant")
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._older = 0
+
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        return super().skipped(evidence) or _blurred(evidence)
+
+    def feed(self, part: Part) -> None:
         for seen in part.seen:
-            if e.before(seen):
-                older += 1
+            if self.evidence.before(seen):
+                self._older += 1
             else:
-                _compare(e, seen, tally)
-    if older:
-        tally.note = f"{older} older than what is left of the plant's trace"
+                _compare(self.evidence, seen, self.counter)
+
+    def finish(self) -> None:
+        if self._older:
+            self.counter.note = f"{self._older} older than what is left of the plant's trace"
 
 
-def _compare(e: Evidence, seen: Seen, tally: Tally) -> None:
+def _blurred(e: Evidence) -> str:
+    """Why numbers are not compared; empty where they can be."""
+    return BLURRED if e.wire is not None and e.wire.blurred else ""
+
+
+def _compare(e: Evidence, seen: CapturedMessage, counter: Counter) -> None:
     assert e.plant is not None
     steps, session, k, m = e.steps, seen.session, seen.k, seen.message
     if not steps.knows(session):
         text = f"{seen.where}: of a session that the plant's trace does not have"
-        tally.count(session in e.plant.announced, session, -1, k, text)
+        counter.count(session in e.plant.announced, session, -1, k, text)
         return
     first, end = steps.ends(session)
     if not first <= k <= end:
         text = f"{seen.where}: step {k}, the plant made steps {first} to {end - 1}"
-        tally.count(False, session, -1, k, text)
+        counter.count(False, session, -1, k, text)
         return
     step = steps.find(session, k)
     j = -1 if step is None else step.j
     try:
-        unlike = _unlike_offer(e, m, step) if seen.topic == "offer" else _unlike(e, seen, step)
+        unlike = _unlike_offer(e, m, step, k) if seen.topic == "offer" else _unlike(e, seen, step)
     except (LookupError, TypeError, ValueError, struct.error):
         unlike = ["its shape"]
     text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace" if unlike else ""
-    tally.count(not unlike, session, j, k, text)
+    counter.count(not unlike, session, j, k, text)
 
 
-def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None) -> list[str]:
+def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None, k: int) -> list[str]:
     if step is None or step.j == NO_SYMBOL:
         return []  # it was not applied
     unlike = []
-    if e.steps.of_candidates(m["candidates"], m["predictions"]) != step.candidates:
+    same = e.steps.of_candidates(m["candidates"], m["predictions"]) == step.candidates
+    if not same and not (e.plant is not None and rewrites(e.plant.attack, k)):
         unlike.append("candidates")
     if m["cipher"] != step.cipher:
         unlike.append("cipher")
     return unlike
 
 
-def _unlike(e: Evidence, seen: Seen, step: AppliedStep | None) -> list[str]:
+def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> list[str]:
     """Fields of a measurement that the plant's trace has otherwise."""
     steps, session, m = e.steps, seen.session, seen.message
     unlike = []
@@ -171,51 +197,55 @@ def _unlike(e: Evidence, seen: Seen, step: AppliedStep | None) -> list[str]:
     return unlike
 
 
-def public_fields(e: Evidence, tally: Tally) -> Judging:
+class PublicFields(Clause):
     """Only the three public messages, with exactly their public fields."""
-    if not need(tally, capture=e.wire):
-        return
-    assert e.wire is not None
-    size, m, n = e.rules.size, e.rules.inputs, e.rules.states
-    while (part := (yield)) is not None:
+
+    name = "public-fields"
+    source = "assumption 2"
+    says = "the field bus carries nothing but public fields"
+    of = "messages"
+    needs = ("wire",)
+
+    def feed(self, part: Part) -> None:
         for seen in (*part.seen, *part.sealed):
-            where = (seen.session, -1, seen.k)
-            allowed = PUBLIC.get(seen.topic)
-            if allowed is None:
-                tally.count(False, *where, f"{seen.where}: on {seen.topic!r}")
-                continue
-            if seen.message.keys() != allowed:
-                unlike = _extra(frozenset(seen.message), allowed)
-                tally.count(False, *where, f"{seen.where}: {seen.topic} with {unlike}")
-                continue
-            try:
-                message = _MODELS[seen.topic].model_validate_json(seen.raw, strict=True)
-            except ValidationError as error:
-                text = f"{seen.where}: {seen.topic}.{wrong(error)}"
-                tally.count(False, *where, text)
-                continue
-            if isinstance(message, Measurement):
-                fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
-            elif isinstance(message, Offer):
-                fits = len(message.candidates) == size and message.cipher < size
-                fits = fits and all(len(u) == m for u in message.candidates)
-                fits = fits and not e.rules.malformed_predictions(message.predictions)
-            else:
-                text = f"{seen.where}: sealed, and no keys are made"
-                tally.count(e.rules.schedule is not None, *where, text)
-                continue
-            text = "" if fits else f"{seen.where}: {seen.topic} is not of this plant's shape"
-            if e.scenario.keys is None and fits:
-                idle = [
-                    f for f, value in WITHOUT_KEYS.items() if getattr(message, f, value) != value
-                ]
-                fits = not idle
-                text = f"{seen.where}: {', '.join(idle)}: not as where no keys are made"
-            tally.count(fits, *where, text)
-    for problem in e.wire.strange:
-        text = f"{problem.where}: neither Measurement, Offer nor Sealed ({problem.text})"
-        tally.count(False, "", -1, -1, text)
-    tally.note = f"{e.wire.torn} torn lines"
+            unlike = self._unlike(seen)
+            text = f"{seen.where}: {unlike}" if unlike else ""
+            self.counter.count(not unlike, seen.session, -1, seen.k, text)
+
+    def _unlike(self, seen: CapturedMessage) -> str:
+        """What a message has that it must not, or has not."""
+        rules, topic, keys = self.evidence.rules, seen.topic, self.evidence.scenario.keys
+        allowed = PUBLIC.get(topic)
+        if allowed is None:
+            return f"on {topic!r}"
+        if seen.message.keys() != allowed:
+            return f"{topic} with {_extra(frozenset(seen.message), allowed)}"
+        try:
+            message = _MODELS[topic].model_validate_json(seen.raw, strict=True)
+        except ValidationError as error:
+            return f"{topic}.{wrong(error)}"
+        if isinstance(message, Measurement):
+            n = rules.states
+            fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
+        elif isinstance(message, Offer):
+            fits = len(message.candidates) == rules.size and message.cipher < rules.size
+            fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
+            fits = fits and not rules.malformed_predictions(message.predictions)
+        else:
+            return "" if rules.schedule is not None else "sealed, and no keys are made"
+        if not fits:
+            return f"{topic} is not of this plant's shape"
+        if keys is not None:
+            return ""
+        idle = [f for f, value in WITHOUT_KEYS.items() if seen.message.get(f, value) != value]
+        return f"{', '.join(idle)}: not as where no keys are made" if idle else ""
+
+    def finish(self) -> None:
+        assert self.evidence.wire is not None
+        for problem in self.evidence.wire.strange:
+            text = f"{problem.where}: neither Measurement, Offer nor Sealed ({problem.text})"
+            self.counter.count(False, "", -1, -1, text)
+        self.counter.note = f"{self.evidence.wire.torn} torn lines"
 
 
 def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
@@ -228,7 +258,7 @@ def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
 class _Looks:
     """What messages of one kind looked like in one automaton state."""
 
-    shapes: dict[tuple[bytes, int], tuple[Seen, int]] = field(default_factory=dict)
+    shapes: dict[tuple[bytes, int], tuple[CapturedMessage, int]] = field(default_factory=dict)
     bytes: int = 0
     count: int = 0
 
@@ -247,31 +277,42 @@ def _shape(raw: bytes) -> tuple[bytes, int]:
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 
-def same_shape(e: Evidence, tally: Tally) -> Judging:
+class SameShape(Clause):
     """Fields, lengths and kinds of number do not depend on the automaton state."""
-    if not need(tally, capture=e.wire, plant_trace=e.plant):
-        return
-    looks: dict[tuple[str, bool], _Looks] = {}
-    while (part := (yield)) is not None:
+
+    name = "same-shape"
+    source = "proposition 3"
+    says = "messages look the same in both automaton states"
+    of = "messages"
+    needs = ("wire", "plant")
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._looks: dict[tuple[str, bool], _Looks] = {}
+
+    def feed(self, part: Part) -> None:
         for seen in part.seen:
-            step = e.steps.find(seen.session, seen.k)
+            step = self.evidence.steps.find(seen.session, seen.k)
             if step is None or step.j == NO_SYMBOL or seen.message.get("applied_k") == -1:
                 continue  # a session's first measurement has no x_after yet, in state 1 always
-            look = looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
+            look = self._looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
             look.shapes.setdefault(_shape(seen.raw), (seen, step.j))
             look.bytes += len(seen.raw)
             look.count += 1
-            tally.counted += 1
-    notes = []
-    for topic in PUBLIC:
-        both = [looks.get((topic, carries)) for carries in (False, True)]
-        if both[0] is None or both[1] is None:
-            continue
-        for mine, other, state in ((both[1], both[0], 2), (both[0], both[1], 1)):
-            for shape, (seen, j) in mine.shapes.items():
-                if shape not in other.shapes:
-                    text = f"{seen.where}: {topic} looks like this in state {state} only"
-                    tally.fail(seen.session, j, seen.k, text)
-        means = [look.bytes / look.count for look in both if look is not None]
-        notes.append(f"{topic} {means[0]:.1f} and {means[1]:.1f} bytes")
-    tally.note = f"mean in states 1 and 2: {'; '.join(notes)}" if notes else ""
+            self.counter.counted += 1
+
+    def finish(self) -> None:
+        notes = []
+        for topic in PUBLIC:
+            tests, carries = self._looks.get((topic, False)), self._looks.get((topic, True))
+            if tests is None or carries is None:
+                continue
+            for mine, other, state in ((carries, tests, 2), (tests, carries, 1)):
+                for shape, (seen, j) in mine.shapes.items():
+                    if shape not in other.shapes:
+                        text = f"{seen.where}: {topic} looks like this in state {state} only"
+                        self.counter.fail(seen.session, j, seen.k, text)
+            means = [look.bytes / look.count for look in (tests, carries)]
+            notes.append(f"{topic} {means[0]:.1f} and {means[1]:.1f} bytes")
+        if notes:
+            self.counter.note = f"mean in states 1 and 2: {'; '.join(notes)}"

@@ -23,7 +23,7 @@ _LINE: Final = re.compile(
 )
 
 
-class Seen(NamedTuple):
+class CapturedMessage(NamedTuple):
     """A line of the capture that holds a message; ``raw`` is the message as it travelled."""
 
     part: str
@@ -82,7 +82,7 @@ class CaptureLines:
         if isinstance(view, dict) and (view.get("noise") or view.get("quantise")):
             self.blurred = True
 
-    def __iter__(self) -> Iterator[Seen]:
+    def __iter__(self) -> Iterator[CapturedMessage]:
         expected = self.dropped_parts
         for part in self._paths:
             marks = Segments(part.name)
@@ -98,7 +98,7 @@ class CaptureLines:
                     yield seen
             marks.finish()
 
-    def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> Seen | None:
+    def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> CapturedMessage | None:
         match = _LINE.fullmatch(raw)
         if match is not None:
             text = match["message"]
@@ -135,7 +135,7 @@ class CaptureLines:
             self.strange.append(Problem(f"{part.name} line {number}", "no message"))
             return None
         k, session = message.get("k"), message.get("session")
-        return Seen(
+        return CapturedMessage(
             part.name,
             number,
             text,

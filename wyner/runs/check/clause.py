@@ -1,17 +1,13 @@
 """What a clause is, what it counts, and what clauses share."""
 
-from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from protocol.brief import Brief
 from wyner.runs.check.evidence import Evidence, Part
 
 EDGE: Final = 1e-9
 """A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
-
-Judging = Generator[None, Part | None, None]
-"""A clause at work: it is sent a run's parts in order, and None when there are no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +21,7 @@ class Place:
 
 
 @dataclass(slots=True)
-class Tally:
+class Counter:
     """What a clause counted and found; ``skipped`` says why there was nothing to look at."""
 
     counted: int = 0
@@ -48,11 +44,12 @@ class Tally:
             self.first = Place(session, j, k, text)
 
 
-@dataclass(frozen=True, slots=True)
 class Clause:
     """One thing that the paper or the protocol demands of a run.
 
-    Parameters
+    It is fed a run's parts in order, and told when there are no more.
+
+    Attributes
     ----------
     name : str
     source : str
@@ -61,68 +58,81 @@ class Clause:
         What must hold, in one line.
     of : str
         What is counted.
-    judge : callable
-        Given the evidence and a tally, a generator that fills the tally from the parts it is sent:
-        ``while (part := (yield)) is not None``. One that has nothing to look at returns at once.
+    needs : tuple of str
+        Fields of the evidence without which there is nothing to look at.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    counter : Counter
+        Is filled.
     """
 
-    name: str
-    source: str
-    says: str
-    of: str
-    judge: Callable[[Evidence, Tally], Judging]
+    name: ClassVar[str]
+    source: ClassVar[str]
+    says: ClassVar[str]
+    of: ClassVar[str]
+    needs: ClassVar[tuple[Literal["plant", "controller", "wire"], ...]] = ()
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        self.evidence, self.counter = evidence, counter
+
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        """Why there is nothing to look at; empty where there is."""
+        missing = [_CALLED[name] for name in cls.needs if getattr(evidence, name) is None]
+        return f"no {' and no '.join(missing)} in this run's folder" if missing else ""
+
+    def feed(self, part: Part) -> None:
+        """Look at the next part of the run."""
+
+    def finish(self) -> None:
+        """There are no more parts."""
+
+
+_CALLED: Final = {
+    "plant": "plant trace",
+    "controller": "controller trace",
+    "wire": "capture",
+}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Finding(Brief):
+class Result(Brief):
     """A clause and how it came out."""
 
-    clause: Clause
-    tally: Tally
+    clause: type[Clause]
+    counter: Counter
 
     def brief(self) -> dict[str, object]:
         """What was looked at, how it came out, and the first place where it does not hold."""
-        t = self.tally
-        told = {"clause": self.clause.name, "result": self.result, self.clause.of: t.counted}
-        return told if t.first is None else told | {"first": t.first.text}
+        c = self.counter
+        told = {"clause": self.clause.name, "result": self.result, self.clause.of: c.counted}
+        return told if c.first is None else told | {"first": c.first.text}
 
     @property
     def result(self) -> Literal["PASS", "FAIL", "SKIP"]:
         """SKIP where the run left nothing to look at."""
-        if self.tally.failures:
+        if self.counter.failures:
             return "FAIL"
-        return "SKIP" if self.tally.skipped or not self.tally.counted else "PASS"
+        return "SKIP" if self.counter.skipped or not self.counter.counted else "PASS"
 
     def as_json(self) -> dict[str, Any]:
-        """The finding for machines."""
-        t, first = self.tally, self.tally.first
+        """The result for machines."""
+        c, first = self.counter, self.counter.first
         return {
             "name": self.clause.name,
             "source": self.clause.source,
             "says": self.clause.says,
             "result": self.result,
-            "counted": t.counted,
+            "counted": c.counted,
             "of": self.clause.of,
-            "failures": t.failures,
+            "failures": c.failures,
             "first": None
             if first is None
             else {"session": first.session, "j": first.j, "k": first.k, "text": first.text},
-            "note": t.skipped or t.note,
+            "note": c.skipped or c.note,
         }
-
-
-def to_the_end() -> Judging:
-    """What a clause that looks at a run as a whole waits for."""
-    while (yield) is not None:
-        pass
-
-
-def need(tally: Tally, **parts: object) -> bool:
-    """Whether all parts are there; if not the clause is skipped."""
-    missing = [name.replace("_", " ") for name, part in parts.items() if part is None]
-    if missing:
-        tally.skipped = f"no {' and no '.join(missing)} in this run's folder"
-    return not missing
 
 
 def may_leave(e: Evidence) -> bool:

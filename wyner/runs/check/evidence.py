@@ -14,8 +14,8 @@ from protocol.messages import Sealed
 from protocol.scenario import Scenario
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
-from wyner.runs.check.capture import CaptureLines, Seen
-from wyner.runs.check.journals import Kept, read_controller, read_plant
+from wyner.runs.check.capture import CapturedMessage, CaptureLines
+from wyner.runs.check.journals import JournalState, read_controller, read_plant
 from wyner.runs.check.records import Item, MissedLine, Shape, Walked
 from wyner.runs.check.sides import SideReader
 from wyner.runs.check.steps import Steps
@@ -41,8 +41,8 @@ class Part(NamedTuple):
     plant: list[Item]
     controller: list[Item]
     pairs: list[Pair]
-    seen: list[Seen]
-    sealed: Sequence[Seen] = ()
+    seen: list[CapturedMessage]
+    sealed: Sequence[CapturedMessage] = ()
 
     def sides(self) -> "tuple[tuple[str, list[Item]], tuple[str, list[Item]]]":
         """Both traces' items, with the side's name."""
@@ -58,7 +58,7 @@ class Evidence:
     run : Run
     rules : Rules
     plant, controller : SideReader, optional
-    plant_journal, controller_journal : Kept or str, optional
+    plant_journal, controller_journal : JournalState or str, optional
         A string says why a journal cannot be read.
     wire : CaptureLines, optional
     steps : Steps
@@ -69,8 +69,8 @@ class Evidence:
     rules: Rules
     plant: SideReader | None
     controller: SideReader | None
-    plant_journal: Kept | str | None
-    controller_journal: Kept | str | None
+    plant_journal: JournalState | str | None
+    controller_journal: JournalState | str | None
     wire: CaptureLines | None
     steps: Steps = field(init=False)
 
@@ -112,7 +112,7 @@ class Evidence:
             if r.gone
         )
 
-    def before(self, seen: Seen) -> bool:
+    def before(self, seen: CapturedMessage) -> bool:
         """Whether a message is older than what is left of the plant's trace, and its answer."""
         return (
             self.plant is not None
@@ -125,8 +125,8 @@ class Evidence:
         yield from _Sides(self).parts()
         if self.wire is None:
             return
-        seen: list[Seen] = []
-        sealed: list[Seen] = []
+        seen: list[CapturedMessage] = []
+        sealed: list[CapturedMessage] = []
         for one in self.wire:
             (sealed if one.topic == Sealed.topic else seen).append(one)
             if len(seen) + len(sealed) == AT_ONCE:
@@ -242,7 +242,7 @@ def read_evidence(run_dir: Path) -> Evidence:
     for side in TRACES:
         if parts_of(run.trace(side)):
             kept = journals[side]
-            journal = kept if isinstance(kept, Kept) else None
+            journal = kept if isinstance(kept, JournalState) else None
             readers[side] = SideReader(side, run.trace(side), rules, journal)
     if not readers:
         raise FileNotFoundError(

@@ -15,9 +15,9 @@ from runtime.run_folder import (
     PLANT_TRACE,
     TAP_STATUS,
 )
-from wyner.runs.check.clause import Judging, Tally, to_the_end
-from wyner.runs.check.evidence import Evidence
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.evidence import Evidence, Part
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import Walked
 from wyner.runs.check.seal import broken, went_on_in
 from wyner.runs.check.sides import Segments, SideReader
@@ -25,35 +25,47 @@ from wyner.runs.check.sides import Segments, SideReader
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
 
 
-def traces(e: Evidence, tally: Tally) -> Judging:
+class Traces(Clause):
     """Lines as they should be, numbered without a gap, in rising steps."""
-    last: dict[str, tuple[str, int, int]] = {}
-    while (part := (yield)) is not None:
+
+    name = "traces"
+    source = "rule 5"
+    says = "transitions are whole and numbered without a gap"
+    of = "transitions"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._last: dict[str, tuple[str, int, int]] = {}
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
                 if not isinstance(item, Walked):
                     continue
                 t = item.t
-                session, j, k = last.get(name) or cut_at(e, name)
+                session, j, k = self._last.get(name) or cut_at(self.evidence, name)
                 place, least = (j + 1, k) if session == t.session else (0, -1)
                 holds = t.j == place and t.k > least
                 text = f"{name}'s trace: expected j = {place} and k above {least}"
-                tally.count(holds, t.session, t.j, t.k, text)
-                last[name] = (t.session, t.j, t.k)
-    torn = overwritten = behind = 0
-    for name, reader in e.readers():
-        torn += sum(part.torn for part in reader.parts)
-        overwritten += reader.overwritten
-        behind += reader.behind
-        for problem in reader.problems:
-            tally.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
-    if tally.counted == 0 and not e.cut:
-        tally.fail("", -1, -1, "no transition: nothing has happened in this run")
-    tally.note = f"{torn} torn lines, {overwritten} written again after a kill"
-    if behind:
-        tally.note += f", {behind} by an end whose journal was put back from an older copy"
-    if e.cut:
-        tally.note += f"; {e.cut}"
+                self.counter.count(holds, t.session, t.j, t.k, text)
+                self._last[name] = (t.session, t.j, t.k)
+
+    def finish(self) -> None:
+        e, counter = self.evidence, self.counter
+        torn = overwritten = behind = 0
+        for name, reader in e.readers():
+            torn += sum(part.torn for part in reader.parts)
+            overwritten += reader.overwritten
+            behind += reader.behind
+            for problem in reader.problems:
+                counter.fail("", -1, -1, f"{name}'s trace, {problem.where}: {problem.text}")
+        if counter.counted == 0 and not e.cut:
+            counter.fail("", -1, -1, "no transition: nothing has happened in this run")
+        counter.note = f"{torn} torn lines, {overwritten} written again after a kill"
+        if behind:
+            counter.note += f", {behind} by an end whose journal was put back from an older copy"
+        if e.cut:
+            counter.note += f"; {e.cut}"
 
 
 def cut_at(e: Evidence, side: str) -> tuple[str, int, int]:
@@ -62,64 +74,77 @@ def cut_at(e: Evidence, side: str) -> tuple[str, int, int]:
     return ("", -1, -1) if cut is None else (cut.session, cut.j, cut.k)
 
 
-def scenario(e: Evidence, tally: Tally) -> Judging:
+class ScenarioIdentity(Clause):
     """The scenario in the folder is the one that every file was made under."""
-    expected = e.scenario.identity()
 
-    def compare(what: str, told: dict[str, Any] | None) -> None:
+    name = "scenario"
+    source = "rule 6"
+    says = "every file was made under the scenario that is there"
+    of = "comparisons"
+
+    def finish(self) -> None:
+        e, counter = self.evidence, self.counter
+        if e.manifest == {}:
+            counter.fail("", -1, -1, "manifest.json: expected a JSON object")
+        elif e.manifest is not None and not e.manifest.keys() >= set(IDENTITY):
+            counter.fail("", -1, -1, "manifest.json: it does not say of which scenario it is")
+        self._compare("manifest.json", e.manifest or {})
+        for name, reader in e.readers():
+            if not reader.header:
+                continue  # killed before it, or it is gone: another clause says
+            what = f"{name}'s trace"
+            self._compare(what, reader.header)
+            if not reader.header.keys() >= set(IDENTITY):
+                counter.fail("", -1, -1, f"{what}: line 1 does not say of which scenario it is")
+            if reader.header.get("vantage") != name:
+                counter.fail("", -1, -1, f"{what}: vantage is {reader.header.get('vantage')!r}")
+        for name, journal in (("plant", e.plant_journal), ("controller", e.controller_journal)):
+            if isinstance(journal, str):
+                counter.count(False, "", -1, -1, f"{name}'s journal: {journal}")
+            elif journal is not None:
+                counter.count(True, "", -1, -1)
+
+    def _compare(self, what: str, told: dict[str, Any]) -> None:
+        expected = self.evidence.scenario.identity()
         for name in IDENTITY:
-            if told is not None and name in told:
+            if name in told:
                 text = f"{what}: {name} is {told[name]}, the scenario's is {expected[name]}"
-                tally.count(told[name] == expected[name], "", -1, -1, text)
-
-    yield from to_the_end()
-    if e.manifest == {}:
-        tally.fail("", -1, -1, "manifest.json: expected a JSON object")
-    elif e.manifest is not None and not e.manifest.keys() >= set(IDENTITY):
-        tally.fail("", -1, -1, "manifest.json: it does not say of which scenario it is")
-    compare("manifest.json", e.manifest)
-    for name, reader in e.readers():
-        if not reader.header:
-            continue  # killed before it, or it is gone: another clause says
-        compare(f"{name}'s trace", reader.header)
-        if not reader.header.keys() >= set(IDENTITY):
-            tally.fail("", -1, -1, f"{name}'s trace: line 1 does not say of which scenario it is")
-        if reader.header.get("vantage") != name:
-            text = f"{name}'s trace: vantage is {reader.header.get('vantage')!r}"
-            tally.fail("", -1, -1, text)
-    for name, journal in (("plant", e.plant_journal), ("controller", e.controller_journal)):
-        if isinstance(journal, str):
-            tally.count(False, "", -1, -1, f"{name}'s journal: {journal}")
-        elif journal is not None:
-            tally.count(True, "", -1, -1)
+                self.counter.count(told[name] == expected[name], "", -1, -1, text)
 
 
-def whole(e: Evidence, tally: Tally) -> Judging:
+class Whole(Clause):
     """Every recording holds what its writer counted, and goes as far as its journal; the seal."""
-    yield from to_the_end()
-    killed = 0
-    for marks in _recordings(e):
-        killed += marks.unended
-        tally.count(not marks.problems, "", -1, -1, _first(marks))
-    for name, reader in e.readers():
-        journal = e.plant_journal if name == "plant" else e.controller_journal
-        path = e.run_dir / (PLANT_JOURNAL if name == "plant" else CONTROLLER_JOURNAL)
-        if reader.last_life and path.is_file() and _holds_nothing(journal):
-            text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
-            tally.count(False, "", -1, -1, f"{text} transitions")
-        elif isinstance(journal, Kept):
-            text = _behind(reader, journal)
-            tally.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
-    _all_there(e, tally)
-    _as_the_tap_says(e, tally)
-    for name, wrong in broken(e.run_dir, e.manifest):
-        tally.count(not wrong, "", -1, -1, f"{name}: {wrong}")
-    tally.note = f"{killed} lives without an end mark: killed, or still running"
-    if again := sorted(went_on_in(e.run_dir, e.manifest)):
-        tally.note += f"; started again since the seal: {', '.join(again)}"
+
+    name = "whole"
+    source = "rule 6"
+    says = "every file is as its writer left it, every trace as far on as its journal"
+    of = "files"
+
+    def finish(self) -> None:
+        e, counter = self.evidence, self.counter
+        killed = 0
+        for marks in _recordings(e):
+            killed += marks.unended
+            counter.count(not marks.problems, "", -1, -1, _first(marks))
+        for name, reader in e.readers():
+            journal = e.plant_journal if name == "plant" else e.controller_journal
+            path = e.run_dir / (PLANT_JOURNAL if name == "plant" else CONTROLLER_JOURNAL)
+            if reader.last_life and path.is_file() and _holds_nothing(journal):
+                text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
+                counter.count(False, "", -1, -1, f"{text} transitions")
+            elif isinstance(journal, JournalState):
+                text = _behind(reader, journal)
+                counter.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
+        _all_there(e, counter)
+        _as_the_tap_says(e, counter)
+        for name, wrong in broken(e.run_dir, e.manifest):
+            counter.count(not wrong, "", -1, -1, f"{name}: {wrong}")
+        counter.note = f"{killed} lives without an end mark: killed, or still running"
+        if again := sorted(went_on_in(e.run_dir, e.manifest)):
+            counter.note += f"; started again since the seal: {', '.join(again)}"
 
 
-def _all_there(e: Evidence, tally: Tally) -> None:
+def _all_there(e: Evidence, counter: Counter) -> None:
     """Who has saved a transition has traced it; what one end counted the other has, too."""
     there = dict(e.readers())
     for side, path, journal in (
@@ -128,12 +153,12 @@ def _all_there(e: Evidence, tally: Tally) -> None:
     ):
         if side in there:
             continue
-        if isinstance(journal, Kept) and journal.transitions:
+        if isinstance(journal, JournalState) and journal.transitions:
             text = f"{path}: it is gone, and {side}'s journal counts {journal.transitions}"
-            tally.count(False, journal.session or "", -1, -1, f"{text} transitions")
+            counter.count(False, journal.session or "", -1, -1, f"{text} transitions")
         elif e.manifest is not None and any(reader.last for reader in there.values()):
             text = f"{path}: it is gone, and the manifest says that both ends ran here"
-            tally.count(False, "", -1, -1, text)
+            counter.count(False, "", -1, -1, text)
 
 
 def _first(marks: Segments) -> str:
@@ -166,12 +191,12 @@ def _segments_of(path: Path) -> Segments:
     return marks
 
 
-def _holds_nothing(journal: Kept | str | None) -> bool:
+def _holds_nothing(journal: JournalState | str | None) -> bool:
     """Whether a journal that is there was never written in."""
-    return journal is None or (isinstance(journal, Kept) and journal.session is None)
+    return journal is None or (isinstance(journal, JournalState) and journal.session is None)
 
 
-def _behind(reader: SideReader, journal: Kept) -> str:
+def _behind(reader: SideReader, journal: JournalState) -> str:
     """In what a trace and its journal differ; empty where they fit."""
     session = journal.session
     if session is None:
@@ -189,7 +214,7 @@ def _behind(reader: SideReader, journal: Kept) -> str:
     return ""
 
 
-def _elsewhere(reader: SideReader, journal: Kept) -> str:
+def _elsewhere(reader: SideReader, journal: JournalState) -> str:
     """Whether a plant's trace ends where its journal does, to the last missed step."""
     t, missed = reader.last, reader.last_missed
     assert t is not None
@@ -205,7 +230,7 @@ def _elsewhere(reader: SideReader, journal: Kept) -> str:
     return ""
 
 
-def _as_the_tap_says(e: Evidence, tally: Tally) -> None:
+def _as_the_tap_says(e: Evidence, counter: Counter) -> None:
     """The capture has at least the messages that the tap had written by its last report."""
     path = e.run_dir / TAP_STATUS
     if not path.is_file():
@@ -213,11 +238,11 @@ def _as_the_tap_says(e: Evidence, tally: Tally) -> None:
     told = decode(path.read_bytes()) or {}
     first, captured = told.get("first_part"), told.get("captured")
     if not isinstance(first, int) or not isinstance(captured, int):
-        tally.count(False, "", -1, -1, f"{TAP_STATUS}: expected first_part and captured")
+        counter.count(False, "", -1, -1, f"{TAP_STATUS}: expected first_part and captured")
     elif e.wire is None:
         text = f"{CAPTURE}: it is gone, the tap had written {captured} messages"
-        tally.count(not captured, "", -1, -1, text)
+        counter.count(not captured, "", -1, -1, text)
     elif e.wire.dropped_parts <= first:
         there = sum(count for part, count in e.wire.lines.items() if part >= first)
         text = f"the capture has {there} messages, the tap had written {captured}"
-        tally.count(there >= captured, "", -1, -1, text)
+        counter.count(there >= captured, "", -1, -1, text)

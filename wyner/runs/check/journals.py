@@ -15,7 +15,7 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin
 from protocol.link.pacing import Pacing
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
@@ -27,7 +27,7 @@ INSTANCE: Final = "0" * 16
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class JournalState:
     """One end's journal.
 
     Parameters
@@ -56,10 +56,10 @@ class Kept:
     x: tuple[float, ...] = ()
 
 
-def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
+def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
     """The controller's journal; or what is wrong with it; None where there is none."""
 
-    def read(path: Path) -> Kept:
+    def read(path: Path) -> JournalState:
         with ControllerJournal(path, rules.fingerprint) as journal:
             messages = tuple(
                 (journal.identifier(number), journal.payload(number) or b"")
@@ -84,7 +84,7 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
                     if isinstance(event, CountedTransition):
                         pending = event.as_event()
             record = core.record
-        return Kept(
+        return JournalState(
             session=record.session,
             transitions=record.transitions,
             pending=pending,
@@ -95,10 +95,10 @@ def read_controller(run_dir: Path, rules: Rules) -> Kept | str | None:
     return _from_copy(run_dir / CONTROLLER_JOURNAL, read)
 
 
-def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
+def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
     """The plant's journal, in the same way."""
 
-    def read(path: Path) -> Kept | None:
+    def read(path: Path) -> JournalState | None:
         with PlantJournal(path, rules.fingerprint) as journal:
             record, step = journal.load(), journal.step()
             if record is None:
@@ -123,7 +123,7 @@ def read_plant(run_dir: Path, rules: Rules) -> Kept | str | None:
             counted = [e for e in core.finish_step().events if isinstance(e, CountedTransition)]
             pending = counted[0].as_event()
         record = core.record
-        return Kept(
+        return JournalState(
             session=record.session,
             transitions=record.transitions,
             pending=pending,
@@ -140,6 +140,7 @@ class _Unmoved:
     """The plant of a journal that is read: nothing moves it."""
 
     acts = device = False
+    truth: Truth | None = None
 
     def prepare(self, k: int) -> None:
         """No step comes."""
@@ -168,7 +169,9 @@ def _propose_nothing(_x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
     raise LookupError("a journal that is read offers nothing")
 
 
-def _from_copy(path: Path, read: Callable[[Path], Kept | None]) -> Kept | str | None:
+def _from_copy(
+    path: Path, read: Callable[[Path], JournalState | None]
+) -> JournalState | str | None:
     if not path.is_file():
         return None
     with tempfile.TemporaryDirectory() as folder:

@@ -3,63 +3,56 @@
 from collections.abc import Sequence
 from dataclasses import fields
 from operator import attrgetter
-from typing import Final
+from typing import ClassVar, Final
+
+import numpy as np
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import decrypt
-from wyner.runs.check.clause import EDGE, Judging, Tally, may_leave, need
-from wyner.runs.check.evidence import Evidence
+from protocol.secret.records import Side
+from wyner.runs.check.attacked import lies, rewrites
+from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
+from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
 from wyner.runs.check.records import TracedTransition, Walked
 
-_Known = dict[tuple[object, ...], tuple[set[int], list[float]]]
-
-KNOWN: Final = 8192
-"""Transitions of which one end's result is kept for the other."""
-
 
 class _Opinion:
-    """What the paper says of one end's trace, transition by transition."""
+    """What the paper says of one end's trace, in blocks of transitions."""
 
-    def __init__(self, e: Evidence, side: str, known: _Known) -> None:
-        self._known = known
+    def __init__(self, e: Evidence, side: str) -> None:
         self._s = e.scenario
         self._linear = not e.rules.predicted
-        self._size = e.rules.size
-        self._D_c = tuple(zip(*e.scenario.defender.disturbance.rows(), strict=True))
-        self._D_e = tuple(zip(*e.scenario.eavesdropper_set.rows(), strict=True))
+        self._A, self._B = np.array(e.scenario.A), np.array(e.scenario.B)
+        H, h = e.scenario.defender.disturbance.rows()
+        self._D_c = np.array(H), np.array(h)
+        H, h = e.scenario.eavesdropper_set.rows()
+        self._D_e = np.array(H), np.array(h)
         self._leaves = may_leave(e)
         self._reader = e.plant if side == "plant" else e.controller
         self._session = ""
-        self._automata = Automata(self._size)
+        self._automata = Automata(e.rules.size)
 
-    def _of_numbers(self, t: TracedTransition) -> tuple[set[int], list[float]]:
-        """The keys that the raw numbers allow, and how far from each centre x(k+1) is.
-
-        Of the same numbers at both ends it is worked out once.
-        """
-        numbers = t.x, t.candidates, t.predictions, t.x_next
-        found = self._known.get(numbers)
-        if found is None:
-            centres: Sequence[Sequence[float]] = t.predictions
+    def of(self, ts: Sequence[TracedTransition]) -> list[str]:
+        """What the paper says otherwise of each; empty where it says the same."""
+        x_next = np.array([t.x_next for t in ts])
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged trace holds any number
             if self._linear:
-                centres = [f_c(self._s.A, self._s.B, t.x, u) for u in t.candidates]
-            reached = [scale(self._D_c, t.x_next, c) for c in centres]
-            found = key_symbols(reached, [scale(self._D_e, t.x_next, c) for c in centres]), reached
-            if len(self._known) >= KNOWN:
-                self._known.clear()
-            self._known[numbers] = found
-        return found
+                x, u = np.array([t.x for t in ts]), np.array([t.candidates for t in ts])
+                centres = f_c(self._A, self._B, x, u)
+            else:
+                centres = np.array([t.predictions for t in ts])
+            reached = scale(*self._D_c, x_next, centres)
+            keys = key_symbols(reached, scale(*self._D_e, x_next, centres))
+        return [self._wrong(*row) for row in zip(ts, keys.tolist(), reached.tolist(), strict=True)]
 
-    def wrong(self, t: TracedTransition) -> str:
-        """What the paper says otherwise; empty where it says the same."""
+    def _wrong(self, t: TracedTransition, keys: list[int], reached: list[float]) -> str:
         if t.session != self._session:
             cut = None if self._session or self._reader is None else self._reader.cut
             p = cut.p if cut is not None and cut.session == t.session else 0
             always = self._s.secrecy.scheme == "pipelined"
             self._session = t.session
-            self._automata = Automata(self._size, tests_always=always, p=p)
-        keys, reached = self._of_numbers(t)
+            self._automata = Automata(self._automata.size, tests_always=always, p=p)
         expected = self._automata.step(t.cipher, t.symbol if t.symbol in keys else min(keys))
         found = Line(t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
         if found != expected:
@@ -69,140 +62,217 @@ class _Opinion:
             return ""
         if t.u != t.candidates[t.coin]:
             return f"applied {t.u}, (15) gives candidate b_r = {t.coin}"
-        inside = self._leaves or reached[t.coin] <= 1 + ROUNDING
+        attack = None if self._reader is None else self._reader.attack
+        inside = self._leaves or lies(attack, t.k) or reached[t.coin] <= 1 + ROUNDING
         return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
 
 
-def paper(e: Evidence, tally: Tally) -> Judging:
+class Paper(Clause):
     """Figs. 5 and 6 and their equations, by code that shares nothing with the ends."""
-    if e.scenario.secrecy.scheme not in ("switched", "pipelined"):
-        tally.skipped = f"{e.scenario.secrecy.scheme} is a scheme of its own, not the paper's"
-        return
-    known: _Known = {}
-    opinions = {side: _Opinion(e, side, known) for side, _ in e.readers()}
-    while (part := (yield)) is not None:
+
+    name = "paper"
+    source = "Figs. 5, 6"
+    says = "the paper's test and automata, written a second time, agree"
+    of = "transitions"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._opinions = {side: _Opinion(evidence, side) for side, _ in evidence.readers()}
+
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        scheme = evidence.scenario.secrecy.scheme
+        if scheme in ("switched", "pipelined"):
+            return ""
+        return f"{scheme} is a scheme of its own, not the paper's"
+
+    def feed(self, part: Part) -> None:
         for side, items in part.sides():
-            for item in items:
-                if isinstance(item, Walked):
-                    t = item.t
-                    text = opinions[side].wrong(t)
-                    tally.count(not text, t.session, t.j, t.k, f"{side}: {text}")
+            ts = [item.t for item in items if isinstance(item, Walked)]
+            if ts:
+                for t, text in zip(ts, self._opinions[side].of(ts), strict=True):
+                    self.counter.count(not text, t.session, t.j, t.k, f"{side}: {text}")
 
 
-def agreement(_e: Evidence, tally: Tally) -> Judging:
+class Agreement(Clause):
     """Equations (20) and (21), recomputed from the raw numbers."""
-    agreed = 0
-    while (part := (yield)) is not None:
+
+    name = "agreement"
+    source = "(20), (21)"
+    says = "both verdicts follow from x, the candidates and x(k+1)"
+    of = "verdicts"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._agreed = 0
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
                 if not isinstance(item, Walked):
                     continue
                 t, verdict, carry, _ = item
-                holds = t.symbol == carry.agreed and t.gauges == verdict.gauges
                 text = ""
                 if t.symbol != carry.agreed:
                     text = f"{name}'s verdict is {t.symbol}, recomputed it is {carry.agreed}"
-                elif not holds:
+                elif t.gauges != verdict.gauges:
                     text = f"{name}'s gauges are {t.gauges}, recomputed {verdict.gauges}"
-                tally.count(holds, t.session, t.j, t.k, text)
-                agreed += name == "plant" and carry.agreed != NO_SYMBOL
-    tally.note = f"{agreed} keys agreed"
+                self.counter.count(not text, t.session, t.j, t.k, text)
+                self._agreed += name == "plant" and carry.agreed != NO_SYMBOL
+
+    def finish(self) -> None:
+        self.counter.note = f"{self._agreed} keys agreed"
 
 
-def coin(e: Evidence, tally: Tally) -> Judging:
+class Coin(Clause):
     """Equation (22): the key is b_r."""
-    if not need(tally, plant_trace=e.plant):
-        return
-    left = 0
-    leaves = may_leave(e)
-    while (part := (yield)) is not None:
+
+    name = "coin"
+    source = "(22)"
+    says = "the agreed symbol is the plant's own coin"
+    of = "keys"
+    needs = ("plant",)
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._left, self._leaves, self._spoofed = 0, may_leave(evidence), 0
+
+    def feed(self, part: Part) -> None:
+        assert self.evidence.plant is not None
         for item in part.plant:
             if not isinstance(item, Walked) or item.t.symbol == NO_SYMBOL:
                 continue
             t = item.t
+            if lies(self.evidence.plant.attack, t.k):
+                self._spoofed += t.symbol != t.coin
+                continue
             assert t.coin is not None
-            outside = leaves and t.gauges[t.coin] > 1 + EDGE
-            left += outside and t.symbol != t.coin
+            outside = self._leaves and t.gauges[t.coin] > 1 + EDGE
+            self._left += outside and t.symbol != t.coin
             text = f"agreed on {t.symbol}, the plant's coin was {t.coin}"
-            tally.count(t.symbol == t.coin or outside, t.session, t.j, t.k, text)
-    if left:
-        tally.note = f"{left} unlike the coin, each with a disturbance outside D_c"
+            self.counter.count(t.symbol == t.coin or outside, t.session, t.j, t.k, text)
+
+    def finish(self) -> None:
+        if self._left:
+            self.counter.note = f"{self._left} unlike the coin, each with a disturbance outside D_c"
+        if self._spoofed:
+            self.counter.note = f"{self._spoofed} unlike the coin under attack"
 
 
-def _scheme(e: Evidence, side: str, tally: Tally) -> Judging:
-    session, p, sessions = "", 0, 0
-    size = e.rules.size
-    reader = e.plant if side == "plant" else e.controller
-    while (part := (yield)) is not None:
-        for item in part.plant if side == "plant" else part.controller:
-            if not sessions and reader is not None and (cut := reader.cut) is not None:
-                session, p, sessions = cut.session, cut.p, 1
+class _Scheme(Clause):
+    """The scheme over one end's trace."""
+
+    of = "transitions"
+    side: ClassVar[Side]
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._session, self._p, self._sessions = "", 0, 0
+        self._reader = evidence.plant if self.side == "plant" else evidence.controller
+
+    def feed(self, part: Part) -> None:
+        size = self.evidence.rules.size
+        for item in part.plant if self.side == "plant" else part.controller:
+            if not self._sessions and self._reader is not None and self._reader.cut is not None:
+                cut = self._reader.cut
+                self._session, self._p, self._sessions = cut.session, cut.p, 1
             if not isinstance(item, Walked):
                 continue
             t, _, (agreed, pad), s = item
-            if t.session != session:
-                session, p = t.session, 0
-                sessions += 1
+            if t.session != self._session:
+                self._session, self._p = t.session, 0
+                self._sessions += 1
             role, recovered = "test", NO_SYMBOL
             if pad != NO_SYMBOL:
                 role, recovered = "message", decrypt(t.cipher, pad, size)
-                p += 1
-            expected = (role, pad, recovered, p, s, agreed)
+                self._p += 1
+            expected = (role, pad, recovered, self._p, s, agreed)
             got = (t.role, t.key, t.message_symbol, t.p, t.s, t.symbol)
-            holds = got == expected
             text = ""
-            if not holds:
+            if got != expected:
                 text = f"(role, key, m, p, s, symbol) is {got}, the scheme says {expected}"
-            if not tally.count(holds, t.session, t.j, t.k, text):
-                p = t.p
-    tally.note = f"sessions: {sessions}"
+            if not self.counter.count(not text, t.session, t.j, t.k, text):
+                self._p = t.p
+
+    def finish(self) -> None:
+        self.counter.note = f"sessions: {self._sessions}"
 
 
-def sender(e: Evidence, tally: Tally) -> Judging:
+class Sender(_Scheme):
     """The scheme over the controller's trace."""
-    if need(tally, controller_trace=e.controller):
-        yield from _scheme(e, "controller", tally)
+
+    name = "sender"
+    source = "Figs. 5, 6a"
+    says = "the scheme gives what the controller recorded"
+    needs = ("controller",)
+    side = "controller"
 
 
-def receiver(e: Evidence, tally: Tally) -> Judging:
+class Receiver(_Scheme):
     """The scheme over the plant's trace."""
-    if need(tally, plant_trace=e.plant):
-        yield from _scheme(e, "plant", tally)
+
+    name = "receiver"
+    source = "Figs. 5, 6b"
+    says = "the scheme gives what the plant recorded"
+    needs = ("plant",)
+    side = "plant"
 
 
-_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in ("coin", "u"))
+OWN: Final = ("coin", "u", "true_x_next", "true_u", "attack_failed")
+"""What the plant alone knows."""
+
+_SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in OWN)
+_UNWRITTEN: Final = tuple(
+    name for name in _SHARED if name not in ("x", "candidates", "x_next", "gauges", "predictions")
+)
+"""What an attack on the bus has no say in."""
+
 _shared: Final = attrgetter(*_SHARED)
 
 
-def in_step(e: Evidence, tally: Tally) -> Judging:
+class InStep(Clause):
     """Both traces agree; the controller's may lack the last transition of a session."""
-    if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
-        return
-    ahead = 0
-    lacking: TracedTransition | None = None  # of this session, at the controller
-    while (part := (yield)) is not None:
+
+    name = "in-step"
+    source = "proposition 3"
+    says = "both ends agree on every transition both have counted"
+    of = "transitions"
+    needs = ("plant", "controller")
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._ahead = 0
+        self._lacking: TracedTransition | None = None  # of this session, at the controller
+
+    def feed(self, part: Part) -> None:
         for plant, controller in part.pairs:
             if plant is None:
                 assert controller is not None
                 t = controller.t
                 text = "the plant's trace does not have this transition"
-                tally.count(False, t.session, t.j, t.k, text)
+                self.counter.count(False, t.session, t.j, t.k, text)
                 continue
-            a = plant.t
-            if lacking is not None and lacking.session == a.session:
-                text = "the controller has not counted this one, but the plant goes on"
-                tally.fail(lacking.session, lacking.j, lacking.k, text)
-                lacking = None
-            if controller is None:
-                lacking = a
-                ahead += 1
-                continue
-            b = controller.t
-            unlike = []
-            text = ""
-            if _shared(a) != _shared(b):
-                unlike = [name for name in _SHARED if getattr(a, name) != getattr(b, name)]
+            self._of_plant(plant.t, None if controller is None else controller.t)
+
+    def _of_plant(self, a: TracedTransition, b: TracedTransition | None) -> None:
+        lacking = self._lacking
+        if lacking is not None and lacking.session == a.session:
+            text = "the controller has not counted this one, but the plant goes on"
+            self.counter.fail(lacking.session, lacking.j, lacking.k, text)
+            self._lacking = None
+        if b is None:
+            self._lacking = a
+            self._ahead += 1
+            return
+        text, names = "", _SHARED
+        if _shared(a) != _shared(b):
+            if self.evidence.plant is not None and rewrites(self.evidence.plant.attack, a.k):
+                names = _UNWRITTEN
+            unlike = [name for name in names if getattr(a, name) != getattr(b, name)]
+            if unlike:
                 mine, other = getattr(a, unlike[0]), getattr(b, unlike[0])
                 text = f"{', '.join(unlike)}: the plant has {mine}, the controller {other}"
-            tally.count(not unlike, a.session, a.j, a.k, text)
-    tally.note = f"{ahead} not yet counted by the controller"
+        self.counter.count(not text, a.session, a.j, a.k, text)
+
+    def finish(self) -> None:
+        self.counter.note = f"{self._ahead} not yet counted by the controller"

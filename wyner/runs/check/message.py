@@ -1,14 +1,14 @@
 """The message's clauses: what arrived, what was reported, and that no key served twice."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.framing import Deframer, Frame
-from wyner.runs.check.clause import Judging, Tally, need
-from wyner.runs.check.evidence import Evidence
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.capture import CapturedMessage
+from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.evidence import Evidence, Part
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import (
     Again,
     Break,
@@ -21,42 +21,50 @@ from wyner.runs.check.records import (
     TracedTransition,
     Walked,
 )
+from wyner.runs.check.sides import SideReader
 
 REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
 """What each side reports of a whole frame."""
 
 
-def prefix(e: Evidence, tally: Tally) -> Judging:
+class Prefix(Clause):
     """The plant's message symbols are the controller's first ones."""
-    if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
-        return
-    lacking: TracedTransition | None = (
-        None  # the plant has its symbol, the controller has not counted it
-    )
-    while (part := (yield)) is not None:
+
+    name = "prefix"
+    source = "proposition 3"
+    says = "what was recovered is a prefix of what was sent"
+    of = "symbols"
+    needs = ("plant", "controller")
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        # of the last pair: the plant has its symbol, the controller has not counted it
+        self._lacking: TracedTransition | None = None
+
+    def feed(self, part: Part) -> None:
         for plant, controller in part.pairs:
             r = plant.t if plant is not None and plant.t.role == "message" else None
             s = controller.t if controller is not None and controller.t.role == "message" else None
-            if r is None and s is None:
-                continue
             t = r or s
-            assert t is not None
+            if t is None:
+                continue
+            lacking, self._lacking = self._lacking, None
             if lacking is not None and lacking.session == t.session:
                 text = f"symbol {lacking.p} was recovered, and never sent"
-                tally.fail(lacking.session, lacking.j, lacking.k, text)
-            lacking = None
+                self.counter.fail(lacking.session, lacking.j, lacking.k, text)
             if r is None:
-                tally.count(False, t.session, t.j, t.k, f"symbol {t.p} was sent, not recovered")
+                text = f"symbol {t.p} was sent, not recovered"
+                self.counter.count(False, t.session, t.j, t.k, text)
             elif s is None:
-                lacking = r
+                self._lacking = r
             else:
                 same = r.message_symbol == s.message_symbol
                 text = f"symbol {r.p}: sent {s.message_symbol}, recovered {r.message_symbol}"
-                tally.count(same, r.session, r.j, r.k, text)
+                self.counter.count(same, r.session, r.j, r.k, text)
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class WholeFrame:
     """A frame that a side's symbols add up to, and the transition that completed it."""
 
     frame: Frame
@@ -74,12 +82,12 @@ class Framing:
 
     side: str
     size: int
-    tally: Tally
+    counter: Counter
     cut: bool = False
     session: str = ""
-    due: Whole | None = None
-    last: Whole | None = None
-    owed: Whole | None = None  # killed before the report; the transition must come again
+    due: WholeFrame | None = None
+    last: WholeFrame | None = None
+    owed: WholeFrame | None = None  # killed before the report; the transition must come again
     forgotten: int = 0
     lost: int = 0
     deframer: Deframer = field(init=False)
@@ -87,7 +95,7 @@ class Framing:
     def __post_init__(self) -> None:
         self.deframer = Deframer(self.size)
 
-    def feed(self, item: Item) -> Whole | None:
+    def feed(self, item: Item) -> WholeFrame | None:
         """Take an item; a frame when it completed one."""
         if isinstance(item, Walked):
             self._goes_on(item.t.session)
@@ -106,7 +114,7 @@ class Framing:
             self._reported(item)
         return None
 
-    def _push(self, t: TracedTransition) -> Whole | None:
+    def _push(self, t: TracedTransition) -> WholeFrame | None:
         if t.session != self.session:
             self.cut = self.cut and not self.session
             self.session, self.deframer = t.session, Deframer(self.size)
@@ -115,7 +123,7 @@ class Framing:
         frame = self.deframer.push(t.message_symbol)
         if frame is None:
             return None
-        self.due = self.last = Whole(frame, t)
+        self.due = self.last = WholeFrame(frame, t)
         return self.due
 
     def _goes_on(self, session: str) -> None:
@@ -124,11 +132,11 @@ class Framing:
             self.forgotten, self.owed = self.forgotten + 1, None
         self._overdue(self.due or self.owed)
 
-    def _overdue(self, whole: Whole | None) -> None:
+    def _overdue(self, whole: WholeFrame | None) -> None:
         if whole is not None:
             at, what = whole.at, REPORTS[self.side]
             text = f"{self.side}'s trace: a whole frame, and nothing {what}"
-            self.tally.fail(at.session, at.j, at.k, text)
+            self.counter.fail(at.session, at.j, at.k, text)
         self.due = self.owed = None
 
     def _reported(self, item: Told) -> None:
@@ -140,50 +148,65 @@ class Framing:
         what = f"{self.side}'s trace: {item.line.event} {item.payload!r}"
         if due is None:
             text = f"{what}, which its symbols do not add up to there"
-            self.tally.fail(self.session, -1, -1, text)
+            self.counter.fail(self.session, -1, -1, text)
         elif refused:
-            self.tally.fail(due.at.session, due.at.j, due.at.k, "the plant refused a frame")
+            self.counter.fail(due.at.session, due.at.j, due.at.k, "the plant refused a frame")
         elif due.frame.payload != item.payload:
             at = due.at
             text = f"{what}, its symbols add up to {due.frame.payload!r}"
-            self.tally.fail(at.session, at.j, at.k, text)
+            self.counter.fail(at.session, at.j, at.k, text)
 
 
-def frames(e: Evidence, tally: Tally) -> Judging:
+class Frames(Clause):
     """The symbols add up to whole frames, and to what each side reported."""
-    framing = {name: Framing(name, e.rules.size, tally, r.gone > 0) for name, r in e.readers()}
-    received: list[bytes] = []
-    while (part := (yield)) is not None:
+
+    name = "frames"
+    source = "rule 7"
+    says = "every frame passes its check and is reported"
+    of = "frames"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        size = evidence.rules.size
+        self._framing = {
+            name: Framing(name, size, counter, reader.gone > 0)
+            for name, reader in evidence.readers()
+        }
+        self._received: list[bytes] = []
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
-                whole = framing[name].feed(item)
+                whole = self._framing[name].feed(item)
                 if whole is not None:
                     at, text = whole.at, f"{name}'s trace: a frame fails its check"
-                    tally.count(whole.frame.intact, at.session, at.j, at.k, text)
+                    self.counter.count(whole.frame.intact, at.session, at.j, at.k, text)
                     if name == "plant" and whole.frame.intact:
-                        received.append(whole.frame.payload)
-    if e.plant is not None and isinstance(e.plant_journal, Kept):
-        _same_inbox(e, e.plant_journal, received, tally)
-    if not tally.counted and e.cut:
-        tally.skipped = e.cut
-    notes = [f"{len(f.deframer.symbols)} symbols of a frame under way" for f in framing.values()]
-    tally.note = notes[0]
-    if lost := sum(f.lost for f in framing.values()):
-        tally.note += f"; {lost} reports lost to kills"
+                        self._received.append(whole.frame.payload)
 
+    def finish(self) -> None:
+        e = self.evidence
+        if e.plant is not None and isinstance(e.plant_journal, JournalState):
+            self._same_inbox(e.plant, e.plant_journal)
+        if not self.counter.counted and e.cut:
+            self.counter.skipped = e.cut
+        framing = list(self._framing.values())
+        self.counter.note = f"{len(framing[0].deframer.symbols)} symbols of a frame under way"
+        if lost := sum(f.lost for f in framing):
+            self.counter.note += f"; {lost} reports lost to kills"
 
-def _same_inbox(e: Evidence, journal: Kept, received: Sequence[bytes], tally: Tally) -> None:
-    """What the plant's journal received are the last frames of its trace."""
-    if e.plant is not None and e.plant.behind:
-        return  # put back from an older copy, it has lost what came since
-    kept = [payload for _, payload in journal.messages]
-    if e.plant is not None and e.plant.from_journal and len(received) > len(kept):
-        received = received[:-1]  # of the step that is in the journal and not yet counted
-    if e.plant is not None and e.plant.gone:
-        kept = kept[max(len(kept) - len(received), 0) :]
-    if kept and list(received[-len(kept) :]) != kept:
-        text = f"the plant's journal has received {len(kept)} messages that its trace has not"
-        tally.count(False, "", -1, -1, text)
+    def _same_inbox(self, plant: SideReader, journal: JournalState) -> None:
+        """What the plant's journal received are the last frames of its trace."""
+        if plant.behind:
+            return  # put back from an older copy, it has lost what came since
+        received, kept = self._received, [payload for _, payload in journal.messages]
+        if plant.from_journal and len(received) > len(kept):
+            received = received[:-1]  # of the step that is in the journal and not yet counted
+        if plant.gone:
+            kept = kept[max(len(kept) - len(received), 0) :]
+        if kept and received[-len(kept) :] != kept:
+            text = f"the plant's journal has received {len(kept)} messages that its trace has not"
+            self.counter.count(False, "", -1, -1, text)
 
 
 @dataclass(slots=True)
@@ -193,7 +216,7 @@ class _Queue:
     One that is a life's last word may be in no journal: ``doubtful``, until it is queued again.
     """
 
-    tally: Tally
+    counter: Counter
     told: list[tuple[str, bytes]] = field(default_factory=list)
     begins: set[int] = field(default_factory=set)
     known: dict[str, bytes] = field(default_factory=dict)
@@ -221,7 +244,7 @@ class _Queue:
         elif name in self.known:
             # a controller that lost its journal is handed its messages again
             if not self.restarted:
-                self.tally.fail("", -1, -1, f"message {name} was queued twice without a restart")
+                self.counter.fail("", -1, -1, f"message {name} was queued twice without a restart")
             self.begins.add(len(self.told))
             self.known = {}
         self.restarted = False
@@ -241,117 +264,169 @@ class _Queue:
     def _delivered(self, name: str, payload: bytes) -> None:
         if self.known.get(name) != payload:
             text = f"message {name} counts as delivered, and was not queued like that"
-            self.tally.fail("", -1, -1, text)
+            self.counter.fail("", -1, -1, text)
 
 
-def messages(e: Evidence, tally: Tally) -> Judging:
+class Messages(Clause):
     """The recovered messages follow the queue."""
-    if not need(tally, plant_trace=e.plant, controller_trace=e.controller):
-        return
-    if gone := [f"the {name}'s trace" for name, reader in e.readers() if reader.gone]:
-        tally.skipped = f"the beginning of {' and of '.join(gone)} is gone"
-        return
-    queue = _Queue(tally)
-    framing = Framing("plant", e.rules.size, Tally())
-    places, session = {-1}, ""  # of the last that was recovered: messages may be alike
-    reached: set[int] = set()
-    arrived: set[bytes] = set()
-    while (part := (yield)) is not None:
+
+    name = "messages"
+    source = "rule 7"
+    says = "recovered messages are the queued ones, in order"
+    of = "messages"
+    needs = ("plant", "controller")
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._queue = _Queue(counter)
+        self._framing = Framing("plant", evidence.rules.size, Counter())
+        self._places = {-1}  # of the last that was recovered: messages may be alike
+        self._session = ""
+        self._reached: set[int] = set()
+        self._arrived: set[bytes] = set()
+
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        gone = [f"the {name}'s trace" for name, reader in evidence.readers() if reader.gone]
+        missing = super().skipped(evidence)
+        if missing or not gone:
+            return missing
+        return f"the beginning of {' and of '.join(gone)} is gone"
+
+    def feed(self, part: Part) -> None:
         late = []
         for item in part.controller:
             if isinstance(item, Told) and item.line.event == "delivered":
                 late.append(item)
-            queue.feed(item)
+            self._queue.feed(item)
         for item in part.plant:
-            whole = framing.feed(item)
-            if whole is None or not whole.frame.intact:
-                continue
-            at, payload = whole.at, whole.frame.payload
-            arrived.add(payload)
-            allowed = set().union(*map(queue.following, places))
-            if at.session != session:
-                allowed |= places  # received, but the session ended before the controller knew
-            told = queue.told
-            fits = {i for i in allowed if 0 <= i < len(told) and told[i][1] == payload}
-            text = f"recovered {payload!r}, which is not the next queued message"
-            tally.count(bool(fits), at.session, at.j, at.k, text)
-            if fits:
-                places = fits
-                reached.add(min(fits))
-            session = at.session
-        for item in late:
-            if item.payload not in arrived:
-                text = f"{item.payload!r} counts as delivered, the plant has not recovered it"
-                tally.fail("", -1, -1, text)
-    if isinstance(e.controller_journal, Kept):
-        told = queue.told
-        for name, payload in e.controller_journal.messages:
-            text = f"message {name} is in the controller's journal, and not in its trace"
-            tally.count((name, payload) in told, "", -1, -1, text)
-    queued = len(queue.told) - len(queue.void)
-    if not tally.counted and queued:
-        tally.skipped = "no message has arrived"
-    tally.note = f"{len(reached)} of {queued} queued messages arrived"
+            whole = self._framing.feed(item)
+            if whole is not None and whole.frame.intact:
+                self._recovered(whole)
+        for told in late:
+            if told.payload not in self._arrived:
+                text = f"{told.payload!r} counts as delivered, the plant has not recovered it"
+                self.counter.fail("", -1, -1, text)
+
+    def _recovered(self, whole: WholeFrame) -> None:
+        at, payload = whole.at, whole.frame.payload
+        self._arrived.add(payload)
+        allowed = set().union(*map(self._queue.following, self._places))
+        if at.session != self._session:
+            allowed |= self._places  # received, but the session ended before the controller knew
+        told = self._queue.told
+        fits = {i for i in allowed if 0 <= i < len(told) and told[i][1] == payload}
+        text = f"recovered {payload!r}, which is not the next queued message"
+        self.counter.count(bool(fits), at.session, at.j, at.k, text)
+        if fits:
+            self._places = fits
+            self._reached.add(min(fits))
+        self._session = at.session
+
+    def finish(self) -> None:
+        queue, journal = self._queue, self.evidence.controller_journal
+        if isinstance(journal, JournalState):
+            for name, payload in journal.messages:
+                text = f"message {name} is in the controller's journal, and not in its trace"
+                self.counter.count((name, payload) in queue.told, "", -1, -1, text)
+        queued = len(queue.told) - len(queue.void)
+        if not self.counter.counted and queued:
+            self.counter.skipped = "no message has arrived"
+        self.counter.note = f"{len(self._reached)} of {queued} queued messages arrived"
 
 
-def one_time_pad(_e: Evidence, tally: Tally) -> Judging:
+class OneTimePad(Clause):
     """Walk the keys: each is agreed once and used once at most."""
-    sessions: dict[str, str] = {}
-    unused: dict[str, list[TracedTransition]] = {}
-    while (part := (yield)) is not None:
+
+    name = "one-time-pad"
+    source = "section 4.2"
+    says = "every key symbol serves one message symbol"
+    of = "message symbols"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._sessions: dict[str, str] = {}
+        self._unused: dict[str, list[TracedTransition]] = {}
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
-                if not isinstance(item, Walked):
-                    continue
-                t = item.t
-                if t.session != sessions.get(name):
-                    sessions[name], unused[name] = t.session, []
-                fresh = unused[name]
-                if t.role == "message":
-                    own = next((a for a in fresh if a.symbol == t.key), None)
-                    text = f"{name}'s trace: a message symbol without a key of its own"
-                    if own is None and fresh:
-                        agreed = ", ".join(f"{a.symbol} at {a.j}" for a in fresh)
-                        text = f"{name}'s trace: key {t.key}, unused were {agreed}"
-                    tally.count(own is not None, t.session, t.j, t.k, text)
-                    if own is None:
-                        fresh.clear()
-                    else:
-                        fresh.remove(own)
-                if t.symbol != NO_SYMBOL:
-                    fresh.append(t)
+                if isinstance(item, Walked):
+                    self._of(name, item.t)
+
+    def _of(self, name: str, t: TracedTransition) -> None:
+        if t.session != self._sessions.get(name):
+            self._sessions[name], self._unused[name] = t.session, []
+        fresh = self._unused[name]
+        if t.role == "message":
+            own = next((a for a in fresh if a.symbol == t.key), None)
+            text = f"{name}'s trace: a message symbol without a key of its own"
+            if own is None and fresh:
+                agreed = ", ".join(f"{a.symbol} at {a.j}" for a in fresh)
+                text = f"{name}'s trace: key {t.key}, unused were {agreed}"
+            self.counter.count(own is not None, t.session, t.j, t.k, text)
+            if own is None:
+                fresh.clear()
+            else:
+                fresh.remove(own)
+        if t.symbol != NO_SYMBOL:
+            fresh.append(t)
 
 
-def one_cipher(e: Evidence, tally: Tally) -> Judging:
+TRUTH: Final = ("true_x_next", "true_u", "attack_failed")
+"""What no journal holds."""
+
+
+class OneCipher(Clause):
     """Every offer made for a transition carries the same cipher symbol."""
-    open_: dict[str, int] = {}  # decided after the last transition of a session
-    again = 0
-    while (part := (yield)) is not None:
+
+    name = "one-cipher"
+    source = "rule 3"
+    says = "a transition's cipher symbol is decided once"
+    of = "offers"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        self._open: dict[str, int] = {}  # decided after the last transition of a session
+        self._again = 0
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
                 if isinstance(item, Again):
-                    before, after = item.before, item.after
-                    unlike = [
-                        f
-                        for f in TracedTransition.__dataclass_fields__
-                        if getattr(before, f) != getattr(after, f)
-                    ]
-                    text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
-                    tally.count(not unlike, after.session, after.j, after.k, text)
+                    self._written_twice(name, item)
         for seen in part.seen:
-            if seen.topic != "offer" or not e.steps.knows(seen.session) or e.before(seen):
-                continue
-            cipher = seen.message.get("cipher")
-            if not isinstance(cipher, int):
-                continue  # another clause says so
-            k = e.steps.next_applied(seen.session, seen.k)
-            again += k != seen.k
-            step = e.steps.find(seen.session, k)
-            expected = open_.setdefault(seen.session, cipher) if step is None else step.cipher
-            j = -1 if step is None else step.j
-            text = f"{seen.where}: cipher {cipher}, decided was {expected}"
-            tally.count(cipher == expected, seen.session, j, seen.k, text)
-    if e.wire is None or e.plant is None:
-        tally.note = "without a capture and a plant's trace only what was written twice is compared"
-        return
-    tally.note = f"{again} offers that were not applied carried the symbol of the next that was"
+            if seen.topic == "offer":
+                self._offered(seen)
+
+    def _written_twice(self, name: str, item: Again) -> None:
+        before, after = item.before, item.after
+        unlike = [
+            f
+            for f in TracedTransition.__dataclass_fields__
+            if f not in TRUTH and getattr(before, f) != getattr(after, f)
+        ]
+        text = f"{name}'s trace: written twice, with another {', '.join(unlike)}"
+        self.counter.count(not unlike, after.session, after.j, after.k, text)
+
+    def _offered(self, seen: CapturedMessage) -> None:
+        e, cipher = self.evidence, seen.message.get("cipher")
+        if not e.steps.knows(seen.session) or e.before(seen) or not isinstance(cipher, int):
+            return  # of what is no number another clause says so
+        k = e.steps.next_applied(seen.session, seen.k)
+        self._again += k != seen.k
+        step = e.steps.find(seen.session, k)
+        expected = self._open.setdefault(seen.session, cipher) if step is None else step.cipher
+        j = -1 if step is None else step.j
+        text = f"{seen.where}: cipher {cipher}, decided was {expected}"
+        self.counter.count(cipher == expected, seen.session, j, seen.k, text)
+
+    def finish(self) -> None:
+        if self.evidence.wire is None or self.evidence.plant is None:
+            self.counter.note = (
+                "without a capture and a plant's trace only what was written twice is compared"
+            )
+            return
+        self.counter.note = (
+            f"{self._again} offers that were not applied carried the symbol of the next that was"
+        )

@@ -2,60 +2,64 @@
 
 Lucia and Youssef, "Wyner wiretap-like encoding scheme for cyber-physical systems". Nothing here is
 shared with what ran: no import of the project, which a test of the walls holds. It is written to
-be read beside the paper, with its symbols, and not to be fast.
+be read beside the paper, with its symbols.
 
 M > 2 candidates, and the scheme `pipelined`, are the project's; :func:`key_symbols` and
 :class:`Automata` say where.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
-Vector = Sequence[float]
-Rows = Sequence[tuple[Vector, float]]
-"""{ d : a d <= b for each row (a, b) }."""
+import numpy as np
 
-NO_KEY = -1
-ROUNDING = 2e-9
+Array = np.ndarray[Any, np.dtype[np.float64]]
+Keys = np.ndarray[Any, np.dtype[np.int64]]
+
+NO_KEY: Final = -1
+ROUNDING: Final = 2e-9
 """A vector so near to the edge of a set, in units of the set, is in it or not, whichever one says.
 Sums of doubles in another order differ by less."""
 
 
-def dot(a: Vector, b: Vector) -> float:
-    """The inner product of two vectors."""
-    total = 0.0
-    for v, w in zip(a, b, strict=True):
-        total += v * w
-    return total
+def f_c(A: Array, B: Array, x: Array, u: Array) -> Array:
+    """Equation (5) without its disturbance, A x + B u.
+
+    Given are K states, shape (K, n), and the M candidates of each, shape (K, M, m); the centres
+    are of shape (K, M, n).
+    """
+    return (x @ A.T)[:, None, :] + u @ B.T
 
 
-def f_c(A: Sequence[Vector], B: Sequence[Vector], x: Vector, u: Vector) -> list[float]:
-    """Equation (5) without its disturbance: A x + B u."""
-    return [dot(row_a, x) + dot(row_b, u) for row_a, row_b in zip(A, B, strict=True)]
+def scale(H: Array, h: Array, x_next: Array, centre: Array) -> Array:
+    """How much D = { d : H d <= h } must grow for x(k+1) to be in centre + D.
+
+    Up to 1, (12) and (13) hold. Shapes are (K, n) of ``x_next``, (K, M, n) of ``centre``,
+    and (K, M) of what is returned.
+    """
+    d = x_next[:, None, :] - centre
+    found: Array = np.max(d @ H.T / h, axis=2)
+    return found
 
 
-def scale(D: Rows, x_next: Vector, centre: Vector) -> float:
-    """How much D must grow for x(k+1) to be in centre + D: (12) and (13) hold up to 1."""
-    d = [a - b for a, b in zip(x_next, centre, strict=True)]
-    return max(dot(row, d) / bound for row, bound in D)
-
-
-def key_symbols(of_defender: Vector, of_eavesdropper: Vector) -> set[int]:
+def key_symbols(of_defender: Array, of_eavesdropper: Array) -> Keys:
     """The keys that equations (20) to (22) allow; two only where x(k+1) is on a set's edge.
 
-    Given is how much D_c and D_e must grow about each candidate's centre (:func:`scale`).
+    Given is how much D_c and D_e must grow about each candidate's centre (:func:`scale`), both of
+    shape (K, M). Returned is one row of keys a transition, in which a key may stand repeatedly.
 
     (21): every candidate is possible for the eavesdropper, and not every one for the defender;
     (22): for the defender exactly one is, and that is the key. For two candidates they are one
     test. For more than two, exactly one is asked for as well.
     """
-    found = set()
+    found = []
     for edge in (1 - ROUNDING, 1 + ROUNDING):
-        possible = [i for i, s in enumerate(of_defender) if s <= edge]
+        possible = of_defender <= edge
+        one = possible.sum(axis=1) == 1
+        which = possible.argmax(axis=1)
         for her_edge in (1 - ROUNDING, 1 + ROUNDING):
-            agreed = len(possible) == 1 and max(of_eavesdropper) <= her_edge
-            found.add(possible[0] if agreed else NO_KEY)
-    return found
+            agreed = one & (of_eavesdropper <= her_edge).all(axis=1)
+            found.append(np.where(agreed, which, NO_KEY))
+    return np.stack(found, axis=1)
 
 
 class Line(NamedTuple):

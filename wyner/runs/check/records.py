@@ -16,7 +16,9 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TracedTransition:
-    """A transition as one side's trace holds it; ``coin`` and ``u`` are the plant's alone.
+    """A transition as one side's trace holds it; from ``coin`` on the fields are the plant's alone.
+
+    The last three are there where it is attacked.
 
     A model would take three times the room, and a run has millions.
     """
@@ -40,6 +42,9 @@ class TracedTransition:
     predictions: tuple[Vector, ...] = ()
     coin: int | None = None
     u: Vector | None = None
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -58,6 +63,9 @@ class MissedLine:
     x_next: Vector
     candidates: tuple[Vector, ...] = ()
     coin: int = -1
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
 
     @property
     def interrupted(self) -> bool:
@@ -143,6 +151,18 @@ class TimingLine:
     overruns: int
 
 
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AttackLine:
+    """The plant is attacked: every parameter."""
+
+    event: Literal["attack"]
+    kind: str
+    at: Literal["sensor", "bus", "actuator"]
+    onset: int
+    knows: tuple[str, ...]
+    options: dict[str, Any]
+
+
 EventLine = (
     SessionLine
     | QueuedLine
@@ -152,6 +172,7 @@ EventLine = (
     | BlockJudgedLine
     | AppearancesLine
     | TimingLine
+    | AttackLine
 )
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
@@ -160,6 +181,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "missed": TypeAdapter(MissedLine),
         "interrupted": TypeAdapter(MissedLine),
         "timing": TypeAdapter(TimingLine),
+        "attack": TypeAdapter(AttackLine),
         "session": TypeAdapter(SessionLine),
         "recovered": TypeAdapter(RecoveredLine),
         "refused": TypeAdapter(Refused),
@@ -239,13 +261,13 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size = self
-        if not max(abs(t.j), abs(t.k)) <= LARGEST_INTEGER:
+        if abs(t.j) > LARGEST_INTEGER or abs(t.k) > LARGEST_INTEGER:
             return "j, k: expected numbers of 64 bits"
         if len(t.x) != n:
             return f"x: got {len(t.x)} numbers, expected {n}"
         if len(t.x_next) != n:
             return f"x_next: got {len(t.x_next)} numbers, expected {n}"
-        if len(t.candidates) != size or any(len(u) != m for u in t.candidates):
+        if list(map(len, t.candidates)) != [m] * size:
             return f"candidates: expected {size} of {m} inputs"
         if len(t.gauges) != size:
             return f"gauges: got {len(t.gauges)}, expected {size}"
@@ -255,6 +277,8 @@ class Shape(NamedTuple):
             return f"counts: got {t.counts}, expected 0 to 3"
         if not plant and (t.coin is not None or t.u is not None):
             return "coin, u: expected in the plant's trace only"
+        if not plant and (t.true_x_next is not None or t.true_u is not None):
+            return "true_x_next, true_u: expected in the plant's trace only"
         if plant and (t.u is None or len(t.u) != m):
             return f"u: expected {m} inputs"
         if plant and (t.coin is None or not 0 <= t.coin < size):

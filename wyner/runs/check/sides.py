@@ -21,10 +21,11 @@ from runtime.recording import (
     parts_of,
     raw_lines,
 )
-from wyner.runs.check.journals import Kept
+from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import (
     KINDS,
     Again,
+    AttackLine,
     Break,
     Item,
     MissedLine,
@@ -150,7 +151,7 @@ class SideReader:
     path : Path
         The trace's first part.
     rules : Rules
-    journal : Kept, optional
+    journal : JournalState, optional
         The transition that it holds beyond the trace is the last item.
 
     Attributes
@@ -159,11 +160,13 @@ class SideReader:
         Parts that are gone, the oldest.
     last_life : int
         Transitions that its last life has traced.
+    attack : AttackLine, optional
+        The attack on the plant, as its trace has named it.
     cut : TracedTransition, optional
         The transition after which a cut trace is given out, once it was found.
     """
 
-    def __init__(self, side: str, path: Path, rules: Rules, journal: Kept | None) -> None:
+    def __init__(self, side: str, path: Path, rules: Rules, journal: JournalState | None) -> None:
         self.side = side
         self.parts: list[Segments] = []
         self.header: dict[str, Any] = {}
@@ -174,6 +177,7 @@ class SideReader:
         self.transitions: dict[str, int] = {}
         self.announced: set[str] = set()
         self.from_journal = False
+        self.attack: AttackLine | None = None
         self._paths = parts_of(path)
         self.gone = number_of(self._paths[0])
         self.cut: TracedTransition | None = None
@@ -278,6 +282,8 @@ class SideReader:
         except ValueError as error:
             self.problem(number, f"{kind}: {error}")
             return
+        if isinstance(line, AttackLine):
+            self.attack = line
         if isinstance(line, SessionLine):
             self._began(number, line)
         elif self._announce:

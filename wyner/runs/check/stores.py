@@ -11,8 +11,8 @@ from protocol.secret.records import Side, key_id
 from runtime.keys.ledger import spent_rows
 from runtime.keys.store import TOMBSTONES, KeyStore
 from runtime.keys.store_file import check_of
-from wyner.runs.check.clause import Judging, Tally
-from wyner.runs.check.evidence import Evidence
+from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, TracedBlocks, open_store
 from wyner.runs.check.records import (
     BlockJudgedLine,
@@ -100,30 +100,43 @@ class _End:
         return self.sessions.get(at[0], 0) < self.sessions.get(begun, len(self.sessions))
 
 
-def key_stores(e: Evidence, tally: Tally) -> Judging:
+class KeyStores(Clause):
     """Each end's store holds the blocks that its trace says were stored, with all their keys."""
-    assert e.rules.schedule is not None
-    ends = {side: _End(TracedBlocks(e.rules.schedule)) for side, _ in e.readers()}
-    while (part := (yield)) is not None:
+
+    name = "key-stores"
+    source = "rule 10"
+    says = "each store holds what its end stored, and nobody changed it"
+    of = "rows"
+
+    def __init__(self, evidence: Evidence, counter: Counter) -> None:
+        super().__init__(evidence, counter)
+        schedule = evidence.rules.schedule
+        assert schedule is not None
+        self._ends = {side: _End(TracedBlocks(schedule)) for side, _ in evidence.readers()}
+
+    def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
-                ends[name].feed(item)
-    with ExitStack() as stack:
-        stores: dict[Side, KeyStore] = {}
-        for side, name in FILES:
-            end = ends.get(side)
-            store = open_store(e, side, name, tally, stack)
-            if store is not None:
-                stores[side] = store
-                _Store(side, store, tally).look(e, end)
-            elif end is not None and not (e.run_dir / name).exists():
-                for at in end.blocks.stored:
-                    text = f"the {side}'s key store is gone, and block {at[1]} was stored in it"
-                    tally.count(False, at[0], -1, -1, text)
-        if len(stores) == len(FILES):
-            _same(stores["controller"], stores["plant"], tally)
-    if not tally.counted and not stores:
-        tally.skipped = "no key store in this run's folder"
+                self._ends[name].feed(item)
+
+    def finish(self) -> None:
+        e, counter = self.evidence, self.counter
+        with ExitStack() as stack:
+            stores: dict[Side, KeyStore] = {}
+            for side, name in FILES:
+                end = self._ends.get(side)
+                store = open_store(e, side, name, counter, stack)
+                if store is not None:
+                    stores[side] = store
+                    _Store(side, store, counter).look(e, end)
+                elif end is not None and not (e.run_dir / name).exists():
+                    for at in end.blocks.stored:
+                        text = f"the {side}'s key store is gone, and block {at[1]} was stored in it"
+                        counter.count(False, at[0], -1, -1, text)
+            if len(stores) == len(FILES):
+                _same(stores["controller"], stores["plant"], counter)
+        if not counter.counted and not stores:
+            counter.skipped = "no key store in this run's folder"
 
 
 @dataclass(slots=True)
@@ -132,7 +145,7 @@ class _Store:
 
     side: Side
     store: KeyStore
-    tally: Tally
+    counter: Counter
 
     def look(self, e: Evidence, end: _End | None) -> None:
         blocks = self._blocks()
@@ -151,7 +164,7 @@ class _Store:
             self._as_traced(e, end, {(b["session"], b["number"]): b for b in blocks})
 
     def _count(self, holds: bool, session: str, text: str) -> None:
-        self.tally.count(holds, session, -1, -1, f"the {self.side}'s key store: {text}")
+        self.counter.count(holds, session, -1, -1, f"the {self.side}'s key store: {text}")
 
     def _blocks(self) -> list[dict[str, Any]]:
         names = "place, session, number, transitions, steps, counted, rows, keys, state, tag"
@@ -240,16 +253,16 @@ class _Store:
                 self._count(said == made, at[0], text)
 
 
-def _same(controller: KeyStore, plant: KeyStore, tally: Tally) -> None:
+def _same(controller: KeyStore, plant: KeyStore, counter: Counter) -> None:
     """Keys that both ends still hold are the same; what was acknowledged was opened."""
     rows = "SELECT id, body FROM key WHERE state = 'confirmed'"
     mine, theirs = dict(controller.rows(rows)), dict(plant.rows(rows))
     for name in mine.keys() & theirs.keys():
-        tally.count(mine[name] == theirs[name], "", -1, -1, f"key {name} differs at the two ends")
+        counter.count(mine[name] == theirs[name], "", -1, -1, f"key {name} differs at the two ends")
     secrets = {controller.note("secret"), plant.note("secret")} - {None}
-    tally.count(len(secrets) < 2, "", -1, -1, "the two ends' stores took different secrets")
+    counter.count(len(secrets) < 2, "", -1, -1, "the two ends' stores took different secrets")
     if (plant.note("begun") or "None/0").startswith("None"):
         opened = {name for (name,) in plant.rows("SELECT id FROM opened")}
         for (name,) in controller.rows("SELECT id FROM sealed WHERE state = 'done'"):
             text = f"sealed {name}: acknowledged, and the plant's store has not opened it"
-            tally.count(name in opened, "", -1, -1, text)
+            counter.count(name in opened, "", -1, -1, text)

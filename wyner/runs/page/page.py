@@ -17,13 +17,14 @@ from protocol.text import readable
 from runtime.files import write_atomically
 from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
-from wyner.runs.check.clause import Finding
+from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
 from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
 from wyner.runs.page.windows import Windows
 from wyner.runs.run import Run
+from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import step_cost
 from wyner.runs.score.report import HEADINGS, NOTE, rows
 from wyner.runs.score.report import report as report_of
@@ -100,7 +101,7 @@ def _said(run: Run) -> list[Said] | str:
 def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     """The whole page."""
     recorded = _Recorded(e.scenario, step)
-    findings = check(e, recorded.take)
+    results = check(e, recorded.take)
     if step is not None and recorded.windows.step() is None:
         raise StepError(f"--step: got {step}, expected one of the run's: 0 to {recorded.newest}")
     s = e.scenario
@@ -112,13 +113,14 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
-        f"<p>Clauses of the check, below: {_counts(findings)}.</p>",
+        f"<p>Clauses of the check, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
+        *_attack(e),
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded)),
         *_section("One step", _one_step(e, recorded)),
         *_section("Keys against taps", keys),
-        *_section("Clauses of the check", _clauses(findings)),
+        *_section("Clauses of the check", _clauses(results)),
         *_section("The run", _about(e)),
     ]
     return (
@@ -129,9 +131,21 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     )
 
 
-def _counts(findings: Sequence[Finding]) -> str:
-    results = [f.result for f in findings]
-    return ", ".join(f"{results.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
+def _attack(e: Evidence) -> Iterator[str]:
+    """What an attack came to; nothing where nobody attacked."""
+    found = attacked(e.run).as_json()
+    if found is None:
+        return
+    lines = [
+        f"<p>{escape(line.removeprefix('Attack').strip())}</p>" for line in attack_lines(found)
+    ]
+    table = _table(("parameter", "value"), [(k, json.dumps(v)) for k, v in found.items()])
+    yield from _section("The attack", [*lines, table])
+
+
+def _counts(results: Sequence[Result]) -> str:
+    kinds = [r.result for r in results]
+    return ", ".join(f"{kinds.count(r)} {r}" for r in ("PASS", "FAIL", "SKIP"))
 
 
 def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
@@ -160,6 +174,7 @@ class _Recorded:
         self.cost = 0.0
         self.states = [Series() for _ in range(s.n)]
         self.inputs = [Series() for _ in range(s.m)]
+        self.true_states = [Series() for _ in range(s.n)]
         self.agreed = array("q")
         self.some: list[TracedTransition] = []
         self._every = 1
@@ -191,6 +206,8 @@ class _Recorded:
         for lines, values in ((self.states, step.x), (self.inputs, step.u or ())):
             for line, value in zip(lines, values, strict=False):
                 line.add(at, value)
+        for line, value in zip(self.true_states, step.true_x_next or (), strict=False):
+            line.add(at + self._scenario.plant.period_s, value)
         if isinstance(step, MissedLine):
             self.missed += 1
             return
@@ -232,6 +249,11 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     T = e.scenario.plant.period_s
     states = [
         Curve(f"x{i + 1}", line.points(), i, banded=True) for i, line in enumerate(recorded.states)
+    ]
+    states += [
+        Curve(f"x{i + 1} in truth", points, e.scenario.n + i, banded=True)
+        for i, line in enumerate(recorded.true_states)
+        if (points := line.points())
     ]
     inputs = [
         Curve(f"u{i + 1}", line.points(), i, steps=True, banded=True)
@@ -355,14 +377,14 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
 
 
-def _clauses(findings: Sequence[Finding]) -> Iterator[str]:
-    yield f"<p>{_counts(findings)}</p>"
+def _clauses(results: Sequence[Result]) -> Iterator[str]:
+    yield f"<p>{_counts(results)}</p>"
     body = []
-    for f in findings:
-        first = "" if f.tally.first is None else f"; first: {f.tally.first.text}"
-        note = f.tally.skipped or f"{f.tally.counted} {f.clause.of}"
-        note += f"; {f.tally.note}" if f.tally.note else ""
-        body.append((f.result, f.clause.name, f.clause.source, f.clause.says, note + first))
+    for r in results:
+        first = "" if r.counter.first is None else f"; first: {r.counter.first.text}"
+        note = r.counter.skipped or f"{r.counter.counted} {r.clause.of}"
+        note += f"; {r.counter.note}" if r.counter.note else ""
+        body.append((r.result, r.clause.name, r.clause.source, r.clause.says, note + first))
     yield _table(("result", "clause", "source", "says", "looked at"), body)
 
 

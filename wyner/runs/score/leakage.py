@@ -8,7 +8,7 @@ rows whose secret the nearest other rows name. It tends to P_g from below as row
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from protocol.agreement import NO_SYMBOL, predict
@@ -16,8 +16,8 @@ from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
-from wyner.runs.score.by_step import Step
 from wyner.runs.score.score import Proportion, ScoreError
+from wyner.runs.score.step_table import Truth
 
 FEWEST = 20
 """Rows below which nothing is estimated."""
@@ -30,14 +30,13 @@ class LeakedKey(NamedTuple):
     view: Vector
 
 
-def leaked_keys(reader: CaptureReader, truth: Mapping[Step, Mapping[str, Any]]) -> list[LeakedKey]:
+def leaked_keys(reader: CaptureReader, truth: Truth) -> list[LeakedKey]:
     """One of each agreed transition that the tap heard whole.
 
     Parameters
     ----------
     reader : CaptureReader
-    truth : mapping
-        Of :func:`wyner.runs.score.step_table.truth_by_step`.
+    truth : Truth
 
     Raises
     ------
@@ -52,7 +51,7 @@ def leaked_keys(reader: CaptureReader, truth: Mapping[Step, Mapping[str, Any]]) 
     out: list[LeakedKey] = []
 
     def take(t: Transition) -> None:
-        secret = truth.get((t.session, t.k), {}).get("key", NO_SYMBOL)
+        secret = truth.of(t.session, t.k).get("key", NO_SYMBOL)
         if secret != NO_SYMBOL and t.whole:
             out.append(LeakedKey(secret, view_of(t, knowledge)))
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 from protocol.text import readable
 from runtime.recording import TraceError
 from wyner.runs.run import Run
+from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import report
@@ -39,7 +40,8 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
     the tap recorded and left out of its live guessing, it says too little. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
-    where the scenario makes none.
+    where the scenario makes none. ``attack`` is what one came to
+    (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
@@ -78,6 +80,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
+        "attack": attacked(run).as_json(),
         "trace_error": trace_error,
         "run_dir": str(run.folder),
     }
@@ -187,6 +190,8 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
     lines += [f"FAILED     {name}: {summary['taps'][name]['failed']}" for name in summary["failed"]]
     if summary["keys"] is not None:
         lines += key_lines(summary["keys"])
+    if summary["attack"] is not None:
+        lines += attack_lines(summary["attack"])
     return lines
 
 

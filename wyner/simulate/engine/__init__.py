@@ -3,8 +3,9 @@
 The layers: :mod:`~wyner.simulate.engine.draws` gives each run the random numbers that a single run
 of the services would take; :mod:`~wyner.simulate.engine.loop` simulates plant and laws and keeps
 what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows the scheme over it;
-:mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it. Neither law nor coin depends on
-alpha, so that one simulation serves every alpha.
+:mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it.
+Neither law nor coin depends on alpha, so that one simulation serves every alpha.
+:mod:`~wyner.simulate.engine.attacks` is a loop of its own, with an attacker and defences in it.
 """
 
 from wyner.simulate.engine.draws import Draws, cipher_symbols

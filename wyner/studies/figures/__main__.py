@@ -19,8 +19,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--measure",
         action="store_true",
-        help="make their data anew before; to those of a secrecy-* figure, whose runs take long, "
-        "only what they lack is added",
+        help="make their data anew before; to those of a secrecy-* figure and of undetected, whose "
+        "runs take long, only what they lack is added",
     )
     parser.add_argument(
         "--data", metavar="D", help="folder of the data (default: what the documents show)"
@@ -28,7 +28,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--output", metavar="D", help="folder to draw in (default: docs/figures, or figures)"
     )
-    parser.set_defaults(run=run)
     return parser
 
 
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
-    return carry_out(lambda: build_parser().parse_args(arguments))
+    return carry_out(lambda: run(build_parser().parse_args(arguments)))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from wyner.shipped import DATA
 from wyner.studies.grid import code_version
 from wyner.studies.secrecy.runs import simulate, text_of
 from wyner.studies.secrecy.sentences import SENTENCES
-from wyner.studies.secrecy.study import SOURCES, append_rows, heard_by, said_about
+from wyner.studies.secrecy.study import SOURCES, append_rows, heard_by, offline, said_about
 
 FILE: Final = DATA / "secrecy-reading.csv"
 
@@ -38,6 +38,9 @@ FIRST_SEED: Final = 1000
 
 RANDOM_BYTES: Final = 24
 """Bytes of a message that is no text."""
+
+ANY_BYTES: Final = "text, any bytes"
+"""`text`, who expects no language: beside her on messages that have none."""
 
 COLUMNS: Final = (
     "task", "version", "condition", "tap", "seed", "steps", "keys", "keys_right", "bits",
@@ -77,6 +80,13 @@ SUSTAINED: Final[dict[str, dict[str, Any]]] = {
     "sustained, loss 30 %": {"loss": 0.3},
 }
 
+LONG: Final[dict[str, dict[str, Any]]] = {
+    "packed, 600 steps, loss 10 %": {"loss": 0.1},
+    "packed, 600 steps, loss 30 %": {"loss": 0.3},
+    "packed, 600 steps, noise 0.05": {"noise": 0.05},
+}
+"""The rows of docs/signalling.md."""
+
 OTHERS: Final = ("packed-double-integrator", "packed-quadruple-tank", "packed-batch-reactor")
 
 
@@ -95,6 +105,11 @@ def readings(taps: Sequence[str] = ("text", "smoother")) -> Iterator[Reading]:
                 view = View(seed=seed, loss=0.3)
                 name = "packed, random bytes, loss 30 %"
                 yield Reading(name, tap, seed, view=view, payload="bytes")
+                if tap == Text.name:
+                    yield Reading(name, ANY_BYTES, seed, view=view, payload="bytes")
+                for condition, knobs in LONG.items():
+                    view = View(seed=seed, **knobs)
+                    yield Reading(condition, tap, seed, steps=600, view=view)
             for name in OTHERS if i < FEW // 4 else ():
                 view = View(seed=seed, loss=0.3)
                 yield Reading(f"{name}, loss 30 %", tap, seed, name, view=view)
@@ -116,11 +131,10 @@ def measure(reading: Reading) -> dict[str, object]:
     run = simulate(reading.steps, reading.seed, name=reading.scenario, payloads=[payload])
     knowledge = reading.view.told(run.scenario.knowledge())
     begun = time.process_time()
-    if reading.tap.startswith(Text.name):  # read once, at the end
-        language = AnyBytes() if reading.tap == "text, any bytes" else None
-        tap: Eavesdropper = Text(knowledge, language, live=False)
+    if reading.tap == ANY_BYTES:
+        tap: Eavesdropper = Text(knowledge, AnyBytes(), live=False)
     else:
-        tap = named(reading.tap)(knowledge)
+        tap = offline(named(reading.tap), knowledge)
     said = said_about(tap, heard_by(run, reading.view))
     scored = score(run.truth, said)
     belief = said.belief

@@ -1,0 +1,129 @@
+"""An attack as those who host it see it: made and asked in a process of its own.
+
+Light to load: whoever hosts it loads neither her code nor her eavesdropper.
+"""
+
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from typing import Any, Final
+
+from attacker_service import LACKS
+from protocol.link.events import AttackBegan
+from protocol.scenario import Attack, Scenario
+from protocol.vectors import Vector
+from runtime.errors import UsageError
+from runtime.logs import logger
+from runtime.sandbox import START_S, SandboxError, SandboxProcess, acquire, give_back
+
+ANSWER_S: Final = 2.0
+"""Seconds that an attack has for a step."""
+
+Heard = tuple[str, bytes]
+"""A message's topic and payload."""
+
+
+def brief(scenario: Scenario, attack: Attack, seed: int | None) -> dict[str, Any]:
+    """What an attack is made of: numbers and names alone, for its own process.
+
+    The eavesdropper beside it hears through the scenario's own tap channel.
+    """
+    rows = (*scenario.defender.disturbance.rows(), *scenario.control.inputs.rows())
+    return {
+        "kind": attack.kind,
+        "at": attack.at,
+        "onset": attack.onset,
+        "knows": attack.knows,
+        "options": attack.options,
+        "model": (scenario.A, scenario.B, *rows),
+        "linear": scenario.defender.model is None,
+        "knowledge": scenario.knowledge().model_dump_json(),
+        "view": scenario.tap.model_dump(exclude={"eavesdroppers"}),
+        "seed": seed,
+    }
+
+
+class Attacker:
+    """An attack in its own process. Where it fails, the truth passes from then on.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    attack : Attack
+    seed : int, optional
+        Of its draws; the operating system's if not given.
+
+    Attributes
+    ----------
+    at : str
+        Where it stands.
+    began : AttackBegan
+        Every parameter, as it is traced.
+    failed : str
+        Why it is over; empty while it is not.
+
+    Raises
+    ------
+    UsageError
+        With one line, when there is no such attack, or it cannot do with what it is given.
+    """
+
+    def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
+        self.failed = ""
+        self._process: SandboxProcess = acquire("attacker_service.sandboxed")
+        try:
+            made = self._process.ask("make", brief(scenario, attack, seed), START_S)
+            self.at = str(made["at"])
+            options = dict(made["options"])
+        except SandboxError as error:
+            self._process.close()
+            text = str(error) if error.kind == LACKS else f"attack.kind: {attack.kind}: {error}"
+            raise UsageError(text) from None
+        self.began = AttackBegan(
+            {
+                "kind": attack.kind,
+                "at": self.at,
+                "onset": attack.onset,
+                "knows": attack.knows,
+                "options": options,
+            }
+        )
+
+    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
+        """What it puts in place of a ``true`` vector of step ``k``, as long and finite."""
+        rows = self._asked(what, k, true, tuple(beside))
+        return true if rows is None else self._checked(k, [rows], [true])[0]
+
+    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        """The same of vectors."""
+        rows = self._asked(what, k, tuple(true), ())
+        return tuple(true) if rows is None else self._checked(k, rows, true)
+
+    def _asked(self, what: str, k: int, true: object, beside: tuple[object, ...]) -> Any:
+        if self.failed:
+            return None
+        try:
+            return self._process.ask(what, (k, true, beside), ANSWER_S)
+        except SandboxError as error:
+            self._over(k, str(error))
+            return None
+
+    def _checked(self, k: int, rows: Any, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        try:
+            found = tuple([tuple([float(v) for v in row]) for row in rows])
+        except (TypeError, ValueError):
+            found = ()
+        if [len(row) for row in found] != [len(row) for row in true] or not all(
+            isfinite(v) for row in found for v in row
+        ):
+            shape = " and ".join(str(len(row)) for row in true)
+            self._over(k, f"got {rows!r:.60}, expected {shape} finite numbers")
+            return tuple(true)
+        return found
+
+    def _over(self, k: int, why: str) -> None:
+        self.failed = why
+        logger("attacker").error("attack: %s; from step %d on the truth passes", why, k)
+
+    def close(self) -> None:
+        """Let go of it."""
+        give_back(self._process)

@@ -1,0 +1,5 @@
+"""A service that prints what the plant publishes."""
+
+from protocol.registry import provide
+
+provide("service", "logger_service.row")

@@ -1,0 +1,7 @@
+"""``python -m logger_service``."""
+
+import sys
+
+from runtime.command import serve
+
+sys.exit(serve("logger"))

@@ -1,0 +1,66 @@
+"""Attacks of a user's own, good and bad: each a class in one file."""
+
+import time
+from typing import ClassVar
+
+import numpy as np
+
+from attacker_service.base import BusAttack, SensorAttack, Told
+from protocol.arrays import Array, Flags
+
+
+class Frozen(SensorAttack):
+    """Toy: says for ever what it said last."""
+
+    name: ClassVar[str] = "frozen"
+
+    def sensor(self, told: Told) -> Array:
+        return told.shown
+
+
+class Raises(SensorAttack):
+    name: ClassVar[str] = "raises"
+
+    def sensor(self, told: Told) -> Array:
+        raise RuntimeError("out of\nideas")
+
+
+class Loops(SensorAttack):
+    name: ClassVar[str] = "loops"
+
+    def sensor(self, told: Told) -> Array:
+        while True:
+            time.sleep(1)
+
+
+class Short(SensorAttack):
+    name: ClassVar[str] = "short"
+
+    def sensor(self, told: Told) -> Array:
+        return told.shown[:1]
+
+
+class Nan(SensorAttack):
+    name: ClassVar[str] = "nan"
+
+    def sensor(self, told: Told) -> Array:
+        return told.shown * np.nan
+
+
+class Eats(SensorAttack):
+    name: ClassVar[str] = "eats"
+
+    def sensor(self, told: Told) -> Array:
+        return np.zeros(10**10)
+
+
+class Deaf(BusAttack):
+    """Toy: the controller never hears of a change."""
+
+    name: ClassVar[str] = "deaf"
+
+    def toward_plant(self, k: int, candidates: Array) -> Array:
+        return candidates
+
+    def toward_controller(self, k: int, x: Array, applied: Flags) -> Array:
+        return x * 0

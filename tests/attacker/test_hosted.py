@@ -1,0 +1,168 @@
+"""An attack in its own process: what it is told, and what comes of one that fails."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacker_service import asking
+from attacker_service.asking import Attacker
+from attacker_service.relay import Relay
+from plant_service.attacked import AttackedPlant
+from plant_service.plant import Disturbances, LinearModel
+from protocol.messages import Measurement, Offer
+from protocol.scenario import Attack, Scenario, attack_of
+from protocol.streams import noise
+from protocol.topics import DEFAULT_LOOP
+from runtime.errors import UsageError
+from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.scenario_file import attack_option, scenario_of
+
+pytestmark = pytest.mark.slow
+
+OWN = Path(__file__).with_name("spoilt.py")
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return scenario_of("packed")
+
+
+def attacked(scenario: Scenario, attack: Attack) -> AttackedPlant:
+    plant = LinearModel(scenario, Disturbances(scenario, noise(1, 2)))
+    return AttackedPlant(plant, Attacker(scenario, attack, 1), scenario.initial_state)
+
+
+def steps(plant: AttackedPlant, count: int) -> list[tuple[float, ...]]:
+    """What is reported of so many steps under no input."""
+    said = []
+    for k in range(count):
+        plant.begin(k, (), (0.0,))
+        said.append(plant.end(k))
+    return said
+
+
+def test_before_the_onset_the_truth_passes_and_then_the_attack(scenario: Scenario) -> None:
+    plant = attacked(scenario, Attack(kind=f"{OWN}:Frozen", onset=3))
+    truths = []
+    for k in range(5):
+        (said,) = steps(plant, 1) if k == 0 else [_one(plant, k)]
+        assert plant.truth is not None
+        truths.append((said == plant.truth.x_next, said))
+    assert [same for same, _ in truths] == [True, True, False, False, False]
+    assert truths[1][1] == truths[2][1] == truths[4][1]
+    assert plant.close() == ""
+
+
+def _one(plant: AttackedPlant, k: int) -> tuple[float, ...]:
+    plant.begin(k, (), (0.0,))
+    return plant.end(k)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("Raises", "RuntimeError: out of ideas"),
+        ("Loops", "too slow: no answer within 0.5 s"),
+        ("Short", "], expected 2 finite numbers"),
+        ("Nan", "got [[nan, nan]], expected 2 finite numbers"),
+        ("Eats", "MemoryError"),
+    ],
+)
+def test_one_that_fails_is_a_line_and_the_truth_passes(
+    name: str,
+    why: str,
+    scenario: Scenario,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(asking, "ANSWER_S", 0.5 if name == "Loops" else 10.0)
+    plant = attacked(scenario, Attack(kind=f"{OWN}:{name}", onset=2))
+    logging.getLogger("attacker").propagate = True
+    with caplog.at_level(logging.ERROR):
+        failed = []
+        for k in range(4):
+            said = _one(plant, k)
+            assert plant.truth is not None
+            assert said == plant.truth.x_next
+            failed.append(plant.truth.failed)
+    assert failed[0] == failed[2] == failed[3] == ""
+    assert why in failed[1]
+    assert "\n" not in failed[1]
+    plant.close()
+
+
+def test_a_stuck_actuator_is_labelled_and_its_reading_is_true(scenario: Scenario) -> None:
+    plant = attacked(scenario, Attack.model_validate({"kind": "stuck", "onset": 1, "value": [2.0]}))
+    plant.begin(0, (), (1.0,))
+    plant.end(0)
+    assert plant.truth is not None
+    assert plant.truth.u == (1.0,)
+    plant.begin(1, (), (1.0,))
+    assert plant.end(1) == plant.truth.x_next
+    assert plant.truth.u == (2.0,)
+    plant.close()
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        ({"kind": "gost"}, "attack.kind: got 'gost', expected ghost, replay"),
+        ({"kind": "ghost", "knows": ["coins"]}, "attack.knows: ghost needs 'bus' and 'model'"),
+        ({"kind": "ghost", "at": "bus"}, "attack.at: got 'bus', expected 'sensor': ghost"),
+        ({"kind": "ghost", "shares": 1}, "attack.shares: ghost: got 1: "),
+        ({"kind": "nowhere.py:X"}, "attack.kind: got 'nowhere.py:X', expected an existing"),
+        ({"kind": f"{OWN}:Told"}, "attack.kind: got "),
+    ],
+)
+def test_what_cannot_be_made_is_one_line(
+    table: dict[str, Any], line: str, scenario: Scenario
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        Attacker(scenario, Attack.model_validate({"onset": 5, **table}), 1)
+    assert len(caught.value.lines) == 1
+    assert caught.value.lines[0].startswith(line), caught.value.lines
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ghost", "--attack: got 'ghost', expected KIND@ONSET"),
+        ("ghost@x", "--attack: got 'ghost@x', expected KIND@ONSET"),
+        ("ghost@0", "--attack: onset: got 0: input should be greater"),
+        ("ghost@9", "--attack: got onset 9, expected one below --steps 9"),
+        ("ghost@3,share", "--attack: got 'share', expected NAME=VALUE"),
+    ],
+)
+def test_a_wrong_option_is_one_line(text: str, expected: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        attack_option(text, None, 9)
+    assert caught.value.lines[0].startswith(expected)
+
+
+def test_an_option_stands_over_the_scenarios_own_table() -> None:
+    stated = Attack.model_validate({"kind": "ghost", "onset": 5, "share": 0.25})
+    assert attack_of("ghost@7", stated).options == {"share": 0.25}
+    assert attack_of('ghost@7,share=0.5,knows=["model","bus"]').knows == ("model", "bus")
+    assert attack_of("replay@7", stated).options == {}
+    assert attack_option(None, stated, None) is stated
+
+
+def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scenario) -> None:
+    plants, controllers = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+    attacker = Attacker(scenario, attack, 1)
+    relay = Relay(attacker, plants, controllers, DEFAULT_LOOP)
+    offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
+    got = relay._offer(offer)
+    assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
+    assert relay._offer(offer) == got
+    x = (1.0, 1.0)
+    m = Measurement(session="0" * 16, k=3, x=x, applied_k=2, x_after=x)
+    said = relay._measurement(m)
+    assert said.x == said.x_after == pytest.approx((1 - 0.3 * 0.0246, 1 - 0.3 * 0.4877))
+    assert relay._measurement(m) == said
+    later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
+    assert relay._measurement(later).x_after == said.x, "the same state is said alike"
+    attacker.close()

@@ -1,0 +1,192 @@
+"""The study of the attacks: its rows say what the theorems say, and what is measured again."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.statistics import clopper_pearson
+from tests.house.test_docs import ROOT
+from wyner.studies.attacks import study, tables
+from wyner.studies.attacks.__main__ import main
+from wyner.studies.attacks.study import EYES, Task, distilled, measure, seen_through, tasks
+from wyner.studies.attacks.tables import PAGE, rows_of, share, unseen, written
+from wyner.studies.grid import SweepError
+from wyner.studies.signalling import changed
+
+RARE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[tables.Row]:
+    return rows_of()
+
+
+def test_every_task_has_its_row(rows: list[tables.Row]) -> None:
+    assert [row["task"] for row in rows] == [task.id for task in tasks()]
+    assert len({row["version"] for row in rows}) == 1
+
+
+def test_shares_are_within_binomial_error_of_the_theory(rows: list[tables.Row]) -> None:
+    checked = set()
+    for row in rows:
+        if not row["theory"]:
+            continue
+        runs, each = int(row["runs"]), float(row["theory"])
+        for n, left in enumerate(unseen(row)[:8]):
+            low, high = clopper_pearson(left, runs, RARE)
+            assert low <= each**n * (1 + 1e-9), (row["attack"], row["M"], n)
+            assert high >= each**n * (1 - 1e-9), (row["attack"], row["M"], n)
+        checked.add((row["scenario"], row["M"], row["defence"]))
+    assert {("packed", m, "keyed-coin") for m in "234"} <= checked
+    assert ("packed-quadruple-tank", "16", "keyed-coin") in checked
+    assert ("packed", "4", "Gaussian watermark") in checked
+
+
+def test_who_has_the_key_decides(rows: list[tables.Row]) -> None:
+    mine = {
+        (row["attack"], row["defence"], row["key"]): row for row in rows if row["group"] == "key"
+    }
+    for key in ("false claim", "nearest-centre"):
+        row = mine["pushing ghost", "keyed-coin", key]
+        assert unseen(row)[-1] == int(row["runs"]) == int(row["held"])
+        assert float(row["away"]) > 30
+        assert float(row["shown_largest"]) < 3
+    row = mine["pushing ghost", "keyed-coin", "secret"]
+    assert (unseen(row)[40], row["held"]) == (0, "0")
+    assert float(row["away_largest"]) < 3
+    row = mine["pushing ghost", "residual", "nobody"]
+    assert unseen(row)[100] == int(row["runs"])
+
+
+def test_the_limit_and_the_baseline(rows: list[tables.Row]) -> None:
+    (limit,) = (row for row in rows if row["group"] == "limit")
+    assert unseen(limit)[100] == int(limit["runs"])
+    assert float(limit["away"]) > 30
+    bus = {(r["attack"], r["defence"], r["key"]): r for r in rows if r["group"] == "bus"}
+    for attack in ("covert, 0.3", "covert, 0.1"):
+        assert unseen(bus[attack, "mac", "secret"])[2] == 0
+        assert unseen(bus[attack, "coding + keyed-coin", "secret"])[10] == 0
+        for defence, key in (
+            ("residual", "nobody"),
+            ("static-coding + keyed-coin", "learnt"),
+            ("coding + keyed-coin", "false claim"),
+            ("mac", "false claim"),
+        ):
+            row = bus[attack, defence, key]
+            assert unseen(row)[60] == int(row["runs"]), (attack, defence)
+            assert float(row["away"]) > 4
+
+
+def test_no_honest_step_alarms(rows: list[tables.Row]) -> None:
+    assert sum(int(row["false_alarms"]) for row in rows) == 0
+    honest = [row for row in rows if row["group"] == "honest"]
+    assert len(honest) == 7
+    assert sum(int(row["honest_steps"]) for row in honest) >= 1e7
+
+
+@pytest.mark.slow
+def test_a_row_measured_again_is_the_same(rows: list[tables.Row]) -> None:
+    by_task = {row["task"]: row for row in rows}
+    again = [t for t in tasks() if t.group == "matrix" and t.attack in ("ghost", "covert, 0.3")]
+    for task in again[:6]:
+        fresh = {name: str(value) for name, value in measure(task).items()}
+        for name in set(fresh) - {"version"}:
+            assert fresh[name] == by_task[task.id][name], (task, name)
+
+
+def test_the_page_has_the_tables_of_the_data(rows: list[tables.Row]) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert written(text, rows) == text, "run: python -m wyner.studies.attacks"
+    with pytest.raises(ValueError, match="lacks the marks of the table 'matrix'"):
+        written("# Attacks", rows)
+
+
+def test_an_eye_is_as_sharp_as_one_that_is_drawn() -> None:
+    scenario = changed("packed")
+    draw = np.random.default_rng(7)
+    _, law = study.loop_of("packed", 4, "")
+    offsets = law.candidates_many(np.zeros((1, 2)), law.indices(np.zeros((1, 2))))[0, :, 0]
+    push = offsets[:, None] * np.array(scenario.B)[:, 0]
+    for noise, stated in zip(EYES, (0.966, 0.762, 0.538), strict=True):
+        coins = draw.integers(4, size=100_000)
+        seen = push[coins] + noise * draw.standard_normal((100_000, 2))
+        nearest = ((seen[:, None] - push) ** 2).sum(-1).argmin(1)
+        assert seen_through(noise, scenario) == pytest.approx((nearest == coins).mean(), abs=0.006)
+        assert seen_through(noise, scenario) == pytest.approx(stated, abs=5e-4)
+
+
+def test_distilled_keys_are_had_when_the_claim_is_false() -> None:
+    draw = np.random.default_rng(7)
+    assert distilled("false claim", 200, draw).all()
+    assert not distilled("secret", 5000, draw).any()
+
+
+def test_shares_in_words() -> None:
+    assert share(1000, 1000) == "1 (above 0.9962)"
+    assert share(0, 1000) == "0 (below 0.0038)"
+    assert share(250, 1000) == "0.250 [0.224, 0.278]"
+
+
+def test_what_is_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = [Task("key", "ghost", runs=20, steps=3, onset=2), Task("key", "stuck", runs=20, steps=3)]
+    monkeypatch.setattr(study, "tasks", lambda: iter(few))
+    path = tmp_path / "some" / "attacks.csv"
+    assert main(["--output", str(path)]) == 0
+    whole = path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:1]) + lines[1][:30])  # killed while it wrote
+    assert main(["--output", str(path), "--jobs", "2"]) == 0
+    assert path.read_bytes() == whole
+    with path.open(newline="") as file:
+        assert [row["attack"] for row in csv.DictReader(file)] == ["ghost", "stuck"]
+    with pytest.raises(SweepError, match="cannot be read"):
+        rows_of(tmp_path / "nothing.csv")
+
+
+@pytest.mark.slow
+def test_the_defence_of_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = re.search(r"^```python\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+    assert found is not None
+    (tmp_path / "edge.py").write_text(found[1])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tables, "OWN_RUNS", 50)
+    assert main(["--defence", "edge.py:Edge"]) == 0
+    said = capsys.readouterr().out
+    assert "ghost, key secret: unseen after 1: 1 (above 0.9287)" in said
+    assert "honest steps alarmed" not in said
+    assert "--defence edge.py:Edge" in PAGE.read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--jobs", "0"], "--jobs: got 0, expected at least 1"),
+        (["--defence", "no.py:None"], "--defence: got 'no.py:None', expected an existing Python"),
+        (["--defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_the_page_says_what_the_data_say(rows: list[tables.Row]) -> None:
+    """Numbers in its sentences: the ghost's shares, how far the plant is, what is shown."""
+    text = PAGE.read_text(encoding="utf-8")
+    (row,) = (
+        r for r in rows if (r["group"], r["attack"], r["key"]) == ("key", "pushing ghost", "secret")
+    )
+    runs, left = int(row["runs"]), unseen(row)
+    for n, form in ((1, ".3f"), (2, ".3f"), (5, ".4f")):
+        assert f"{left[n] / runs:{form}}" in text
+    (limit,) = (r for r in rows if r["group"] == "limit")
+    assert f"is {float(limit['away']):.0f} away" in text
+    assert float(limit["shown_largest"]) <= 2.4
+    assert (ROOT / "docs" / "figures" / "undetected.svg").exists()

@@ -1,0 +1,393 @@
+"""Attacked runs, many at once: the attacker's own classes against the defences' own.
+
+A step is the services': the controller offers for what it was shown, the plant applies one
+candidate, its reading passes the attacker, the wire and the defences, and is tested. Steps are
+counted from the onset: step 1 is the first reading that she may change.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from attacker_service.base import (
+    UNKNOWN,
+    ActuatorAttack,
+    Attack,
+    BusAttack,
+    SensorAttack,
+    Told,
+)
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import OutsideError, ProgramError
+from protocol.arrays import Array, Counts, Flags, Integers
+from protocol.brief import Brief
+from protocol.defence.base import Defence, Wire, Words
+from protocol.defence.residual import Residual
+from protocol.scenario import Scenario
+from wyner.simulate.engine.draws import disturbances
+from wyner.simulate.engine.loop import SimulationError
+
+ONSET: Final = 30
+"""Honest steps before an attack, where none are stated: the loop has settled."""
+
+Kind = Callable[[np.random.Generator], Attack]
+"""Makes the attack of one simulation with the generator that it draws from."""
+
+
+Heard = tuple[Array, Array]
+Learner = Callable[[Sequence[Heard]], Words]
+
+MEMORY: Final = 2
+"""Steps before the onset that a learner is given."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attacked(Brief):
+    """What became of each run.
+
+    Parameters
+    ----------
+    steps : int
+        Attacked steps.
+    alarmed : int array, shape (R,)
+        The attacked step of the first alarm, 0 where there was none.
+    false_alarms : int
+        Honest steps, of all runs, that alarmed.
+    away : array, shape (R,)
+        abs(x - x') at the first alarm, else at the end.
+    shown : array, shape (R,)
+        The largest abs(x') that was shown under attack up to there.
+    """
+
+    steps: int
+    alarmed: Counts
+    false_alarms: int
+    away: Array
+    shown: Array
+
+    def undetected(self) -> Counts:
+        """Runs without an alarm after 0, 1, 2, ... attacked steps, shape (steps + 1,)."""
+        caught = np.bincount(self.alarmed, minlength=self.steps + 1)
+        caught[0] = 0
+        out: Counts = len(self.alarmed) - np.cumsum(caught)
+        return out
+
+    def brief(self) -> dict[str, object]:
+        """How many, and how many of them unseen."""
+        return {
+            "runs": len(self.alarmed),
+            "steps": self.steps,
+            "undetected": int((self.alarmed == 0).sum()),
+            "false_alarms": self.false_alarms,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Keys:
+    """The keys of a simulation, and what of them she has.
+
+    Parameters
+    ----------
+    held : bool array, shape (R,)
+        Runs whose keys she has. Of the others she has other keys, uniform and her own.
+    digits : int array, shape (steps, R), optional
+        Digits of a keyed coin that are given, and not drawn, from the first step on.
+    believed : int array, shape (steps, R), optional
+        What she takes them for; :data:`~attacker_service.base.UNKNOWN` where she does not know.
+    learn : callable, optional
+        Makes a session's key of what she heard before the onset, oldest first: of each step the
+        measurement as it was sent, shape (R, n), and the candidates, shape (R, M, m).
+    """
+
+    held: Flags
+    digits: Integers | None = None
+    believed: Integers | None = None
+    learn: Learner | None = None
+
+
+class _Loop:
+    """The loop of one chunk, without an attack."""
+
+    def __init__(
+        self, scenario: Scenario, law: CandidateLaw, runs: int, start: Array | None
+    ) -> None:
+        plant = scenario.plant
+        if plant.kind != "linear" or plant.disturbance.enters not in (None, "state"):
+            raise SimulationError(
+                f"plant.kind: got {plant.kind!r}, expected 'linear' with a disturbance of the "
+                "state: the engine steps nothing else"
+            )
+        self.law, self.runs, self.n, self.m = law, runs, scenario.n, scenario.m
+        self.A, self.B = np.array(scenario.A), np.array(scenario.B)
+        self.true_A, self.true_B = (np.array(a) for a in scenario.plant_model)
+        H, h = (np.array(a) for a in scenario.defender.disturbance.rows())
+        self.rows = H / h[:, None]
+        self.disturbance = plant.disturbance
+        first = np.array(scenario.initial_state) if start is None else start
+        self.x = np.broadcast_to(first, (runs, self.n)).copy()
+
+    def offer(self, shown: Array, k: int) -> Array:
+        """Candidates for what was shown, shape (R, M, m)."""
+        try:
+            return self.law.candidates_many(shown, self.law.indices(shown))
+        except (OutsideError, ProgramError) as error:
+            raise SimulationError(f"step {k}: {error}") from None
+
+    def move(self, k: int, u: Array, draw: np.random.Generator) -> Array:
+        """The true plant's x(k+1), shape (R, n), of the input u, shape (R, m)."""
+        uniforms = draw.random((1, self.n, self.runs))
+        d = disturbances(self.disturbance, k, uniforms)[0].T
+        self.x = self.x @ self.true_A.T + u @ self.true_B.T + d
+        return self.x
+
+    def nearest(
+        self, candidates: Array, u: Array, noise: float, draw: np.random.Generator
+    ) -> Integers:
+        """The candidate whose push is nearest to what one sees who knows all but the coin."""
+        seen = u @ self.true_B.T + noise * draw.standard_normal((self.runs, self.n))
+        off = candidates @ self.true_B.T - seen[:, None, :]
+        return np.asarray((off**2).sum(-1).argmin(-1))
+
+    def gauges(self, shown: Array, candidates: Array, reported: Array) -> Array:
+        """g(x'(k+1) - c_i), shape (R, M).
+
+        H (x' - A x) / h - H B u_i / h: two small products in place of one with all predictions.
+        """
+        off = (reported - shown @ self.A.T) @ self.rows.T
+        pushed = (candidates.reshape(-1, self.m) @ (self.rows @ self.B).T).reshape(
+            *candidates.shape[:2], -1
+        )
+        out: Array = np.maximum((off[:, None, :] - pushed).max(-1), 0.0)
+        return out
+
+
+class _Ends:
+    """Both ends' defences with their keys, and what she makes of these.
+
+    A defence's key of a step serves the measurement x(k), the offer that answers it, and the test
+    of what comes of that offer.
+    """
+
+    def __init__(
+        self,
+        defences: Sequence[Defence],
+        keys: Keys,
+        secret: np.random.Generator,
+        hers: np.random.Generator,
+    ) -> None:
+        self._chain, self._keys, self._secret, self._hers = defences, keys, secret, hers
+        self._runs = (len(keys.held),)
+        self._session = [d.session_key(secret, self._runs) for d in defences]
+        self._her_session = [
+            np.where(keys.held[:, None], true, d.session_key(hers, self._runs))
+            for d, true in zip(defences, self._session, strict=True)
+        ]
+        self._step: list[Integers] = []
+        self._following = self._drawn(0)
+        self._sent: Array | None = None
+        self._heard: list[Heard] = []
+
+    def _drawn(self, k: int) -> list[Integers]:
+        """Keys of step k."""
+        given, out = self._keys.digits, []
+        for d, session in zip(self._chain, self._session, strict=True):
+            step = d.step_key(self._secret, self._runs)
+            if given is not None and k < len(given) and d.coin(session, step) is not None:
+                step = given[k][:, None]
+            out.append(step)
+        return out
+
+    def begin(self, k: int) -> None:
+        """Step k begins; the keys of the next one are there too, for its measurement."""
+        self._step, self._following = self._following, self._drawn(k + 1)
+
+    def coin(self) -> Integers | None:
+        """The candidate that a key says, or None."""
+        for d, session, step in zip(self._chain, self._session, self._step, strict=True):
+            coin = d.coin(session, step)
+            if coin is not None:
+                return coin
+        return None
+
+    def believed(self, k: int) -> Integers:
+        """What she takes the coin of step k for."""
+        coin = self.coin()
+        if coin is None:
+            return np.full(self._runs, UNKNOWN)
+        if self._keys.believed is not None:
+            return np.asarray(self._keys.believed[k])
+        return np.where(self._keys.held, coin, UNKNOWN)
+
+    def listen(self, candidates: Array) -> None:
+        """Before the onset: the offer that answers the last measurement on the wire."""
+        if self._keys.learn is not None and self._sent is not None:
+            self._heard = [*self._heard, (self._sent, candidates)][-MEMORY:]
+
+    def onset(self) -> None:
+        """She makes what she can of what she heard."""
+        if self._keys.learn is not None:
+            learned = self._keys.learn(self._heard)
+            for hers in self._her_session:
+                if hers.shape == learned.shape:
+                    hers[:] = learned
+
+    def carry(self, k: int, x: Array, attack: BusAttack | None) -> tuple[Array, Flags]:
+        """x(k) over the wire: what is read, and where that alarms."""
+        wires = []
+        for i, d in enumerate(self._chain):
+            wires.append(d.encode(k, self._session[i], self._following[i], x))
+            x = wires[-1].values
+        self._sent = x
+        tags = [wire.tag for wire in wires]
+        if attack is not None:
+            x, tags = self._rewritten(k, x, tags, attack)
+        alarm = np.zeros(self._runs, bool)
+        for i in reversed(range(len(self._chain))):
+            opened = self._chain[i].decode(
+                k, self._session[i], self._following[i], Wire(x, tags[i])
+            )
+            x, alarm = opened.x, alarm | opened.alarm
+        return x, alarm
+
+    def _rewritten(
+        self, k: int, sent: Array, tags: list[Words | None], attack: BusAttack
+    ) -> tuple[Array, list[Words | None]]:
+        """What she sends on: opened, changed and closed again under the keys that she has.
+
+        A tag is shifted by what the change does to it under her key, so that its pad stays: under a
+        guessed point that is the best forgery.
+        """
+        held = self._keys.held[:, None]
+        steps = [
+            np.where(held, true, d.step_key(self._hers, self._runs))
+            for d, true in zip(self._chain, self._following, strict=True)
+        ]
+        opened = sent
+        under: list[Array] = []
+        for i in reversed(range(len(self._chain))):
+            wire = Wire(opened, tags[i])
+            opened = self._chain[i].decode(k, self._her_session[i], steps[i], wire).x
+            under.insert(0, opened)
+        x = attack.toward_controller(k, opened, np.ones(self._runs, bool))
+        out: list[Words | None] = []
+        for i, d in enumerate(self._chain):
+            wire, tag = d.encode(k, self._her_session[i], steps[i], x), tags[i]
+            if tag is not None and wire.tag is not None:
+                before = d.encode(k, self._her_session[i], steps[i], under[i]).tag
+                assert before is not None
+                tag = tag ^ before ^ wire.tag
+            out.append(tag)
+            x = wire.values
+        return x, out
+
+    def test(self, gauges: Array) -> Flags:
+        """Where the transition that the last offer led to alarms."""
+        alarm = np.zeros(self._runs, bool)
+        for d, session, step in zip(self._chain, self._session, self._step, strict=True):
+            alarm |= d.alarm(session, step, gauges)
+        return alarm
+
+
+def attack_runs(
+    scenario: Scenario,
+    law: CandidateLaw,
+    kind: Kind | None,
+    defences: Sequence[Defence],
+    keys: Keys,
+    *,
+    seed: Sequence[int],
+    steps: int,
+    onset: int = ONSET,
+    watermark: float = 0.0,
+    eye: float | None = None,
+    start: Array | None = None,
+) -> Attacked:
+    """Simulate as many runs as ``keys`` speaks of: ``onset`` honest steps, then attacked ones.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    law : CandidateLaw
+    kind : callable or None
+        Makes the attack; None: nobody attacks, and every step is honest.
+    defences : sequence of Defence
+        Besides the residual test, which is always on; one of them may key the coin.
+    keys : Keys
+    seed : sequence of int
+    steps : int
+        Attacked steps; honest ones where nobody attacks.
+    onset : int
+        Honest steps before.
+    watermark : float
+        Standard deviation of a secret Gaussian watermark v + N(0, s^2), of which both ends know
+        each value, in place of the candidates; 0: none.
+    eye : float, optional
+        She knows x(k) and d(k), sees x(k+1) through noise of this deviation, and takes the coin for
+        the one that is nearest: more than any attack of the project's is told.
+    start : array, shape (R, n), optional
+        Initial states in place of the scenario's.
+
+    Raises
+    ------
+    SimulationError
+        When what is shown leaves every set, or the plant is not linear.
+    """
+    runs = len(keys.held)
+    loop = _Loop(scenario, law, runs, start)
+    public, secret, hers = (np.random.default_rng([*seed, part]) for part in range(3))
+    attack = None if kind is None else kind(np.random.default_rng([*seed, 3]))
+    ends = _Ends((Residual(scenario.n, scenario.secrecy.candidates), *defences), keys, secret, hers)
+    places = np.arange(runs)
+    shown = loop.x.copy()
+    alarmed, false_alarms = np.zeros(runs, np.int64), 0
+    away, largest = np.zeros(runs), np.zeros(runs)
+    for k in range(onset + steps - 1):
+        attacked = attack is not None and k + 1 >= onset  # the measurement of k + 1
+        ends.begin(k)
+        candidates = offered = loop.offer(shown, k)
+        coin = ends.coin()
+        if watermark:
+            offered = candidates.mean(axis=1, keepdims=True)
+            candidates = offered + watermark * secret.standard_normal((runs, 1, loop.m))
+            coin = np.zeros(runs, np.intp)
+        elif coin is None:
+            coin = public.integers(candidates.shape[1], size=runs)
+        got = candidates
+        if isinstance(attack, BusAttack) and k >= onset:
+            got = attack.toward_plant(k, candidates)
+        u = got[places, coin]
+        if isinstance(attack, ActuatorAttack):
+            if k >= onset:
+                u = attack.actuator(u)
+            else:
+                attack.watch_input(u)
+        reading = loop.move(k, u, public)
+        if k < onset:
+            ends.listen(candidates)
+        if k + 1 == onset:
+            ends.onset()
+        if isinstance(attack, SensorAttack):
+            if attacked:
+                believed = ends.believed(k)
+                if eye is not None:
+                    believed = loop.nearest(candidates, u, eye, hers)
+                noise, seen = attack.options.sees, None
+                if noise is not None:
+                    seen = reading + noise * hers.standard_normal(reading.shape)
+                reading = attack.sensor(Told(k + 1, shown, offered, believed, seen))
+            else:
+                attack.watch(reading)
+        bus = attack if isinstance(attack, BusAttack) and attacked else None
+        reported, alarm = ends.carry(k + 1, reading, bus)
+        alarm |= ends.test(loop.gauges(shown, candidates, reported))
+        shown = reported
+        if not attacked:
+            false_alarms += int(alarm.sum())
+            continue
+        going = alarmed == 0
+        np.copyto(largest, np.maximum(largest, np.linalg.norm(shown, axis=1)), where=going)
+        np.copyto(away, np.linalg.norm(loop.x - shown, axis=1), where=going)
+        alarmed[alarm & going] = k + 2 - onset
+    return Attacked(steps, alarmed, false_alarms, away, largest)
