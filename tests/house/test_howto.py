@@ -46,6 +46,37 @@ def program(page: str, folder: Path, name: str, language: str = "python") -> Pat
     return path
 
 
+@pytest.mark.slow
+@pytest.mark.integration
+def test_the_attack_of_the_page_runs_live(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = program("attack.md", tmp_path, "frozen.py")
+    run = tmp_path / "run"
+    said = ["up", "--scenario", "packed", "--attack", f"{name}:Frozen@30", "--steps", "60"]
+    assert main([*said, "--pace", "fast", "--json", "--run-dir", str(run)]) == 0
+    attack = json.loads(capsys.readouterr().out)["attack"]
+    assert (attack["kind"], attack["at"], attack["onset"]) == (f"{name}:Frozen", "sensor", 30)
+    assert attack["failed"] == ""
+    assert attack["away"] == attack["away_most"] > 0.01
+    assert main(["check", str(run)]) == 0
+    assert main(["report", str(run)]) == 0
+    assert "x1 in truth" in (run / "report.html").read_text()
+
+
+def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
+    table = program("attack.md", tmp_path, "table.toml", "toml").read_text()
+    path = tmp_path / "attacked.toml"
+    path.write_text((SCENARIOS / "keys.toml").read_text() + table)
+    found = load_scenario(path)
+    plain = load_scenario(SCENARIOS / "keys.toml")
+    assert found.attack is not None
+    assert found.attack.options == {"push": 0.9}
+    # nobody but the plant is told
+    assert found.fingerprint() == plain.fingerprint()
+    assert found.loop_fingerprint() == plain.loop_fingerprint()
+
+
 def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
     name = f"{program('scheme.md', tmp_path, 'pairs.py')}:Pairs"
     scheme = SCHEMES[name](2)

@@ -50,14 +50,14 @@ def test_who_has_the_key_decides(rows: list[tables.Row]) -> None:
         (row["attack"], row["defence"], row["key"]): row for row in rows if row["group"] == "key"
     }
     for key in ("false claim", "nearest-centre"):
-        row = mine["pushing ghost", "keyed-coin", key]
+        row = mine["ghost", "keyed-coin", key]
         assert unseen(row)[-1] == int(row["runs"]) == int(row["held"])
         assert float(row["away"]) > 30
         assert float(row["shown_largest"]) < 3
-    row = mine["pushing ghost", "keyed-coin", "secret"]
+    row = mine["ghost", "keyed-coin", "secret"]
     assert (unseen(row)[40], row["held"]) == (0, "0")
     assert float(row["away_largest"]) < 3
-    row = mine["pushing ghost", "residual", "nobody"]
+    row = mine["ghost", "residual", "nobody"]
     assert unseen(row)[100] == int(row["runs"])
 
 
@@ -157,7 +157,8 @@ def test_the_defence_of_the_page_runs(
     monkeypatch.setattr(tables, "OWN_RUNS", 50)
     assert main(["--defence", "edge.py:Edge"]) == 0
     said = capsys.readouterr().out
-    assert "ghost, key secret: unseen after 1: 1 (above 0.9287)" in said
+    assert "ghost, key secret: unseen after 1: 0 (below 0.0713)" in said  # she pushes to the edge
+    assert "covert, 0.3, key secret: unseen after 1: 1 (above 0.9287)" in said
     assert "honest steps alarmed" not in said
     assert "--defence edge.py:Edge" in PAGE.read_text()
 
@@ -166,7 +167,7 @@ def test_the_defence_of_the_page_runs(
     ("arguments", "line"),
     [
         (["--jobs", "0"], "--jobs: got 0, expected at least 1"),
-        (["--defence", "no.py:None"], "--defence: got 'no.py:None', expected an existing Python"),
+        (["--defence", "no.py:None"], "--defence: no.py: no such file"),
         (["--defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
     ],
 )
@@ -180,9 +181,7 @@ def test_what_cannot_be_is_one_line(
 def test_the_page_says_what_the_data_say(rows: list[tables.Row]) -> None:
     """Numbers in its sentences: the ghost's shares, how far the plant is, what is shown."""
     text = PAGE.read_text(encoding="utf-8")
-    (row,) = (
-        r for r in rows if (r["group"], r["attack"], r["key"]) == ("key", "pushing ghost", "secret")
-    )
+    (row,) = (r for r in rows if (r["group"], r["attack"], r["key"]) == ("key", "ghost", "secret"))
     runs, left = int(row["runs"]), unseen(row)
     for n, form in ((1, ".3f"), (2, ".3f"), (5, ".4f")):
         assert f"{left[n] / runs:{form}}" in text

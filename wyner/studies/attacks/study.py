@@ -116,21 +116,18 @@ class Task:
 EYES: Final = (0.06, 0.12, 0.24)
 """Noise through which a ghost sees the plant."""
 
-QUIET: Final = {"push": 0.0, "share": 0.5}
-"""A ghost that pushes nowhere."""
-
 ATTACKERS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
-    "ghost": ("ghost", QUIET),
-    "pushing ghost": ("ghost", {"push": 1.0, "share": 0.0}),
-    **{f"ghost, sees {noise:g}": ("ghost", {"sees": noise, **QUIET}) for noise in EYES},
+    "ghost": ("ghost", {"push": 1.0, "share": 0.0}),
+    "quiet ghost": ("ghost", {"push": 0.0, "share": 0.0}),
+    **{f"ghost, sees {noise:g}": ("ghost", {"sees": noise}) for noise in EYES},
     "ghost who sees exactly": ("bias", {"push": 1.0}),
     "covert, 0.3": ("covert", {"input": 0.3}),
     "covert, 0.1": ("covert", {"input": 0.1}),
     "replay": ("replay", {}),
     "stuck": ("stuck", {}),
 }
-"""The attacker's own classes with their options. The pushing ghost says that D_c did all it may in
-one direction, so that the plant is driven in the other."""
+"""The attacker's own classes with their options. The ghost says that D_c did all it may in one
+direction, so that the plant is driven in the other; the quiet one that it did nothing."""
 
 DISTURBANCES: Final[dict[str, dict[str, Any]]] = {
     "uniform": {},
@@ -149,11 +146,11 @@ def tasks() -> Iterator[Task]:
     coin = ("keyed-coin",)
     both: tuple[Who, ...] = ("false claim", "secret")
     for who in both:
-        yield Task("key", "pushing ghost", coin, who, runs=RUNS, steps=LONG)
-    yield Task("key", "pushing ghost", coin, "nearest-centre", steps=LONG)
-    yield Task("key", "pushing ghost", (), "nobody", runs=RUNS, steps=LONG)
-    yield Task("key", "ghost", coin, "secret", runs=RUNS)
-    yield Task("key", "ghost", (), "secret", runs=RUNS, gaussian=True)
+        yield Task("key", "ghost", coin, who, runs=RUNS, steps=LONG)
+    yield Task("key", "ghost", coin, "nearest-centre", steps=LONG)
+    yield Task("key", "ghost", (), "nobody", runs=RUNS, steps=LONG)
+    yield Task("key", "quiet ghost", coin, "secret", runs=RUNS)
+    yield Task("key", "quiet ghost", (), "secret", runs=RUNS, gaussian=True)
     for size in (2, 3):
         yield Task("size", "ghost", coin, "secret", candidates=size, runs=RUNS)
     yield Task(
@@ -236,7 +233,7 @@ def theory(task: Task, scenario: Scenario) -> float | None:
         return gaussian_passes(packed(size))
     if task.eye is not None:
         return seen_through(task.eye, scenario)
-    if task.key == "secret" and task.attack in ("ghost", "pushing ghost"):
+    if task.key == "secret" and task.attack in ("ghost", "quiet ghost"):
         return 1 / size if "keyed-coin" in task.defences else 1.0
     return None
 

@@ -27,9 +27,7 @@ def draw_undetected(figure: Figure, data: Path) -> str:
         (row,) = (
             r
             for r in rows
-            if r["group"] == "key"
-            and r["attack"] == "pushing ghost"
-            and (r["defence"], r["key"]) == which
+            if r["group"] == "key" and r["attack"] == "ghost" and (r["defence"], r["key"]) == which
         )
         left = [int(n) for n in row["unseen"].split()]
         runs, seed, size = row["runs"], row["seed"], row["M"]
