@@ -1,20 +1,154 @@
-"""What each loop says of itself in its folder: its status, and a line on whether it keeps up.
+"""What each end says of itself in its folder: its status, and a line on whether it keeps up.
 
-They are for whoever looks from outside, and no step waits for them: a thread of their own writes
-them. One that takes a slow disk 100 ms would else cost every loop of the host a step.
+They are for whoever looks from outside (:mod:`runtime.health` reads them), and no step waits for
+them: a thread of their own writes them. One that takes a slow disk 100 ms would else cost every
+loop of the host a step.
+
+The line begins with ``ok`` or ``bad`` and says why, so that a health check costs a shell's start
+and no interpreter's (``deploy/healthy``). While all is well it stays the same. A change is told in
+the log too, once: a partner that is frozen, gone or off the network, a machine too slow for its
+pace, a disk nearly full.
 """
 
 import logging
 import queue
+import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from protocol.messages import PlantStatus, Status
 from runtime.files import StatusFile
-from runtime.liveness import DiskSpace, Liveness
 from runtime.run_folder import HEALTH
+
+WINDOW_S: Final = 10.0
+"""Seconds over which missed steps are counted."""
+
+SILENT_S: Final = 5.0
+"""Seconds without a transition after which the loop stands still."""
+
+STILL_S: Final = 2.0
+"""Seconds without a transition that the line calls a standstill, not slowness."""
+
+MISSED_AT_MOST: Final = 0.2
+"""Share of missed steps above which an end does not keep up."""
+
+FULL_BYTES: Final = 256 << 20
+"""Free space below which a disk is nearly full; it is told again after twice as much was free."""
+
+
+class LivenessReport(NamedTuple):
+    """The line for the health file, and a line for the log where something changed."""
+
+    line: str
+    notice: str
+    good: bool = False
+    """Whether the notice is good news."""
+
+
+class _Seen(NamedTuple):
+    at_s: float
+    transitions: int
+    missed: int
+    still_s: float
+    """How long nothing had moved before this beat's transitions."""
+
+
+@dataclass(slots=True)
+class Liveness:
+    """Judges what an end counts; time is an argument.
+
+    Slow: more than 20 % of the steps were missed in two consecutive looks, while transitions were
+    made. Steps missed while nothing moves may be those of a partner that is gone, which is known
+    after `SILENT_S`.
+    """
+
+    _seen: deque[_Seen] = field(default_factory=deque)
+    _moved_s: float | None = None
+    _missed_many: bool = False
+    _trouble: str = ""
+
+    def beat(self, now_s: float, transitions: int, missed: int) -> LivenessReport:
+        """Judge the counts at a monotonic time.
+
+        Parameters
+        ----------
+        now_s : float
+        transitions, missed : int
+            Counted since the record began; a new session may count from 0 again.
+        """
+        last = self._seen[-1] if self._seen else None
+        if last is not None and (transitions < last.transitions or missed < last.missed):
+            self._seen.clear()
+            last = None
+        moved = transitions > (last.transitions if last is not None else 0)
+        still_s = 0.0
+        if moved:
+            still_s = now_s - self._moved_s if self._moved_s is not None else 0.0
+            self._moved_s = now_s
+            if self._trouble == "silent":
+                self._seen.clear()  # what was missed meanwhile is no slowness
+                still_s = 0.0
+        self._seen.append(_Seen(now_s, transitions, missed, still_s))
+        while len(self._seen) > 2 and self._seen[1].at_s <= now_s - WINDOW_S:
+            self._seen.popleft()
+        first = self._seen[0]
+        made, lost = transitions - first.transitions, missed - first.missed
+        if self._moved_s is None:
+            return LivenessReport("bad: waiting for the other end, no transition yet", "")
+        silent_s = now_s - self._moved_s
+        many = lost > MISSED_AT_MOST * (made + lost)
+        slow = many and (self._missed_many if moved else self._trouble == "slow")
+        if moved:
+            self._missed_many = many
+        if silent_s >= SILENT_S:
+            trouble = "silent"
+            why = (
+                f"no transition for {silent_s:.0f} s: the other end is frozen, gone or off the "
+                "network"
+            )
+        elif slow:
+            trouble = "slow"
+            stop_s = max(seen.still_s for seen in self._seen)
+            why = f"{100 * lost // (made + lost)} % of the last {made + lost} steps missed: " + (
+                f"the other end, its network or this machine stood still for about {stop_s:.0f} s"
+                if stop_s >= STILL_S
+                else "this machine or its network is too slow for the pace"
+            )
+        else:
+            trouble, why = "", f"keeps up again, {transitions} transitions"
+        notice = why if trouble != self._trouble else ""
+        self._trouble = trouble
+        if trouble:
+            return LivenessReport(f"bad: {why}", notice)
+        share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
+        return LivenessReport(f"ok: {share} missed lately", notice, good=True)
+
+
+@dataclass(slots=True)
+class DiskSpace:
+    """Tells once that the disk below a folder is nearly full, and once that it is not any more."""
+
+    folder: Path
+    _full: bool = False
+
+    def look(self) -> tuple[str, bool]:
+        """A line for the log where something changed, and whether it is good news."""
+        try:
+            free = shutil.disk_usage(self.folder).free
+        except OSError:
+            return "", True
+        if not self._full and free < FULL_BYTES:
+            self._full = True
+            return f"disk nearly full: {free >> 20} MiB left below {self.folder}", False
+        if self._full and free > 2 * FULL_BYTES:
+            self._full = False
+            return f"room again: {free >> 20} MiB left below {self.folder}", True
+        return "", True
 
 
 class HealthFiles:

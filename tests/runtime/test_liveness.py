@@ -12,7 +12,7 @@ import pytest
 
 from runtime import files
 from runtime.files import StatusFile
-from runtime.liveness import DiskSpace, Liveness
+from runtime.health_files import DiskSpace, Liveness
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -1,0 +1,115 @@
+"""`wyner up --attack`: live runs in processes of their own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from runtime.run_folder import PLANT_STATUS
+from tests.system.test_integration import children_of
+from wyner.cli.main import main
+
+pytestmark = [pytest.mark.slow, pytest.mark.integration]
+
+SPOILT = Path(__file__).with_name("spoilt.py")
+
+
+def attacked(run: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    """The summary of a run in lock-step that passes its check."""
+    said = ["up", "--scenario", "packed", "--pace", "fast", "--json", "--run-dir", str(run)]
+    assert main([*said, *options]) == 0
+    summary: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert main(["check", str(run)]) == 0
+    return summary
+
+
+@pytest.mark.parametrize(
+    ("attack", "at"),
+    [
+        ("bias@30", "sensor"),
+        ("covert@30", "bus"),
+        ("stuck@30", "actuator"),
+        ("replay@30", "sensor"),
+    ],
+)
+def test_an_attacked_run_passes_the_check_and_says_how_far_the_plant_is(
+    attack: str, at: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = attacked(tmp_path / "run", capsys, "--attack", attack, "--steps", "80")
+    found = summary["attack"]
+    assert (found["kind"], found["at"], found["onset"]) == (attack[:-3], at, 30)
+    assert found["failed"] == ""
+    assert summary["steps"] == 80
+    assert found["away"] == 0 if at == "actuator" else found["away"] > 0.3
+
+
+def test_one_that_fails_costs_the_loop_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The message arrives all the same."""
+    options = ("--attack", f"{SPOILT}:Raises@10", "--until-delivered", "--message", "Hi")
+    summary = attacked(tmp_path / "run", capsys, *options)
+    assert summary["delivered"]
+    assert summary["attack"]["failed"] == "RuntimeError: out of ideas"
+    assert summary["attack"]["away_most"] == 0
+
+
+def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "wyner", "up", "--scenario", "packed", "--pace", "x10"]
+    command += [
+        "--attack",
+        "covert@100000",
+        "--until-delivered",
+        "--message",
+        "The old mill, at 9.",
+    ]
+    up = subprocess.Popen(
+        [*command, "--headless", "--run-dir", str(run)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until = time.monotonic() + 60
+        while not (run / PLANT_STATUS).exists() or _k(run) < 20:
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        os.kill(children_of(up.pid)["attacker"], signal.SIGKILL)
+        assert up.wait(120) == 0
+    finally:
+        up.kill()
+        up.wait()
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["delivered"]
+    assert summary["missed"] > 0
+    assert main(["check", str(run)]) == 0
+
+
+def _k(run: Path) -> int:
+    try:
+        return int(json.loads((run / PLANT_STATUS).read_bytes())["k"])
+    except ValueError:
+        return 0
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--attack", "gost@5"), "attack.kind: got 'gost', expected ghost"),
+        (("--attack", "ghost@50", "--steps", "50"), "--attack: got onset 50, expected one below"),
+        (("--attack", 'ghost@5,knows=["bus"]'), "attack.knows: ghost needs 'model'"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_nothing_starts(
+    options: tuple[str, ...], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert main(["up", "--scenario", "packed", "--run-dir", str(run), *options]) == 2
+    assert capsys.readouterr().err.startswith(f"wyner: {line}")
+    assert not run.exists()
