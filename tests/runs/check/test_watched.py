@@ -3,6 +3,7 @@
 import json
 import random
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -158,3 +159,27 @@ def test_an_alarm_that_is_missing_or_one_too_many_is_noticed(
         lines.insert(at + 1, made)
     write_lines(folder / CONTROLLER_TRACE, lines)
     assert "alarms" in failed(folder)
+
+
+def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
+    loop = RecordedLoop(tmp_path / "run", name="watched")
+    loop.run(lambda: loop.controller.coins.left > 1 and loop.transitions > 600)
+    loop.controller.rules = replace(loop.controller.rules, halts=True)
+    at = loop.transitions
+    loop.plant.plant = Ghost(loop.plant)
+    for _ in range(3000):
+        loop.step()
+    made = loop.transitions - at
+    assert made < 20, "no offer follows an alarm"
+    assert loop.controller.record.halted
+    loop.kill("controller")
+    loop.start("controller")
+    for _ in range(500):
+        loop.step()
+    assert loop.controller.record.halted
+    assert loop.transitions - at == made
+    loop.kill("controller")
+    loop.start("controller", clear_alarm=True)
+    loop.run(lambda: loop.transitions > at + made + 20)
+    assert loop.controller.record.halted is False
+    loop.stop()
