@@ -145,7 +145,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     base = scenario_of(args.scenario)
     scenarios = {size: sized(base, size) for size in SIZES}
     laws = {size: designed(scenario) for size, scenario in scenarios.items()}
-    keyed = getattr(getattr(base, "defence", None), "kind", "") == "keyed-coin"
+    keyed = base.defence.keyed
     until = time.monotonic() + args.seconds
     done = sum(r["scenario"] == args.scenario for r in results)
     wrong = sum(bool(r["wrong"]) for r in results)
