@@ -97,10 +97,12 @@ def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:
 
 
 def table(results: Sequence[dict[str, Any]], scenario: str) -> list[dict[str, Any]]:
-    """Undetected shares after n steps, with intervals of 95 % and M^-n."""
-    rows = []
+    """Undetected shares after n steps, with intervals of 95 % and M^-n; of keyed coins those watched."""
+    rows, keyed = [], scenario_of(scenario).defence.keyed
     for size in SIZES:
         ours = [r for r in results if r["size"] == size and r["scenario"] == scenario]
+        if keyed:
+            ours = [r for r in ours if r["watched"]]
         for n in range(1, SHOWN + 1):
             left = sum(r["passed"] >= n for r in ours)
             low, high = clopper_pearson(left, len(ours), 0.025)

@@ -49,7 +49,7 @@ _MODELS: Final = {kind.topic: kind for kind in FIELD}
 _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
-_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]*"')
+_OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
 _COIN: Final = re.compile(rb',"(?:applied_key|coin_key|coin_from|coin_last)":(?:"[^"]*"|[0-9]+)')
 _BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
 _AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
