@@ -97,7 +97,10 @@ def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:
 
 
 def table(results: Sequence[dict[str, Any]], scenario: str) -> list[dict[str, Any]]:
-    """Undetected shares after n steps, with intervals of 95 % and M^-n; of keyed coins those watched."""
+    """Undetected shares after n steps, with intervals of 95 % and M^-n.
+
+    Where the coin is keyed only runs count in which every attacked step was watched.
+    """
     rows, keyed = [], scenario_of(scenario).defence.keyed
     for size in SIZES:
         ours = [r for r in results if r["size"] == size and r["scenario"] == scenario]
