@@ -12,6 +12,7 @@ from runtime.options import (
     at_least,
     checked,
     message_of,
+    pace_of,
     picked,
     run_dir_of,
 )
@@ -28,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     add_message_arguments(parser)
+    parser.add_argument(
+        "--pace",
+        default="realtime",
+        metavar="P",
+        help="the plant's: a network's delays are of its clock (default: realtime)",
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     parser.add_argument(
         "--secret",
@@ -52,6 +59,7 @@ class ControllerOptions(ServiceOptions):
     """The service's options."""
 
     scenario: str = "sustained"
+    pace: str = "realtime"
     message: str | None = None
     message_file: str | None = None
     secret: str | None = None
@@ -81,10 +89,10 @@ def run_controller(options: ControllerOptions) -> int:
     message = message_of(options.message, options.message_file)
     fleet = fleet_of(options, message)
     if fleet is not None and not options.check:
-        folder = run_dir_of(options.run_dir)
+        folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
         with buses_of(options, "controller") as (stopping, field, ops):
-            return run_controllers(fleet, folder, _law_of, bounds, field, ops, stopping)
-    scenario = scenario_of(options.scenario)
+            return run_controllers(fleet, folder, _law_of, bounds, pace, field, ops, stopping)
+    scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     if options.check:
         return DONE
     config = ControllerConfig(
@@ -92,6 +100,7 @@ def run_controller(options: ControllerOptions) -> int:
         law=_law_of(scenario),
         loop=loop_of(options),
         message=message,
+        pace=pace,
         seed=options.seed,
         bounds=bounds,
         secret=None if options.secret is None else Path(options.secret),

@@ -3,14 +3,18 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from controller_service.core import ControllerCore
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
+from protocol.link.channel import Channel
+from protocol.link.networked import behind
 from protocol.link.pacing import STATUS_S
+from protocol.link.peer import Peer
 from protocol.link.session import rules_of
+from protocol.messages import Measurement
 from protocol.scenario import Scenario
 from protocol.streams import CIPHER, symbols
 from runtime.bus import Bus
@@ -27,6 +31,8 @@ from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
 from runtime.model import load_model
+from runtime.network import channel_of
+from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
@@ -45,10 +51,12 @@ class ControllerConfig(EndConfig):
 
     ``message`` is queued once in a journal's life, however often the service is started with it.
     ``clear_alarm``: offers go on that an alarm has ended.
+    ``pace`` is the plant's: a network's delays are of its clock.
     """
 
     law: OnlineLaw
     message: bytes | None = None
+    pace: Pace = field(default_factory=lambda: Pace("realtime"))
     clear_alarm: bool = False
 
 
@@ -115,6 +123,13 @@ def open_controller(
     return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
 
 
+def _channel(config: ControllerConfig) -> Channel | None:
+    """The way of the measurements to this controller."""
+    return channel_of(
+        config.scenario, "to_controller", config.folder, scale=config.pace.scale, seed=config.seed
+    )
+
+
 class ControllerService(EndService[ControllerCore]):
     """Answers one plant's measurements with offers until it is told to stop.
 
@@ -138,7 +153,18 @@ class ControllerService(EndService[ControllerCore]):
             return SealingEnd(book, clock())
 
         log = logger("controller")
-        super().__init__(config, open_controller(config), sealing, log, field, ops, stopping, clock)
+        super().__init__(
+            config,
+            open_controller(config),
+            _channel(config),
+            Measurement,
+            sealing,
+            log,
+            field,
+            ops,
+            stopping,
+            clock,
+        )
         core = self.endpoint
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
@@ -154,6 +180,7 @@ def run_controllers(
     run_dir: Path,
     law_of: Callable[[Scenario], OnlineLaw],
     bounds: Bounds,
+    pace: Pace,
     field: Bus,
     ops: Bus,
     stopping: threading.Event,
@@ -161,7 +188,7 @@ def run_controllers(
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
     laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
 
-    def open_end(loop: FleetLoop, _number: int) -> tuple[ControllerCore, Files]:
+    def open_end(loop: FleetLoop, _number: int) -> tuple[Peer, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         if loop.scenario not in laws:
@@ -169,8 +196,9 @@ def run_controllers(
             laws[loop.scenario] = (scenario, law_of(scenario))
         scenario, law = laws[loop.scenario]
         config = ControllerConfig(
-            scenario, folder, loop.id, law, loop.payload, seed=loop.seed, bounds=bounds
+            scenario, folder, loop.id, law, loop.payload, pace, seed=loop.seed, bounds=bounds
         )
-        return open_controller(config, status_s=FLEET_STATUS_S)
+        core, files = open_controller(config, status_s=FLEET_STATUS_S)
+        return behind(_channel(config), core, Measurement), files
 
     return run_fleet(fleet, open_end, field, ops, stopping, logger("controller"))

@@ -126,6 +126,8 @@ class PlantCore:
     attack : AttackBegan, optional
         What is traced of an attack on this plant.
     nonces : NonceSource
+    round_trip_s : float
+        Seconds within which the network brings an answer: the last word waits for so much more.
     """
 
     hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockAnnouncement)
@@ -160,6 +162,7 @@ class PlantCore:
         watchdog_s: float | None = None,
         attack: AttackBegan | None = None,
         nonces: NonceSource = fresh_nonce,
+        round_trip_s: float = 0.0,
     ) -> None:
         self.rules = rules
         self.plant = plant
@@ -223,6 +226,7 @@ class PlantCore:
         # the end
         self._last_at = -inf
         self._gives_up_at: float | None = None
+        self._last_word_s = LAST_WORD_S + round_trip_s
         self._counted = False  # the last step, by the controller
         self._keys_until: float | None = None
         self._waiting_there = 1  # until it says how many
@@ -908,7 +912,7 @@ class PlantCore:
         """Report the last transition until the controller has answered, or a second has passed."""
         now = self._now
         if self._gives_up_at is None:
-            self._gives_up_at = now + LAST_WORD_S
+            self._gives_up_at = now + self._last_word_s
         elif now >= self._gives_up_at and not self._counted:
             self.code = DONE
             return NOTHING_TO_DO

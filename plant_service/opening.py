@@ -20,12 +20,18 @@ from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.journal import ReceiverJournal
+from runtime.network import round_trip_s
 
 
 def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
     """The record of a plant that has not moved yet; ``x`` is its first reading, if it has one."""
     start = scenario.initial_state if x is None else x
     return ReceiverRecord(session=session, k=0, x=start, u=(0.0,) * scenario.m)
+
+
+def clock_scale(scenario: Scenario, pacing: Pacing) -> float:
+    """Seconds of the process's clock in a second of the plant's; 1 in lock-step."""
+    return 1.0 if pacing.step_s is None else pacing.step_s / scenario.plant.period_s
 
 
 def open_core(
@@ -121,6 +127,7 @@ def open_core(
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,
+            round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe

@@ -13,7 +13,11 @@ from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.status import PlantTelemetry
+from protocol.link.channel import Channel
+from protocol.link.networked import behind
 from protocol.link.pacing import STATUS_S, Pacing
+from protocol.link.peer import Peer
+from protocol.messages import Offer
 from protocol.scenario import Attack
 from protocol.streams import COIN, noise, symbols
 from protocol.text import readable
@@ -30,6 +34,7 @@ from runtime.journal_files import JournalError
 from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
+from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
@@ -82,6 +87,13 @@ def open_plant(
             raise UsageError(str(error)) from None
         undone.pop_all()
     return core, files
+
+
+def _channel(config: PlantConfig) -> Channel | None:
+    """The way of the offers to this plant."""
+    return channel_of(
+        config.scenario, "to_plant", config.folder, scale=config.pace.scale, seed=config.seed
+    )
 
 
 def let_go(core: PlantCore) -> None:
@@ -156,7 +168,10 @@ class PlantService(EndService[PlantCore]):
         if isinstance(opened[0].plant, AttackedPlant):
             field = opened[0].plant.overheard(field, config.loop)
         try:
-            super().__init__(config, opened, OpeningEnd, log, field, ops, stopping, clock)
+            channel = _channel(config)
+            super().__init__(
+                config, opened, channel, Offer, OpeningEnd, log, field, ops, stopping, clock
+            )
         except BaseException:
             let_go(opened[0])
             raise
@@ -203,7 +218,7 @@ def run_plants(
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
 
-    def open_end(loop: FleetLoop, number: int) -> tuple[PlantCore, Files]:
+    def open_end(loop: FleetLoop, number: int) -> tuple[Peer, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         scenario = scenario_of(loop.scenario)
@@ -213,6 +228,7 @@ def run_plants(
             raise UsageError(f"{loop.scenario}: {said}")
         config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed, bounds=bounds)
         phase = number % SLOTS / SLOTS
-        return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
+        core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
+        return behind(_channel(config), core, Offer), files
 
     return run_fleet(fleet, open_end, field, ops, stopping, logger("plant"))

@@ -8,7 +8,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from protocol.link.channel import Channel
+from protocol.link.networked import behind
 from protocol.link.peer import Peer
+from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from runtime.bus import Bus
 from runtime.host import Host
@@ -49,6 +52,10 @@ class EndService(Generic[E]):
     config : EndConfig
     opened : tuple of Endpoint and Files
         The end of the loop as its journal has it.
+    channel : Channel, optional
+        What this end's messages pass before they arrive.
+    kind : type
+        `Measurement` or `Offer`, what the channel carries.
     sealed : callable
         Makes its end of sealed messages, from the book of its key store.
     log : logging.Logger
@@ -64,6 +71,8 @@ class EndService(Generic[E]):
         self,
         config: EndConfig,
         opened: tuple[E, Files],
+        channel: Channel | None,
+        kind: type[Measurement] | type[Offer],
         sealed: Callable[[SealedBook], End],
         log: logging.Logger,
         field: Bus,
@@ -74,7 +83,7 @@ class EndService(Generic[E]):
         self.endpoint, files = opened
         self.trace = files.trace
         self._host = Host(field, ops, stopping, clock)
-        self._host.add(config.loop, self.endpoint, files, log)
+        self._host.add(config.loop, behind(channel, self.endpoint, kind), files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:
             store = KeyStore(files.key_maker.path, files.key_maker.side)

@@ -30,6 +30,11 @@ class Pace:
             if not 0 < self.factor < float("inf"):
                 raise ValueError(f"got {text!r}, expected realtime, fast, or xN such as x10")
 
+    @property
+    def scale(self) -> float:
+        """Seconds of wall time in a second of plant time; 1 in lock-step."""
+        return 1.0 if self.factor is None else 1.0 / self.factor
+
     def step_s(self, period_s: float) -> float | None:
         """Seconds of wall time in a step of ``period_s`` seconds; None in lock-step."""
         return None if self.factor is None else period_s / self.factor

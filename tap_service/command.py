@@ -37,6 +37,15 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what the tap sees (default: as the scenario says)")
     group.add_argument("--view", choices=("both", "measurements", "offers"), help="direction")
     group.add_argument("--loss", type=float, metavar="P", help="probability to miss a message")
+    group.add_argument(
+        "--loss-bad", type=float, metavar="P", help="the same in the bad one of two states"
+    )
+    group.add_argument(
+        "--to-bad", type=float, metavar="P", help="probability, a step, of turning bad"
+    )
+    group.add_argument(
+        "--to-good", type=float, metavar="P", help="probability, a step, of turning good again"
+    )
     group.add_argument("--noise", type=float, metavar="SD", help="noise on every state and input")
     group.add_argument("--quantise", type=float, metavar="STEP", help="round every state and input")
     group.add_argument("--delay", type=int, metavar="N", help="hear everything N messages late")
@@ -55,6 +64,9 @@ class TapOptions(ServiceOptions):
     eavesdropper: Sequence[str] = ()
     view: str | None = None
     loss: float | None = None
+    loss_bad: float | None = None
+    to_bad: float | None = None
+    to_good: float | None = None
     noise: float | None = None
     quantise: float | None = None
     delay: int | None = None
@@ -167,6 +179,9 @@ def view_of(options: TapOptions, defaults: Mapping[str, object]) -> "View":
     given = {
         "view": options.view,
         "loss": options.loss,
+        "loss_bad": options.loss_bad,
+        "to_bad": options.to_bad,
+        "to_good": options.to_good,
         "noise": options.noise,
         "quantise": options.quantise,
         "delay": options.delay,

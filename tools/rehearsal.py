@@ -107,7 +107,7 @@ class Rehearsal:
             return rule.verdict(x, offered, x_next)
 
         for step in closed_loop(candidates, judge, toss, move, x, steps):
-            k, x, offered, coin, x_next, verdict = step
+            k, x, offered, coin, x_next, verdict, _ = step
             m_p = frame[p] if p < len(frame) else IDLE
             tested = scheme.tests(state)
             state, (symbol, pad) = scheme.advance(state, verdict.symbol)

@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 import controller_service.laws.registry  # noqa: F401  (the laws)
@@ -105,7 +106,7 @@ def lines_of(cls: type[ScenarioTable]) -> dict[str, str]:
     """For each field the string below it, the class's own before those it inherits."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        if not (isinstance(base, type) and issubclass(base, ScenarioTable)):
+        if base is BaseModel or not (isinstance(base, type) and issubclass(base, BaseModel)):
             continue
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         assert isinstance(body, ast.ClassDef)

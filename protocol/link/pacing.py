@@ -121,6 +121,8 @@ class Pacing:
         if self._waiting or now_s < self._repeat_at:
             return False
         self._repeat_at = inf if self._once else now_s + self._repeat_s
+        if self._step_s is not None and self._repeat_at > self._deadline - 0.5 * self._repeat_s:
+            self._repeat_at = inf  # as good as the tick, which brings the next one
         return True
 
     def answered_late(self) -> None:

@@ -7,12 +7,13 @@ made from it, and never this.
 """
 
 from protocol.scenario.attack import Attack, attack_of
-from protocol.scenario.control import Control, Cost, Regulator
+from protocol.scenario.control import Control, Cost, Performance, Regulator
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
+from protocol.scenario.network import ChannelTable, Network
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
@@ -33,6 +34,7 @@ __all__ = [
     "RULES_VERSION",
     "Attack",
     "Calibration",
+    "ChannelTable",
     "Control",
     "ConvexSet",
     "Cost",
@@ -41,7 +43,9 @@ __all__ = [
     "Disturbance",
     "Keys",
     "Link",
+    "Network",
     "OperatingPointTable",
+    "Performance",
     "PlantTable",
     "Regulator",
     "Scenario",

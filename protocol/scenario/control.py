@@ -41,6 +41,18 @@ class Regulator(ScenarioTable):
     """Weights of the input, m numbers above 0; large ones make a slow loop and larger sets."""
 
 
+class Performance(ScenarioTable):
+    """Weights by which a loop is judged: x(k+1)' diag(next_state) x(k+1) + u' diag(input) u a step.
+
+    They change nothing that the loop does.
+    """
+
+    next_state: tuple[NotNegative, ...]
+    """Weights of the state that a step leads to, n numbers."""
+    input: tuple[NotNegative, ...]
+    """Weights of the input that was applied, m numbers."""
+
+
 class Control(ScenarioTable):
     """The control law (27): sets, terminal gain, horizon and the costs.
 
@@ -64,6 +76,8 @@ class Control(ScenarioTable):
     """K of u = K x near the origin, m rows of n numbers; or `regulator`."""
     regulator: Regulator | None = None
     """Weights from which K is computed; or `gain`."""
+    performance: Performance | None = None
+    """Weights of the control cost that a run reports; the regulator's, or ones, where not given."""
     terminal_order: Annotated[int, Field(ge=1, le=200)] | None = None
     """Terms of T_0's approximation; where not given, as many as it needs."""
     costs: tuple[Cost, ...] = (Cost(next_state=1.0), Cost(input=1.0))
@@ -92,6 +106,11 @@ class Control(ScenarioTable):
                 "control.regulator.next_state", len(self.regulator.next_state), n
             )
             yield from shape_problem("control.regulator.input", len(self.regulator.input), m)
+        if self.performance is not None:
+            yield from shape_problem(
+                "control.performance.next_state", len(self.performance.next_state), n
+            )
+            yield from shape_problem("control.performance.input", len(self.performance.input), m)
         yield from self.count_problems(candidates)
         for i, cost in enumerate(self.costs):
             for name, weights, size in (
@@ -111,7 +130,9 @@ class Control(ScenarioTable):
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:  # noqa: ARG002
         """What of the law the synthesis depends on; its costs are only solved online."""
-        return self.model_dump(exclude={"law", "costs", "disturbance"}, exclude_none=True)
+        return self.model_dump(
+            exclude={"law", "costs", "disturbance", "performance"}, exclude_none=True
+        )
 
     def policy(self, n: int, m: int) -> Policy:
         """The control policy (15) that Kerckhoffs grants the tap, without what depends on D_c."""

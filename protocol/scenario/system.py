@@ -18,6 +18,7 @@ from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
 from protocol.scenario.link import Link
+from protocol.scenario.network import Network
 from protocol.scenario.parts import ScenarioTable, shape_problem
 from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
@@ -54,6 +55,8 @@ class Scenario(Brief, ScenarioTable):
     """The agreement rule."""
     link: Link = Link()
     """What the ends do when the network does not serve them."""
+    network: Network | None = None
+    """What lies between the two ends; a perfect one where not given."""
     tap: TapView = TapView()
     """The eavesdropper's place."""
     keys: Keys | None = None
@@ -111,6 +114,17 @@ class Scenario(Brief, ScenarioTable):
         return self.plant.initial_state or (0.0,) * self.n
 
     @property
+    def cost_weights(self) -> tuple[FiniteVector, FiniteVector]:
+        """Diagonals of Q and R, by which a loop is judged: x' Q x + u' R u a step.
+
+        Those of ``control.performance``, else the regulator's, else ones.
+        """
+        weights = self.control.performance or self.control.regulator
+        if weights is None:
+            return (1.0,) * self.n, (1.0,) * self.m
+        return weights.next_state, weights.input
+
+    @property
     def control_set(self) -> ConvexSet:
         """The disturbances that the sets T_i resist: ``control.disturbance``, else D_c."""
         return self.control.disturbance or self.defender.disturbance
@@ -153,6 +167,9 @@ class Scenario(Brief, ScenarioTable):
             *self.defender.problems(self.n, self.m),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
+        if self.network is not None:
+            repeats = self.link.repeats_per_period
+            problems += self.network.problems(self.plant.period_s, repeats)
         hers = self.eavesdropper_shape
         if self.secrecy.disturbance is not None:
             problems += shape_problem("secrecy.disturbance", hers.dimension, self.n)
@@ -208,7 +225,9 @@ class Scenario(Brief, ScenarioTable):
                 "A": self.A,
                 "B": self.B,
                 "D_c": self.defender.disturbance.model_dump(exclude_none=True),
-                "control": self.control.model_dump(mode="json", exclude_none=True),
+                "control": self.control.model_dump(
+                    mode="json", exclude_none=True, exclude={"performance"}
+                ),
                 "design": self.control.design_key(self.secrecy),
                 "candidates": self.secrecy.candidates,
                 "period_s": self.plant.period_s,
@@ -262,6 +281,8 @@ class Scenario(Brief, ScenarioTable):
         if self.defence == DefenceTable():
             untold.add("defence")
         rest = self.model_dump(mode="json", exclude={*untold, *apart})
+        if self.network is None:
+            del rest["network"]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
         return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
 

@@ -1,18 +1,17 @@
 """``[tap]``: the eavesdropper's place at the field bus."""
 
-from protocol.knowledge import Delay, Direction, Loss, NotNegative
+from protocol.knowledge import Delay, Direction, NotNegative
+from protocol.losses import Losses
 from protocol.scenario.parts import ScenarioTable
 
 
-class TapView(ScenarioTable):
-    """What the tap sees of the field bus, and how well."""
+class TapView(Losses, ScenarioTable):
+    """What the tap sees of the field bus, and how well: a way of her own, beside the loop's."""
 
     eavesdroppers: tuple[str, ...] = ()
     """Who listens, by name or FILE.py:CLASS; the tap's usual ones where none is named."""
     view: Direction = "both"
     """Which of the two messages of a step she hears."""
-    loss: Loss = 0.0
-    """Probability with which she misses a message."""
     noise: NotNegative = 0.0
     """Standard deviation of the Gaussian noise on each number that she hears, in its unit."""
     quantise: NotNegative = 0.0

@@ -8,22 +8,24 @@ import random
 from collections import deque
 from collections.abc import Iterator
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 
-from protocol.knowledge import Delay, Direction, Knowledge, Loss, NotNegative
+from protocol.fates import Fates
+from protocol.knowledge import Delay, Direction, Knowledge, NotNegative
+from protocol.losses import Losses
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.vectors import Matrix, Vector
 
 
-class View(BaseModel):
+class View(Losses):
     """Knobs of what the tap sees.
 
     Parameters
     ----------
     view : str
         Which direction: ``both``, ``measurements`` or ``offers``.
-    loss : float
-        Probability that she misses a message, each for itself.
+    loss, loss_bad, to_bad, to_good : float
+        Probability that she misses a message: each for itself, or in bursts.
     noise : float
         Standard deviation of the Gaussian noise on every number of a state or an input.
     quantise : float
@@ -39,7 +41,6 @@ class View(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     view: Direction = "both"
-    loss: Loss = 0.0
     noise: NotNegative = 0.0
     quantise: NotNegative = 0.0
     delay: Delay = 0
@@ -49,7 +50,8 @@ class View(BaseModel):
     @property
     def clear(self) -> bool:
         """Whether every message passes as it is, at once."""
-        return self.view == "both" and not (self.loss or self.noise or self.quantise or self.delay)
+        blurs = self.noise or self.quantise
+        return self.view == "both" and not (self.chain.mean or blurs or self.delay)
 
     def told(self, knowledge: Knowledge, *, model: bool = True) -> Knowledge:
         """``knowledge`` with the model error (the same seed gives the same), and her receiver's.
@@ -79,6 +81,9 @@ class WiretapChannel:
     def __init__(self, view: View) -> None:
         self.view = view
         self._draw = random.Random(f"view {view.seed}")
+        self._chain = view.chain
+        self._fates = Fates(f"view {view.seed}")
+        self._k = 0
         self._held: deque[tuple[int, FieldMessage]] = deque()
 
     def hear(self, t_ns: int, message: FieldMessage) -> Iterator[tuple[int, FieldMessage]]:
@@ -88,7 +93,7 @@ class WiretapChannel:
             message, Measurement
         ):
             return
-        if view.loss and self._draw.random() < view.loss:
+        if self._misses(message):
             return
         if view.noise or view.quantise:
             message = self._blur(message)
@@ -98,6 +103,13 @@ class WiretapChannel:
         self._held.append((t_ns, message))
         if len(self._held) > view.delay:
             yield self._held.popleft()
+
+    def _misses(self, message: FieldMessage) -> bool:
+        """Whether it does not reach her; a sealed message is of the step heard last."""
+        if not isinstance(message, Sealed):
+            self._k = message.k
+        loss = self._chain.loss_at(self._k, self._fates.of_step)
+        return loss > 0 and self._draw.random() < loss
 
     def rest(self) -> Iterator[tuple[int, FieldMessage]]:
         """What was held back, when nothing more comes."""

@@ -119,7 +119,7 @@ class Hosts:
         stopping = threading.Event()
 
         def controllers() -> None:
-            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.ops), stopping
+            rest = Bounds(), Pace(pace), MemoryBus(self.field), MemoryBus(self.ops), stopping
             self.codes.append(run_controllers(self.fleet(), self.folder, lambda _: self.law, *rest))
 
         def plants() -> None:

@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import pytest
 
+from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.bound import Assumption, quantile
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
 from tap_service.inference.key_solver import bits_held, held
 from tap_service.inference.miss_rate import miss_rate
-from wyner.studies.keys import GilbertElliott
 
 N, COPIES = 128, 256
 EPS = 1e-12

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
+from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption, quantile
 from protocol.statistics import clopper_pearson
 from tap_service.inference.key_solver import bits_held
-from wyner.studies.keys import GilbertElliott
 
 
 def exact_tail(n: int, e: Fraction, m: int) -> Fraction:

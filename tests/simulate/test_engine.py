@@ -92,6 +92,8 @@ def by_hand(scenario: Scenario, law: CandidateLaw, seed: int, run: int, steps: i
         largest=gauges.max(axis=1)[:, None],
         state_cost=np.array([(x_array[1:] ** 2).sum()]),
         input_effort=np.array([(inputs**2).sum()]),
+        cost=np.array([(x_array[1:] ** 2).sum() + (inputs**2).sum()]),
+        u=inputs[:, :, None],
         x=x_array[:, :, None],
         candidates=u_array[:, :, :, None],
         gauges=gauges[:, :, None],
@@ -291,6 +293,7 @@ def made_up(symbol: list[int], largest: list[float], coin: list[int]) -> Runs:
         largest=np.array(largest)[:, None],
         state_cost=np.zeros(1),
         input_effort=np.zeros(1),
+        cost=np.zeros(1),
     )
 
 

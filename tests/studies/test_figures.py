@@ -42,6 +42,7 @@ PAGES = {
     "signalling-price": SIGNALLING,
     "two-step": SIGNALLING,
     "block-codes": SIGNALLING,
+    "network": ROOT / "docs" / "networks.md",
     "noise-bound": ROOT / "docs" / "secrecy.md",
     "key-controls": ROOT / "docs" / "keys.md",
     "undetected": ROOT / "docs" / "attacks.md",

@@ -168,7 +168,7 @@ def test_the_corners_of_the_test_set_are_inside_as_the_ends_have_it() -> None:
     }
     scenario = Scenario.model_validate(data)
     law = make_law(scenario, cached_design(scenario))
-    rate = expected_rate(scenario, law)
+    rate = expected_rate(scenario, law, Path())
     assert rate is not None
     found = why(scenario, law)
     assert found.none == 0

@@ -80,8 +80,18 @@ class Simulated(Brief):
     @cached_property
     def u(self) -> Array:
         """Applied inputs, shape (R, steps, m)."""
-        place = self.coin[:, :, None, None].astype(np.intp)
-        return np.take_along_axis(self.candidates, place, axis=2)[:, :, 0]
+        assert self.record.u is not None
+        return np.moveaxis(self.record.u, 2, 0)
+
+    @property
+    def cost(self) -> Array:
+        """Control cost a step of each run, shape (R,): x(k+1)' Q x(k+1) + u(k)' R u(k)."""
+        return self.record.mean_cost
+
+    @property
+    def missed_share(self) -> Array:
+        """Share of the steps of each run that had no offer, shape (R,)."""
+        return self.record.missed_share
 
     @cached_property
     def gauges(self) -> Array:
@@ -91,7 +101,7 @@ class Simulated(Brief):
 
     @property
     def coin(self) -> Symbols:
-        """The plant's coin b_r, shape (R, steps)."""
+        """The plant's coin b_r, shape (R, steps); -1 where a step was missed."""
         return self.record.coin.T
 
     @property
@@ -221,7 +231,13 @@ def run(
     linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
     if plant is None and linear:
         record = simulate_runs(
-            s.scenario, s.law, seed=seed, runs=range(runs), steps=steps, record=True
+            s.scenario,
+            s.law,
+            seed=seed,
+            runs=range(runs),
+            steps=steps,
+            record=True,
+            folder=Path(folder),
         )
     else:
         record = simulate_plant(

@@ -8,6 +8,8 @@ from runtime.errors import DONE, Failure, UsageError
 from wyner.cli.alphas import ABOUT, show_alphas
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.figure import Figure
 
     from controller_service.laws.base import CandidateLaw
@@ -58,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
     from runtime.scenario_file import scenario_of
+    from runtime.shipped import scenario_file_of
 
     scenario = scenario_of(args.scenario)
     if args.alphas is not None:
@@ -73,8 +76,10 @@ def run(args: argparse.Namespace) -> int:
     result["seconds"] = round(design.seconds, 4)
     result["ready_seconds"] = round(time.perf_counter() - begin, 4)
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
-    result["rate"] = expected_rate(scenario, law) if linear else None
+    folder = scenario_file_of(args.scenario).parent
+    result["rate"] = expected_rate(scenario, law, folder) if linear else None
     result["simulated"] = linear
+    result["network"] = expected_misses(scenario, folder)
     reasons = _why(scenario, law) if result["rate"] is not None else None
     result["why"] = None if reasons is None else reasons.as_json()
     if args.plot is not None:
@@ -91,7 +96,7 @@ def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
     from wyner.studies.why import why
 
     try:
-        return why(scenario, law)
+        return why(scenario.model_copy(update={"network": None}), law)
     except SimulationError:
         return None
 
@@ -155,7 +160,9 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
     }
 
 
-def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] | None:
+def expected_rate(
+    scenario: "Scenario", law: "CandidateLaw", folder: "Path"
+) -> dict[str, Any] | None:
     """Simulate the loop under the scenario's own plant, disturbance and scheme; p and the rate.
 
     p is the share of tested transitions that agree; its interval is over runs, for the steps of
@@ -173,7 +180,7 @@ def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] |
 
     M, T = scenario.secrecy.candidates, scenario.plant.period_s
     try:
-        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
+        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
     except SimulationError:
         return None
     link = follow(runs, [scenario.secrecy.alpha])
@@ -194,6 +201,49 @@ def expected_rate(scenario: "Scenario", law: "CandidateLaw") -> dict[str, Any] |
         "bits_per_second_interval_95": [rate["low"], rate["high"]],
         "ceiling_bits_per_second": float(most.sum()) * bits,
     }
+
+
+def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | None:
+    """The share of missed steps to expect of the scenario's network; None where it has none.
+
+    Computed from the distributions. Only where messages with jitter keep their order is it counted
+    over simulated messages, for there each waits for all before it.
+    """
+    from protocol.statistics import share_over_runs
+    from wyner.simulate.missed import missed_steps
+    from wyner.studies.missed_share import expected_missed_share
+
+    network = scenario.network
+    if network is None:
+        return None
+    ways = (network.to_plant, network.to_controller)
+    if all(way.reordering or way.delay == "constant" for way in ways):
+        return {"missed_share": expected_missed_share(scenario, folder), "computed": True}
+    missed = missed_steps(scenario, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
+    assert missed is not None
+    share = share_over_runs([(int(m), STEPS) for m in missed.sum(axis=0)]).as_json()
+    return {
+        "missed_share": share["value"],
+        "computed": False,
+        "interval_95": [share["low"], share["high"]],
+        "runs": RUNS,
+        "steps": STEPS,
+        "seed": SEED,
+    }
+
+
+def network_lines(found: dict[str, Any] | None) -> list[str]:
+    """What the network costs in steps, in a line."""
+    if found is None:
+        return []
+    share = f"network: {100 * found['missed_share']:.3g} % of steps missed"
+    if found["computed"]:
+        return [f"{share}, computed from its distributions; none in lock-step"]
+    low, high = (100 * limit for limit in found["interval_95"])
+    return [
+        f"{share} [{low:.3g}, {high:.3g}], counted over messages that keep their order "
+        f"({found['runs']} runs of {found['steps']} steps, seed {found['seed']}); none in lock-step"
+    ]
 
 
 def render(r: dict[str, Any]) -> str:
@@ -238,6 +288,7 @@ def render(r: dict[str, Any]) -> str:
         )
     )
     lines += safety_lines(r)
+    lines += network_lines(r["network"])
     rate = r["rate"]
     if not r["simulated"]:
         lines.append("expected rate: not simulated, as plant code runs in the plant alone")

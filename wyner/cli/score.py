@@ -72,6 +72,7 @@ def _run(args: argparse.Namespace) -> int:
     from tap_service.command import names_of
     from wyner.runs.run import Run, RunError
     from wyner.runs.score import report as reporting
+    from wyner.runs.score.counts import cost_of
     from wyner.runs.score.score import score_run
 
     names = names_of(args.eavesdropper)
@@ -115,9 +116,15 @@ def _run(args: argparse.Namespace) -> int:
     ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
-        print(json.dumps({**reporting.as_json(report), "keys": keys}))
+        costs = {str(run.folder): cost_of(run) for run in runs}
+        said = {**reporting.as_json(report), "keys": keys, "control_cost": costs}
+        print(json.dumps(said))
         return ending
     _print(report, color=sys.stdout.isatty())
+    for run in runs:
+        cost = cost_of(run)
+        if cost is not None:
+            print(f"control cost of {run.folder}: {cost:.4g} a step, x' Q x + u' R u")
     for name, audit in audits.items():
         _print_keys(name, audit, color=sys.stdout.isatty())
     return ending

@@ -135,7 +135,7 @@ def lay_out(
     attacked = [] if options.attack is None else ["--attack", options.attack]
     secrets = _secrets(run_dir) if options.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
-    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"})
+    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
         tap += [f"--{name.replace('_', '-')}", str(value)]
     children = [
@@ -171,6 +171,8 @@ def lay_out(
                 *secrets.get("controller", ()),
                 "--scenario",
                 str(scenario_file),
+                "--pace",
+                options.pace,
                 "--message-file",
                 str(message_file),
                 "--model-folder",

@@ -20,11 +20,12 @@ from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, Missed
+from protocol.link.networked import behind
 from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
-from protocol.messages import Message, Offer, Status
+from protocol.messages import Measurement, Message, Offer, Status
 from protocol.scenario import Scenario
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
@@ -33,6 +34,7 @@ from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.model import load_model
+from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Journal
 from wyner.simulate.faults import Faults
@@ -141,6 +143,8 @@ class Simulation:
         None: one in memory.
     own : callable, optional
         Gives what stands in the place of the scenario's plant, for each life of its process.
+    folder : Path
+        Where the files that the scenario names are looked for.
     """
 
     def __init__(
@@ -155,14 +159,16 @@ class Simulation:
         run: int = 0,
         plant_journal: PlantStorage | None = None,
         own: Callable[[], Stepped | PlantAdapter] | None = None,
+        folder: Path = Path(),
     ) -> None:
         self._own = own
+        self._folder = folder
         self.history = History()
         self.now_s = 0.0
         self._scenario = scenario
         self._law = law
         self._seed, self._run = seed, run
-        self._predict = load_model(scenario, Path())
+        self._predict = load_model(scenario, folder)
         self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
         self._step_s = step_s
@@ -296,8 +302,23 @@ class Simulation:
         end.lives += 1
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
-        end.endpoint = self._new_plant(end.lives) if side == "plant" else self._new_controller()
+        end.endpoint = self._behind_the_network(side, end.lives)
         self._perform(end, end.endpoint.start(self.now_s))
+
+    def _behind_the_network(self, side: Side, lives: int) -> Peer:
+        """A new life of an end; its channel begins anew, too."""
+        core: Peer
+        kind: type[Measurement] | type[Offer]
+        way: Direction
+        if side == "plant":
+            core, kind, way = self._new_plant(lives), Offer, "to_plant"
+        else:
+            core, kind, way = self._new_controller(), Measurement, "to_controller"
+        scale = 1.0 if self._step_s is None else self._step_s / self._scenario.plant.period_s
+        channel = channel_of(
+            self._scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
+        )
+        return behind(channel, core, kind)
 
     def _new_controller(self) -> ControllerCore:
         record = self._queue.load()
@@ -327,6 +348,7 @@ class Simulation:
             self.now_s,
             Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
+            folder=self._folder,
         )
         return self._plant
 

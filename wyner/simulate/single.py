@@ -5,10 +5,10 @@ drawn are those of the engine and of the services with a seed, so that a linear 
 run here, there and on the network.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult
 from protocol.agreement import predict as predict_linear
+from protocol.link.fallback import Fallback
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.scenario.plant import Disturbance
@@ -24,6 +25,7 @@ from protocol.vectors import Vector
 from runtime.model import load_model
 from wyner.simulate.engine.draws import symbol_type
 from wyner.simulate.engine.loop import Runs, SimulationError
+from wyner.simulate.missed import missed_steps
 
 
 class Law(Protocol):
@@ -34,7 +36,10 @@ class Law(Protocol):
 
 
 class Moved(NamedTuple):
-    """A step of the loop: where the plant was, what it could choose from, and what came of it."""
+    """A step of the loop: where the plant was, what it could choose from, and what came of it.
+
+    One that was missed has no candidates, no coin and a verdict without gauges.
+    """
 
     k: int
     x: Vector
@@ -42,6 +47,11 @@ class Moved(NamedTuple):
     coin: int
     x_next: Vector
     verdict: AgreementResult
+    u: Vector
+
+
+NO_VERDICT: Final = AgreementResult((), NO_SYMBOL)
+"""Of a step without an offer."""
 
 
 Judge = Callable[[Vector, tuple[Vector, ...], tuple[Vector, ...], Vector], AgreementResult]
@@ -55,6 +65,9 @@ def closed_loop(
     x: Vector,
     steps: int,
     predict: Callable[[Vector, Vector], Vector] | None = None,
+    missed: Sequence[bool] = (),
+    fallback: Callable[[Vector, Vector], Vector] | None = None,
+    u: Vector = (),
 ) -> Iterator[Moved]:
     """The loop itself: propose, choose, move, judge; whatever draws numbers is handed in.
 
@@ -73,13 +86,28 @@ def closed_loop(
     steps : int
     predict : callable, optional
         A nonlinear f_c: (x, u) to where it predicts the next state.
+    missed : sequence of bool
+        Which steps have no offer; none where it is empty. In them ``fallback`` is applied.
+    fallback : callable, optional
+        (x, u in force) to the input of a missed step.
+    u : tuple of float, shape (m,)
+        What is in force before the first step.
     """
+    j = 0
     for k in range(steps):
+        if missed and missed[k]:
+            assert fallback is not None, "a step may be missed, and nothing says what is applied"
+            u = fallback(x, u)
+            x_next = move(k, x, u)
+            yield Moved(k, x, (), NO_SYMBOL, x_next, NO_VERDICT, u)
+            x = x_next
+            continue
         offered = candidates(x)
         predictions = () if predict is None else tuple([predict(x, u) for u in offered])
-        b = coin(k)
-        x_next = move(k, x, offered[b])
-        yield Moved(k, x, offered, b, x_next, judge(x, offered, predictions, x_next))
+        b = coin(j)
+        j, u = j + 1, offered[b]
+        x_next = move(k, x, u)
+        yield Moved(k, x, offered, b, x_next, judge(x, offered, predictions, x_next), u)
         x = x_next
 
 
@@ -140,6 +168,9 @@ def simulate_plant(
     xs = np.empty((steps + 1, n, R))
     us = np.empty((steps, M, m, R))
     gs = np.empty((steps, M, R))
+    applied = np.empty((steps, m, R))
+    missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps, folder=folder)
+    fallback = Fallback.of(scenario).input
     largest = np.empty((steps, R))
     for place, run in enumerate(runs):
         coins = SeededSymbols(seed, COIN, run=run)
@@ -156,12 +187,21 @@ def simulate_plant(
             x = plant.start(seed + run)
             xs[0, :, place] = x
             toss = partial(coins.symbol, size=M)
-            for t in closed_loop(law.candidates, judge, toss, move, x, steps, predict):
-                k, gauges = t.k, t.verdict.gauges
-                inside = [i for i, g in enumerate(gauges) if g <= INSIDE]
+            holes = () if missed is None else missed[:, place].tolist()
+            for t in closed_loop(
+                law.candidates, judge, toss, move, x, steps, predict, holes, fallback, (0.0,) * m
+            ):
+                k = t.k
                 coin[k, place] = t.coin
-                symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
                 xs[k + 1, :, place] = t.x_next
+                applied[k, :, place] = t.u
+                if not t.candidates:
+                    symbol[k, place], largest[k, place] = NO_SYMBOL, np.inf
+                    us[k, :, :, place] = gs[k, :, place] = np.nan
+                    continue
+                gauges = t.verdict.gauges
+                inside = [i for i, g in enumerate(gauges) if g <= INSIDE]
+                symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
                 us[k, :, :, place] = t.candidates
                 gs[k, :, place] = gauges
                 predictions = [f_c(t.x, u) for u in t.candidates] if own_shape else ()
@@ -170,7 +210,7 @@ def simulate_plant(
             raise SimulationError(f"run {run}, step {k + 1}: {error}") from None
         finally:
             plant.close()
-    applied = np.take_along_axis(us, coin[:, None, None, :].astype(np.intp), axis=1)[:, 0]
+    Q, weight = (np.array(w)[:, None] for w in scenario.cost_weights)
     return Runs(
         scenario=scenario,
         seed=seed,
@@ -180,7 +220,10 @@ def simulate_plant(
         largest=largest,
         state_cost=(xs[1:] ** 2).sum(axis=(0, 1)),
         input_effort=(applied**2).sum(axis=(0, 1)),
+        cost=(Q * xs[1:] ** 2).sum(axis=(0, 1)) + (weight * applied**2).sum(axis=(0, 1)),
+        missed=missed,
         x=xs,
         candidates=us,
         gauges=gs,
+        u=applied,
     )

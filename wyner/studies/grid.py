@@ -116,6 +116,8 @@ class Sweep(_Part):
             raise ValueError(f"variant: got labels {labels}, expected different ones")
         for path in self.grid:
             table = path.split(".")[0]
+            if table == "link":  # counts with a network, which any of the scenarios may have
+                continue
             if table in NEUTRAL and not (table == "tap" and _for_keys(self)):
                 raise ValueError(f"grid: {path}: changes none of the numbers")
         return self
@@ -192,8 +194,9 @@ def canonical(value: object) -> str:
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
     """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
+    neutral = NEUTRAL if scenario.network is None else NEUTRAL - {"link"}
     return scenario.model_dump(
-        mode="json", exclude=set(NEUTRAL), exclude_none=True, exclude_defaults=True
+        mode="json", exclude=set(neutral), exclude_none=True, exclude_defaults=True
     )
 
 
@@ -278,6 +281,9 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                     }
                 )
                 shown = f"{where}: {canonical(fields)}" if fields else where
+                if scenario.network is None:
+                    idle = [p for p in sweep.grid if p.startswith("link.")]
+                    problems += [f"{where}: grid: {p}: changes none of the numbers" for p in idle]
                 if FILE in sweep.columns:
                     fields = {FILE: name, **fields}
                 point = Point(scenario, variant.label, fields, task)
@@ -320,6 +326,13 @@ SOURCES: Final = (
     "wyner/studies/sweep.py",
     "controller_service/**/*.py",
     "plant_service/disturbance.py",
+    "wyner/simulate/missed.py",
+    "runtime/network.py",
+    "protocol/fates.py",
+    "protocol/gilbert_elliott.py",
+    "protocol/losses.py",
+    "protocol/link/channel.py",
+    "protocol/link/fallback.py",
     "protocol/agreement.py",
     "protocol/schemes/*.py",
     "protocol/streams.py",

@@ -5,14 +5,14 @@ many rows is certain.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from random import Random
 from typing import Final, NamedTuple, Self
 
 import numpy as np
 
+from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.authentication import PRIME, tag
-from protocol.secret.bound import GUARD, NONCE_BITS, Assumption, quantile
+from protocol.secret.bound import NONCE_BITS, Assumption, quantile
 from protocol.secret.extractor import WORDS, cauchy, extract
 from protocol.secret.galois import inverse, multiply
 from protocol.secret.nonces import NONCE_BYTES
@@ -21,6 +21,7 @@ from tap_service.inference.key_solver import bits_held
 
 SOURCES: Final = (
     "wyner/studies/keys.py",
+    "protocol/gilbert_elliott.py",
     "protocol/secret/authentication.py",
     "protocol/secret/bound.py",
     "protocol/secret/extractor.py",
@@ -35,64 +36,6 @@ EPS: Final = 1e-12
 CLAIM: Final = Assumption(0.3)
 
 CONTROL_COLUMNS: Final = ("control", "rule", "blocks", "breached", "worst_bits", "last_seed")
-
-
-@dataclass(frozen=True, slots=True)
-class GilbertElliott:
-    """A channel of two states, good and bad, each with its own probability of a miss.
-
-    Parameters
-    ----------
-    loss_good, loss_bad : float
-        e_G and e_B, the probabilities that a copy is missed.
-    to_bad, to_good : float
-        g and b, the probabilities of a change of state between two copies.
-    """
-
-    loss_good: float
-    loss_bad: float
-    to_bad: float
-    to_good: float
-
-    @property
-    def mean(self) -> float:
-        """The share missed in the long run."""
-        bad = self.to_bad / (self.to_bad + self.to_good) if self.to_bad else 0.0
-        return (1 - bad) * self.loss_good + bad * self.loss_bad
-
-    @property
-    def eps_inf(self) -> float:
-        """The least probability of a miss given any past: what assumption T asks for."""
-        g, b = self.to_bad, self.to_good
-        return min(
-            (1 - g) * self.loss_good + g * self.loss_bad,
-            b * self.loss_good + (1 - b) * self.loss_bad,
-        )
-
-    def tails(self, n: int, most: int) -> list[float]:
-        """P[fewer than m of n are missed] for m = 0 ... ``most``, from the worse state before.
-
-        Exact by transfer matrix, O(n most).
-        """
-        worst = np.zeros(most + 1)
-        for start in (0, 1):
-            counts = np.zeros((2, most + 1))  # counts[state, misses so far]
-            counts[start, 0] = 1.0
-            for _ in range(n):
-                good = (1 - self.to_bad) * counts[0] + self.to_good * counts[1]
-                bad = self.to_bad * counts[0] + (1 - self.to_good) * counts[1]
-                for state, mass, loss in ((0, good, self.loss_good), (1, bad, self.loss_bad)):
-                    counts[state] = (1 - loss) * mass
-                    counts[state, 1:] += loss * mass[:-1]
-            total = counts.sum(axis=0)
-            worst = np.maximum(worst, np.concatenate(([0.0], np.cumsum(total)))[: most + 1])
-        return [float(value) for value in worst]
-
-    def quantile(self, n: int, eps: float) -> int:
-        """The largest m with P[fewer than m of n are missed] <= eps, from either state before."""
-        # it is below the mean, or the mean is below one
-        tails = self.tails(n, min(n, int(n * self.mean) + 1))
-        return max(m for m, p in enumerate(tails) if p * GUARD <= eps)
 
 
 class KeyRun(NamedTuple):

@@ -25,6 +25,7 @@ from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
 from wyner.runs.page.windows import Windows
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
+from wyner.runs.score.counts import step_cost
 from wyner.runs.score.report import HEADINGS, NOTE, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, read_truth, score
@@ -170,6 +171,7 @@ class _Recorded:
     def _begin(self) -> None:
         s = self._scenario
         self.steps = self.missed = self.symbols = 0
+        self.cost = 0.0
         self.states = [Series() for _ in range(s.n)]
         self.inputs = [Series() for _ in range(s.m)]
         self.true_states = [Series() for _ in range(s.n)]
@@ -196,6 +198,8 @@ class _Recorded:
             self._begin()
             self.born_in = step.session
         self.steps += 1
+        s = self._scenario
+        self.cost += step_cost(s.cost_weights, step.x_next, step.u or ())
         self.newest = step.k
         self.windows.add(step)
         at = step.k * self._scenario.plant.period_s
@@ -234,6 +238,8 @@ def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         f"{len(recorded.agreed)} key symbols agreed, {recorded.symbols} message symbols carried, "
         f"{rate:.3g} bits a second. That is what was sent; what stayed secret is above.</p>"
     )
+    if recorded.steps:
+        yield f"<p>Control cost: {recorded.cost / recorded.steps:.4g} a step, x' Q x + u' R u.</p>"
 
 
 def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:

@@ -1,11 +1,15 @@
 """What a plant's trace adds up to, line by line."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.agreement import NO_SYMBOL
+from protocol.vectors import Vector
+from runtime.recording import TraceError
+from wyner.runs.run import Run
 
 
 @dataclass(slots=True)
@@ -14,6 +18,8 @@ class PlantCounts:
 
     Parameters
     ----------
+    weights : pair of tuple of float, shapes (n,) and (m,)
+        Diagonals of Q and R.
     steps : int
         Steps that were made, missed ones included, by every journal that the plant had.
     transitions : int
@@ -21,19 +27,28 @@ class PlantCounts:
         Transitions that agreed a key symbol.
     symbol_errors : int
         Agreements on another symbol than the coin.
+    cost : float
+        Sum over steps of x(k+1)' Q x(k+1) + u(k)' R u(k), where ``weights`` are given.
     message_symbols : int
         Transitions that carried a message symbol.
     recovered : list of (int, bytes)
         Each message that was whole, with the step at which it was.
     """
 
+    weights: tuple[Vector, Vector] = ((), ())
     steps: int = 0
+    cost: float = 0.0
     transitions: int = 0
     agreements: int = 0
     symbol_errors: int = 0
     message_symbols: int = 0
     recovered: list[tuple[int, bytes]] = field(default_factory=list)
     _last_k: int = -1
+
+    @property
+    def mean_cost(self) -> float | None:
+        """The control cost a step; None before the first."""
+        return self.cost / self.steps if self.steps else None
 
     def take(self, event: Mapping[str, Any]) -> None:
         """Take the next event."""
@@ -42,14 +57,28 @@ class PlantCounts:
             symbol, coin, carried = event["symbol"], event["coin"], event["message_symbol"]
             self._last_k = int(event["k"])
             self.steps += 1
+            self._judge(event)
             self.transitions += 1
             self.agreements += symbol != NO_SYMBOL
             self.symbol_errors += symbol not in (NO_SYMBOL, coin)
             self.message_symbols += carried != NO_SYMBOL
         elif kind in ("missed", "interrupted"):
             self.steps += 1
+            self._judge(event)
         elif kind == "recovered":
             self.recovered.append((self._last_k, base64.b64decode(event["payload"])))
+
+    def _judge(self, event: Mapping[str, Any]) -> None:
+        """Add a step's cost."""
+        self.cost += step_cost(self.weights, event["x_next"], event["u"])
+
+
+def step_cost(weights: tuple[Vector, Vector], x_next: Sequence[float], u: Sequence[float]) -> float:
+    """What a step costs: x(k+1)' Q x(k+1) + u(k)' R u(k), ``weights`` the diagonals of Q and R."""
+    state, effort = weights
+    return sum(q * v * v for q, v in zip(state, x_next, strict=False)) + sum(
+        r * v * v for r, v in zip(effort, u, strict=False)
+    )
 
 
 def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tuple[bytes, int]]:
@@ -65,3 +94,11 @@ def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tup
             found[at] = (payload, k)
             place = at + 1
     return found
+
+
+def cost_of(run: Run) -> float | None:
+    """The control cost a step of a run's plant, as far as its trace can be read."""
+    counts = PlantCounts(run.scenario.cost_weights)
+    with suppress(TraceError):
+        run.feed("plant", counts.take)
+    return counts.mean_cost

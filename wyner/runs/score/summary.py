@@ -32,8 +32,9 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
     it whole, -1 never. ``exchanged`` has so much of every message, the last 1000 of them.
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
-    every journal the plant had. ``trace_error`` says from where on the plant's trace cannot be
-    read, and what is summed up is what stands before; it is empty where all of it can.
+    every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
+    ``trace_error`` says from where on the plant's trace cannot be read, and what is summed up is
+    what stands before; it is empty where all of it can.
     ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
     strongest eavesdropper of this run leaves of it at most, ``true_bits_interval`` with its limits
     (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
@@ -44,7 +45,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, trace_error, behind = PlantCounts(), "", 0
+    counts, trace_error, behind = PlantCounts(scenario.cost_weights), "", 0
     try:
         behind = run.feed("plant", counts.take)
     except TraceError as error:
@@ -71,6 +72,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         "seconds": seconds,
         "transitions": counts.transitions,
         "missed": steps - counts.transitions,
+        "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
         "symbol_errors": counts.symbol_errors,
         "bits": bits,
@@ -125,6 +127,7 @@ def render(summary: dict[str, Any]) -> str:
         + (f"{errors} WRONG" if errors else "none wrong"),
         f"carried    {summary['bits']:.0f} message bits, "
         f"{summary['bits_per_second']:.2f} a second of plant time",
+        *cost_lines(summary["control_cost"]),
     ]
     if summary["trace_error"]:
         lines.append(f"trace      damaged, counted up to there: {summary['trace_error']}")
@@ -143,6 +146,11 @@ def render(summary: dict[str, Any]) -> str:
         lines.append(f"Eve        {left}: wyner score --decode")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
+
+
+def cost_lines(cost: float | None) -> list[str]:
+    """The control cost in a line; none of a plant that made no step."""
+    return [] if cost is None else [f"cost       {cost:.4g} a step, x' Q x + u' R u"]
 
 
 def _others(summary: dict[str, Any]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,31 @@ def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
     verdicts = np.subtract(possible, 1, dtype=runs.symbol.dtype)
     np.bitwise_or(verdicts, runs.symbol[:, None, :], out=verdicts)
     secrecy = runs.scenario.secrecy
-    return advance_many(make_scheme(secrecy.scheme, secrecy.candidates), verdicts)
+    scheme = make_scheme(secrecy.scheme, secrecy.candidates)
+    if runs.missed is None:
+        return advance_many(scheme, verdicts)
+    # A missed step is no transition: each run's transitions come first, and go back to their steps.
+    order = transitions_first(runs.missed)[:, None, :]
+    many = advance_many(scheme, np.take_along_axis(verdicts, order, axis=0))
+    nothing = runs.missed[:, None, :]
+    agreed, pad, tested = (_at_steps(part, order) for part in many)
+    agreed[np.broadcast_to(nothing, agreed.shape)] = NO_SYMBOL
+    pad[np.broadcast_to(nothing, pad.shape)] = NO_SYMBOL
+    tested[np.broadcast_to(nothing, tested.shape)] = False
+    return Carries(agreed, pad, tested)
+
+
+def transitions_first(missed: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """For each run the steps of its transitions in their order, and then those missed."""
+    order: NDArray[np.intp] = np.argsort(missed, axis=0, kind="stable")
+    return order
+
+
+def _at_steps(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[Any]:
+    """What stands by transition, put to its steps."""
+    out = np.empty_like(values)
+    np.put_along_axis(out, np.broadcast_to(order, values.shape), values, axis=0)
+    return out
 
 
 def _count(flags: NDArray[np.bool_]) -> Counts:
@@ -141,6 +166,8 @@ def transfer(
     p = carried.cumsum(axis=0, dtype=np.int64)
     sent = text[np.maximum(p - 1, 0)]
     cipher = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
+    if runs.missed is not None:
+        cipher = _at_steps(cipher, transitions_first(runs.missed))
     np.copyto(cipher, ((sent + pad) % size).astype(kind), where=carried)
     recovered = (cipher.astype(np.int16) - pad) % size
     return Transfer(

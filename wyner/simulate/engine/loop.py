@@ -8,18 +8,22 @@ services' own to the last bit.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
-from protocol.agreement import INSIDE, NO_SYMBOL, Gauge
+from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
+from protocol.link.fallback import Fallback
 from protocol.scenario import Scenario
 from protocol.vectors import Matrix
 from wyner.simulate.engine.draws import Draws, disturbances, symbol_type
+from wyner.simulate.missed import missed_steps
 
 CHUNK_RUNS: Final = 4096
 """Runs simulated together: a column (32 kB) stays in cache, and NumPy's calls are paid for."""
@@ -51,10 +55,17 @@ class Runs(Brief):
         not -1 and this is at most alpha.
     state_cost, input_effort : array, shape (R,)
         Sums over steps of abs(x(k+1))^2 and abs(u(k))^2.
+    cost : array, shape (R,)
+        Sum over steps of x(k+1)' Q x(k+1) + u(k)' R u(k), the scenario's ``cost_weights``.
+    missed : bool array, shape (steps, R), optional
+        Steps without an offer, where the scenario has a network: no transitions, their ``coin`` and
+        ``symbol`` are -1.
     x : array, shape (steps + 1, n, R), optional
         States; with ``candidates`` and ``gauges`` only where the record was asked for.
     candidates : array, shape (steps, M, m, R), optional
     gauges : array, shape (steps, M, R), optional
+    u : array, shape (steps, m, R), optional
+        What was applied.
     """
 
     scenario: Scenario
@@ -65,9 +76,12 @@ class Runs(Brief):
     largest: Array
     state_cost: Array
     input_effort: Array
+    cost: Array
+    missed: NDArray[np.bool_] | None = None
     x: Array | None = None
     candidates: Array | None = None
     gauges: Array | None = None
+    u: Array | None = None
 
     def brief(self) -> dict[str, object]:
         """Of which system, and how many."""
@@ -81,8 +95,21 @@ class Runs(Brief):
 
     @property
     def steps(self) -> int:
-        """Transitions in each run."""
+        """Steps of each run."""
         return len(self.coin)
+
+    @property
+    def missed_share(self) -> Array:
+        """The share of missed steps of each run, shape (R,)."""
+        if self.missed is None:
+            return np.zeros(len(self.runs))
+        out: Array = self.missed.mean(axis=0)
+        return out
+
+    @property
+    def mean_cost(self) -> Array:
+        """The control cost a step of each run, shape (R,)."""
+        return self.cost / self.steps
 
 
 def _weighted(row: Sequence[float], columns: Sequence[Array], out: Array, spare: Array) -> None:
@@ -130,7 +157,8 @@ class _Loop:
         self.free = np.empty((self.n, R))  # A x
         self.centres = np.empty((self.M, self.n, R))
         self.gauges = np.empty((self.M, R))
-        self.u = np.empty((self.m, R))
+        self.u = np.zeros((self.m, R))
+        self.fallback = Fallback.of(scenario).input
         self.difference = np.empty((self.n, R))
         self.spare = np.empty(R)
         self.ratio = np.empty(R)
@@ -142,9 +170,19 @@ class _Loop:
         for i in range(1, self.M):
             np.copyto(out, options[i], where=coin == i)
 
-    def step(self, columns: list[list[Array]], coin: Symbols, d: Array) -> None:
-        """Centres, next state and gauges from the candidates' columns, ``columns[i][j]`` (R,)."""
+    def step(
+        self, columns: list[list[Array]], coin: Symbols, d: Array, missed: NDArray[np.intp]
+    ) -> None:
+        """Centres, next state and gauges from the candidates' columns, ``columns[i][j]`` (R,).
+
+        Of the runs ``missed`` the fallback is applied.
+        """
         rows_x = list(self.x)
+        in_force = self.u[:, missed].T.tolist()
+        instead = [
+            self.fallback(tuple(x), tuple(u))
+            for x, u in zip(self.x[:, missed].T.tolist(), in_force, strict=True)
+        ]
         for i in range(self.n):
             _weighted(self.A[i], rows_x, self.free[i], self.spare)
         for j, inputs in enumerate(columns):
@@ -161,6 +199,10 @@ class _Loop:
                 _weighted(self.true_A[i], rows_x, out, self.spare)
                 _add(self.true_B[i], list(self.u), out, self.spare)
             np.add(out, d[i], out=out)
+        for r, u in zip(missed.tolist(), instead, strict=True):
+            self.u[:, r] = u
+            moved = predict(self.true_A, self.true_B, self.x[:, r].tolist(), u)
+            self.following[:, r] = np.array(moved) + d[:, r]
         for j in range(self.M):
             np.subtract(self.following, self.centres[j], out=self.difference)
             self.measure(self.gauge, self.gauges[j])
@@ -209,6 +251,7 @@ def simulate_runs(
     runs: range,
     steps: int,
     record: bool = False,
+    folder: Path = Path(),
 ) -> Runs:
     """Simulate ``runs`` together; a chunk, for more see :func:`chunks`.
 
@@ -222,25 +265,35 @@ def simulate_runs(
         Numbers of the runs, each with its own streams.
     steps : int
     record : bool
-        Keep states, candidates and gauges of every transition.
+        Keep states, candidates, inputs and gauges of every step.
+    folder : Path
+        Where the file of a network's measured delays is looked for.
 
     Raises
     ------
     SimulationError
-        When a state leaves every set, or a program has no answer.
+        When a state leaves every set, or a program has no answer. With a network a step outside
+        every set is a missed one.
     """
     R = len(runs)
     if R < 1 or steps < 1:
         raise ValueError(f"runs and steps: got {R} and {steps}, expected at least one of each")
     loop = _Loop(scenario, law, runs, seed)
     M, m, n = loop.M, loop.m, loop.n
-    coin = np.empty((steps, R), dtype=symbol_type(M))
+    tosses = np.empty((steps, R), dtype=symbol_type(M))
+    coin = np.empty_like(tosses) if scenario.network is not None else tosses
     symbol = np.empty((steps, R), dtype=symbol_type(M))
     largest = np.empty((steps, R))
-    state_cost, input_effort = np.zeros(R), np.zeros(R)
+    state_cost, input_effort, cost = np.zeros(R), np.zeros(R), np.zeros(R)
+    Q, weight = scenario.cost_weights
+    missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps, folder=folder)
+    made = np.zeros(R, dtype=np.intp)  # transitions so far
+    everyone = np.arange(R)
+    nobody = everyone[:0]
     xs = np.empty((steps + 1, n, R)) if record else None
     us = np.empty((steps, M, m, R)) if record else None
     gs = np.empty((steps, M, R)) if record else None
+    applied = np.empty((steps, m, R)) if record else None
     if xs is not None:
         xs[0] = loop.x
     d = np.empty((0, n, R))
@@ -249,27 +302,40 @@ def simulate_runs(
         if place == 0:
             uniforms, coins = loop.draws.block(min(BLOCK, steps - k))
             d = disturbances(scenario.plant.disturbance, k, uniforms)
-            coin[k : k + len(coins)] = coins * M
+            tosses[k : k + len(coins)] = coins * M
         X = loop.x.T
+        if missed is not None:
+            missed[k] |= _outside(law, X)
+            X = np.where(missed[k][:, None], 0.0, X)
         try:
             options = law.candidates_many(X, law.indices(X))
         except (OutsideError, ProgramError) as error:
             raise SimulationError(
                 f"runs {runs.start} to {runs.stop - 1}, step {k}: {error}"
             ) from None
+        tossed, without = tosses[k], nobody
+        if missed is not None:  # draw j belongs to transition j
+            tossed, without = tosses[made, everyone], np.flatnonzero(missed[k])
+            coin[k] = np.where(missed[k], NO_SYMBOL, tossed)
+            made += ~missed[k]
         columns = [[np.ascontiguousarray(options[:, j, i]) for i in range(m)] for j in range(M)]
-        loop.step(columns, coin[k], d[place])
+        loop.step(columns, tossed, d[place], without)
         loop.verdict(symbol[k], largest[k])
+        symbol[k, without], largest[k, without] = NO_SYMBOL, np.inf
         for i in range(n):
             np.multiply(loop.x[i], loop.x[i], out=loop.spare)
             np.add(state_cost, loop.spare, out=state_cost)
+            cost += Q[i] * loop.spare
         for i in range(m):
             np.multiply(loop.u[i], loop.u[i], out=loop.spare)
             np.add(input_effort, loop.spare, out=input_effort)
-        if xs is not None and us is not None and gs is not None:
+            cost += weight[i] * loop.spare
+        if xs is not None and us is not None and gs is not None and applied is not None:
             xs[k + 1] = loop.x
             us[k] = options.transpose(1, 2, 0)
             gs[k] = loop.gauges
+            applied[k] = loop.u
+            us[k][..., without] = gs[k][:, without] = np.nan
     return Runs(
         scenario=scenario,
         seed=seed,
@@ -279,10 +345,27 @@ def simulate_runs(
         largest=largest,
         state_cost=state_cost,
         input_effort=input_effort,
+        cost=cost,
+        missed=missed,
         x=xs,
         candidates=us,
         gauges=gs,
+        u=applied,
     )
+
+
+def _outside(law: CandidateLaw, X: Array) -> NDArray[np.bool_]:
+    """Which rows of X lie in no set, or have no answer: there the controller offers nothing."""
+    out = np.zeros(len(X), dtype=bool)
+    try:
+        law.candidates_many(X, law.indices(X))
+    except (OutsideError, ProgramError):
+        for r, x in enumerate(X.tolist()):
+            try:
+                law.candidates(x)
+            except LookupError:
+                out[r] = True
+    return out
 
 
 def chunks(
@@ -293,8 +376,9 @@ def chunks(
     runs: range,
     steps: int,
     chunk: int = CHUNK_RUNS,
+    folder: Path = Path(),
 ) -> Iterator[Runs]:
     """Simulate any number of runs, ``chunk`` at a time."""
     for first in range(runs.start, runs.stop, chunk):
         part = range(first, min(first + chunk, runs.stop))
-        yield simulate_runs(scenario, law, seed=seed, runs=part, steps=steps)
+        yield simulate_runs(scenario, law, seed=seed, runs=part, steps=steps, folder=folder)

@@ -54,9 +54,13 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
         raise ValueError("runs: expected a simulation with record=True")
     x = [tuple(v) for v in runs.x[:, :, place].tolist()]
     offers = runs.candidates[..., place].tolist()
-    for j, cipher in enumerate(link.cipher[:, place].tolist()):
-        candidates = tuple(tuple(u) for u in offers[j])
-        yield Transition("simulated", j, x[j], candidates, cipher, x[j + 1], start=j == 0)
+    first = True
+    for k, cipher in enumerate(link.cipher[:, place].tolist()):
+        if runs.missed is not None and runs.missed[k, place]:
+            continue
+        candidates = tuple(tuple(u) for u in offers[k])
+        yield Transition("simulated", k, x[k], candidates, cipher, x[k + 1], start=first)
+        first = False
 
 
 def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
@@ -112,7 +116,8 @@ def listen(
     draw = Random(f"copies {runs.seed} {runs.runs[place]}")
     keys = link.agreed[:, place].tolist()
     right = [0] * len(taps)
-    for transition, key in zip(transcript(runs, link, place), keys, strict=True):
+    for transition in transcript(runs, link, place):
+        key = keys[transition.k]
         for message in copies(transition, draw, scenario.tap.loss) if attackers else ():
             for tap in attackers:
                 tap.hear(message)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.studies.figures import attacks, idea, keys, loop, noise, secrecy, signalling
+from wyner.studies.figures import attacks, idea, keys, loop, network, noise, secrecy, signalling
 from wyner.studies.figures.style import Drawing, FigureError, drawing, save
 
 __all__ = ["FIGURES", "FigureError", "draw"]
@@ -40,12 +40,13 @@ FIGURES: Final[dict[str, Kind]] = {
     "two-step": Kind(signalling.draw_codes, ("two-step",), (6.4, 3.8)),
     "block-codes": Kind(signalling.draw_blocks, ("block-codes",), (6.8, 4.2)),
     "noise-bound": Kind(noise.draw_bound, ("noise-bound",), (8.0, 4.0)),
+    "network": Kind(network.draw_network, ("network",), (7.4, 5.0)),
     "key-controls": Kind(keys.draw_controls, ("key-controls",), (7.4, 4.6)),
     "undetected": Kind(attacks.draw_undetected, ("attacks",), (6.4, 3.8)),
     "dither-price": Kind(attacks.draw_dither, ("dither-price",), (6.4, 3.8)),
 }
-"""The figures, in the order of docs/experiments.md, docs/secrecy.md,
-docs/signalling.md, docs/keys.md and docs/attacks.md."""
+"""The figures, in the order of docs/experiments.md, docs/secrecy.md, docs/signalling.md,
+docs/networks.md, docs/keys.md and docs/attacks.md."""
 
 
 def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:

@@ -1,0 +1,83 @@
+"""A direction of the network: which message arrives, and when. Sans I/O; time is an argument.
+
+Every draw is a function of (seed, direction, step, copy), so that the same message has the same
+fate in the simulation, in the engine and live.
+"""
+
+import random
+from collections import OrderedDict
+from math import inf
+from typing import Final
+
+from protocol.fates import Fates
+from protocol.scenario.network import ChannelTable
+
+REMEMBERED: Final = 64
+"""Steps of which copies are counted; an older one starts from its first copy again."""
+
+
+class Channel:
+    """One direction of the network.
+
+    Parameters
+    ----------
+    table : ChannelTable
+    name : str
+        What tells its draws from others': seed, run and direction.
+    measured : tuple of float
+        The delays of the table's file.
+    scale : float
+        Seconds of the caller's clock in a second of the plant's.
+    """
+
+    def __init__(
+        self,
+        table: ChannelTable,
+        name: str,
+        measured: tuple[float, ...] = (),
+        scale: float = 1.0,
+    ) -> None:
+        self._table = table
+        self._measured = measured
+        self._scale = scale
+        self._fates = Fates(name)
+        self._chain = table.chain
+        self._copies: OrderedDict[int, int] = OrderedDict()
+        self._state: tuple[int, float] = (-1, self._chain.loss_good)  # step, and its loss
+        self._free_at = -inf
+        self._newest = -inf
+
+    def arrival(self, k: int, now: float) -> float | None:
+        """When a message of step ``k`` that is sent ``now`` arrives; None where it is lost."""
+        table, copy = self._table, self._copies.pop(k, 0)
+        self._copies[k] = copy + 1
+        if len(self._copies) > REMEMBERED:
+            self._copies.popitem(last=False)
+        lost, late = self._fates.at(k, copy)
+        sent = now
+        if table.rate_hz is not None:  # a message that is lost later occupies the way, too
+            sent = self._free_at = max(now, self._free_at) + table.sending_s * self._scale
+        if lost < self._loss(k):
+            return None
+        arrives = sent + self._delay_s(late) * self._scale
+        if not table.reordering:
+            arrives = self._newest = max(arrives, self._newest)
+        return arrives
+
+    def _loss(self, k: int) -> float:
+        if self._state[0] != k:
+            self._state = (k, self._chain.loss_at(k, self._fates.of_step))
+        return self._state[1]
+
+    def _delay_s(self, uniform: float) -> float:
+        """The delay that a uniform number stands for."""
+        table = self._table
+        if table.delay == "measured":
+            return self._measured[int(uniform * len(self._measured))]
+        if table.delay == "uniform":
+            return table.delay_s + (2.0 * uniform - 1.0) * table.jitter_s
+        if table.delay == "gamma":
+            shape = (table.delay_s / table.jitter_s) ** 2
+            # The number seeds a draw: Python has no quantile of the distribution.
+            return random.Random(uniform).gammavariate(shape, table.delay_s / shape)
+        return table.delay_s

@@ -1,0 +1,172 @@
+"""The network table: the same steps missed wherever it is passed, and as many as expected."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.agreement import predict
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.statistics import share_over_runs
+from runtime.errors import UsageError
+from tests.support.small_run import law_of
+from wyner.api import design, run
+from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.missed import missed_steps
+from wyner.simulate.network import Simulation
+from wyner.studies.missed_share import expected_missed_share
+
+BURSTS = {"loss": 0.05, "loss_bad": 0.9, "to_bad": 0.05, "to_good": 0.3}
+LATE = {"delay": "gamma", "delay_s": 0.05, "jitter_s": 0.04}
+TABLES: dict[str, dict[str, Any]] = {
+    "losses": {"to_plant": {"loss": 0.3}, "to_controller": {"loss": 0.3}},
+    "bursts": {"to_plant": BURSTS},
+    "jitter": {
+        "to_plant": {"delay": "uniform", "delay_s": 0.04, "jitter_s": 0.03, "loss": 0.1},
+        "to_controller": {"delay": "gamma", "delay_s": 0.03, "jitter_s": 0.02, "loss": 0.2},
+    },
+    "late and bursts": {"to_plant": LATE, "to_controller": LATE | BURSTS},
+    "slow": {"to_plant": {"rate_hz": 40.0, "loss": 0.3}, "to_controller": {"rate_hz": 50.0}},
+}
+
+
+def networked(table: dict[str, Any], name: str = "sustained", **link: Any) -> Scenario:
+    scenario, _ = law_of(name)
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    data["network"] = table
+    data["link"] |= link
+    return parse_scenario(data, name)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_share_computed_is_the_share_counted(name: str) -> None:
+    """20 runs of 600 steps, seed 3: within three half-widths of the interval over runs."""
+    scenario = networked(TABLES[name])
+    missed = missed_steps(scenario, seed=3, runs=range(20), steps=600)
+    assert missed is not None
+    counted = share_over_runs([(int(m), 600) for m in missed.sum(axis=0)])
+    expected = expected_missed_share(scenario)
+    assert expected is not None
+    assert abs(counted.value - expected) <= 1.5 * counted.width + 0.003, (counted, expected)
+
+
+def test_losses_alone_are_the_product() -> None:
+    """Four copies, each through with probability 0.49: 0.51^4 are missed."""
+    assert expected_missed_share(networked(TABLES["losses"])) == pytest.approx(0.51**4)
+    one = networked(TABLES["losses"], repeats_per_period=1)
+    assert expected_missed_share(one) == pytest.approx(0.51)
+    assert expected_missed_share(law_of("sustained")[0]) is None
+
+
+def test_a_round_trip_of_a_step_misses_every_step() -> None:
+    late = {"delay_s": 0.05}
+    assert expected_missed_share(
+        networked({"to_plant": late, "to_controller": late})
+    ) == pytest.approx(1.0)
+    in_time = {"delay_s": 0.049}
+    near = networked({"to_plant": in_time, "to_controller": in_time})
+    assert expected_missed_share(near) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize("fallback", ["hold", "zero", "regulator"])
+def test_the_engine_misses_the_steps_that_the_two_ends_miss(name: str, fallback: str) -> None:
+    """To the last bit: states, coins, verdicts and key symbols of every step, seed 5."""
+    scenario = networked(TABLES[name], fallback=fallback)
+    _, law = law_of("sustained")
+    steps = 120
+    together = simulate_runs(scenario, law, seed=5, runs=range(1), steps=steps, record=True)
+    both = Simulation(scenario, law, seed=5, step_s=scenario.plant.period_s)
+    history = both.run(steps=steps)
+    assert together.missed is not None
+    assert history.missed == together.missed.sum() > 0
+    link = transfer(together)
+    assert together.x is not None
+    done = [t for t in history.plant.values() if t.k < steps]
+    made = np.flatnonzero(~together.missed[:, 0]).tolist()
+    assert [t.k for t in done] == made[: len(done)]
+    assert len(made) - len(done) <= 1
+    for t in done:
+        assert t.x == tuple(together.x[t.k, :, 0])
+        assert t.x_next == tuple(together.x[t.k + 1, :, 0])
+        assert t.coin == together.coin[t.k, 0]
+        assert t.symbol == link.agreed[t.k, 0]
+        assert t.cipher == link.cipher[t.k, 0]
+
+
+def test_a_plant_of_ones_own_misses_the_same_steps() -> None:
+    data = networked(TABLES["bursts"]).model_dump(mode="json", exclude_none=True)
+    data["plant"]["disturbance"] = {"enters": "none"}
+    scenario = parse_scenario(data, "own")
+
+    class Own:
+        """The scenario's plant as an object."""
+
+        def reset(self, seed: int | None) -> tuple[float, ...]:
+            self.x = scenario.initial_state
+            return self.x
+
+        def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
+            self.x = predict(scenario.A, scenario.B, self.x, u)
+            return self.x
+
+    own = run(design(scenario), steps=80, runs=2, seed=4, plant=Own())
+    expected = missed_steps(scenario, seed=4, runs=range(2), steps=80)
+    assert expected is not None
+    assert own.missed_share == pytest.approx(expected.mean(axis=0))
+    assert (own.coin.T[expected] == -1).all()
+    assert np.isnan(own.gauges[0][expected[:, 0]]).all()
+    assert (own.u[0][expected[:, 0]] == 0).all(), "the fallback, zero"
+    assert (own.cost > 0).all()
+
+
+def _has_two(both: Simulation) -> bool:
+    return len(both.history.inbox) == 2
+
+
+def test_delays_up_to_three_periods_lose_nothing_and_lock_nothing() -> None:
+    """Both messages arrive, at most four measurements leave a step; 6 seeds."""
+    late = {"delay": "uniform", "delay_s": 0.15, "jitter_s": 0.15, "loss": 0.1}
+    scenario = networked({"to_plant": late, "to_controller": {"loss": 0.1}})
+    _, law = law_of("sustained")
+    for seed in range(6):
+        both = Simulation(scenario, law, seed=seed, payloads=(b"a", b"b"), step_s=0.1)
+        history = both.run(until=partial(_has_two, both), seconds=2000.0)
+        assert history.inbox == [b"a", b"b"], seed
+        assert not history.rewritten
+        assert len(history.offered) <= 4 * (both.k + 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"to_plant": {"jitter_s": 0.1}}, "expected delay = 'uniform' or 'gamma' with it"),
+        ({"to_plant": {"delay": "uniform", "jitter_s": 0.1}}, "expected at most delay_s, 0"),
+        ({"to_plant": {"delay": "gamma", "delay_s": 0.1}}, "expected both above 0"),
+        ({"to_plant": {"delay": "measured"}}, "expected one where delay is 'measured'"),
+        ({"to_plant": {"to_bad": 0.1}}, "expected loss_bad too"),
+        ({"to_plant": BURSTS | {"to_good": 0.99}}, "expected to_bad above 0 and a sum"),
+        ({"to_controller": {"rate_hz": 10.0}}, "expected at least 40: 4 messages in 0.1 s"),
+    ],
+)
+def test_a_wrong_table_is_one_line(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError, match=says) as refused:
+        networked(table)
+    assert len(refused.value.problems) == 1
+
+
+def test_measured_delays_come_from_their_file(tmp_path: Any) -> None:
+    table = {"delay": "measured", "file": "delays.txt"}
+    scenario = networked({"to_plant": table}, repeats_per_period=1)
+    with pytest.raises(UsageError, match="cannot be read"):
+        expected_missed_share(scenario, tmp_path)
+    file = tmp_path / "delays.txt"
+    file.write_text("0.02\n0.03\n0.15\n0.25\n")
+    assert expected_missed_share(scenario, tmp_path) == pytest.approx(0.5, abs=1e-9)
+    missed = missed_steps(scenario, seed=1, runs=range(10), steps=400, folder=tmp_path)
+    assert missed is not None
+    assert missed.mean() == pytest.approx(0.5, abs=0.03)
+    file.write_text("0.02\nsoon\n")
+    with pytest.raises(UsageError, match="delay 2: got soon, expected seconds"):
+        expected_missed_share(scenario, tmp_path)
