@@ -280,9 +280,9 @@ class Scenario(Brief, ScenarioTable):
         untold = {"description", "source", "tap", "attack"}
         if self.defence == DefenceTable():
             untold.add("defence")
-        rest = self.model_dump(mode="json", exclude={*untold, *apart})
         if self.network is None:
-            del rest["network"]
+            untold.add("network")
+        rest = self.model_dump(mode="json", exclude={*untold, *apart})
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
         return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
 
