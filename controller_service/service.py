@@ -56,8 +56,8 @@ class ControllerConfig(EndConfig):
 
     law: OnlineLaw
     message: bytes | None = None
-    clear_alarm: bool = False
     pace: Pace = field(default_factory=lambda: Pace("realtime"))
+    clear_alarm: bool = False
 
 
 def open_controller(
