@@ -1,6 +1,6 @@
 """The plant's core as its journal has it: a new one, or one that goes on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from attacker_service.asking import Attacker
@@ -15,6 +15,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
+from protocol.secret.records import Key
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -47,6 +48,7 @@ def open_core(
     folder: Path = Path(),
     seed: int | None = None,
     own: Stepped | PlantAdapter | None = None,
+    coin_keys: Iterable[Key] = (),
     attack: Attack | None = None,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
@@ -67,6 +69,8 @@ def open_core(
         For a plant with chance of its own.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
+    coin_keys : iterable of Key
+        As of :class:`plant_service.core.PlantCore`.
     attack : Attack, optional
         On this plant, or on its bus.
 
@@ -116,6 +120,7 @@ def open_core(
             record=first,
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
+            coin_keys=coin_keys,
             step=step,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,

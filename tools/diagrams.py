@@ -17,6 +17,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
 from protocol.link.events import (
+    Alarm,
     AttackBegan,
     Delivered,
     Event,
@@ -171,6 +172,7 @@ EVENTS: Final[tuple[tuple[str, type[Event]], ...]] = (
     ("plant", Interrupted),
     ("both", SessionBegan),
     ("plant", AttackBegan),
+    ("controller", Alarm),
     ("controller", Queued),
     ("controller", Delivered),
     ("plant", Recovered),
