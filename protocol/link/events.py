@@ -32,7 +32,7 @@ class SessionBegan(NamedTuple):
 
 
 class AttackBegan(NamedTuple):
-    """The plant of this process is attacked: every parameter, for whoever judges the run."""
+    """The plant is attacked: ``kind``, ``at``, ``onset`` and the attack's own, for who judges."""
 
     attack: dict[str, Any]
 

@@ -189,17 +189,19 @@ class Truth(NamedTuple):
 class CountedTransition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
-    ``role`` is ``message`` where it carried a message symbol, else ``test``; ``symbol`` is the key
-    symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
-    -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
-    afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
-    1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
-    predictions, of an f_c that is not linear. Only the plant knows ``coin``, its b_r, and
-    ``u``, the input that was in force: at the controller they are -1 and empty. ``truth`` is there
-    where the plant is attacked, for whoever judges the run. ``coin_key`` is the key that the
+    ``j`` is its number in the session. ``x``, ``candidates``, ``cipher`` and ``x_next`` are public.
+    ``role`` is ``message`` where it carried a message symbol, else ``test``. ``gauges`` (of the
+    ``verdict``) tell how far ``x_next`` lies from each prediction; 1 is the edge of D_c. ``symbol``
+    is the key symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p]
+    carried (each -1 where there is none). ``p`` counts message symbols up to here, ``s`` is the
+    automaton's state afterwards. ``tested`` says whether the verdict counted. ``counts`` says which
+    copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
+    ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
+    b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
+    ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
     plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
-    coin was private, None and -1 where no coin is keyed. Only the controller knows ``expected``,
-    the candidate that its own copy of that key chose: it is -1 where the transition is unwatched.
+    coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
+    candidate that its own copy of that key chose: -1 where the transition is unwatched.
     """
 
     session: str
