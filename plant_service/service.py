@@ -19,7 +19,7 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
-from protocol.streams import COIN, noise, symbols
+from protocol.streams import COIN, SENSOR, Stream, noise, symbols
 from protocol.text import readable
 from runtime.bus import Bus
 from runtime.end_service import EndConfig, EndService
@@ -135,6 +135,7 @@ def _opened(
         telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
+        sensors=None if config.seed is None else Stream(config.seed, SENSOR, width=scenario.n),
         attack=config.attack,
     )
     undone.callback(let_go, core)

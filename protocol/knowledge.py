@@ -93,6 +93,9 @@ class Knowledge(Brief, BaseModel):
         the defender knows, is told.
     defender_H, defender_h : tuple, shapes (rows, n) and (rows,), optional
         D_c, where D_e has a shape of its own. Only the oracle is told.
+    noisy : bool
+        The plant's sensors are noisy: what is possible for her is tested at the offer. Only the
+        oracle is told.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
@@ -113,13 +116,16 @@ class Knowledge(Brief, BaseModel):
     alpha: float | None = None
     defender_H: Matrix | None = None
     defender_h: Vector | None = None
+    noisy: bool = False
     keys: Assumption | None = None
     noise: float = 0.0
     quantise: float = 0.0
 
     def without_secrets(self) -> "Knowledge":
         """The same for one who is no oracle: neither alpha nor D_c."""
-        return self.model_copy(update={"alpha": None, "defender_H": None, "defender_h": None})
+        return self.model_copy(
+            update={"alpha": None, "defender_H": None, "defender_h": None, "noisy": False}
+        )
 
     def brief(self) -> dict[str, object]:
         """Of which system it is, and what of it she knows."""

@@ -13,6 +13,7 @@ from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
 from protocol.scenario.network import ChannelTable, Network
+from protocol.scenario.noise import NoiseSet, SensorNoise
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
@@ -42,6 +43,7 @@ __all__ = [
     "Keys",
     "Link",
     "Network",
+    "NoiseSet",
     "OperatingPointTable",
     "Performance",
     "PlantTable",
@@ -50,6 +52,7 @@ __all__ = [
     "ScenarioError",
     "ScenarioTable",
     "Secrecy",
+    "SensorNoise",
     "TapView",
     "attack_of",
     "describe_errors",
