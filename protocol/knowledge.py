@@ -94,8 +94,7 @@ class Knowledge(Brief, BaseModel):
     defender_H, defender_h : tuple, shapes (rows, n) and (rows,), optional
         D_c, where D_e has a shape of its own. Only the oracle is told.
     noisy : bool
-        The plant's sensors are noisy: what is possible for her is tested at the offer. Only the
-        oracle is told.
+        The plant's sensors are noisy, which is public; how much they are is not.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
@@ -123,9 +122,7 @@ class Knowledge(Brief, BaseModel):
 
     def without_secrets(self) -> "Knowledge":
         """The same for one who is no oracle: neither alpha nor D_c."""
-        return self.model_copy(
-            update={"alpha": None, "defender_H": None, "defender_h": None, "noisy": False}
-        )
+        return self.model_copy(update={"alpha": None, "defender_H": None, "defender_h": None})
 
     def brief(self) -> dict[str, object]:
         """Of which system it is, and what of it she knows."""

@@ -344,6 +344,7 @@ class Scenario(Brief, ScenarioTable):
             disturbance_H=H,
             disturbance_h=h,
             policy=self.control.policy(self.n, self.m),
+            noisy=self.defender.noise is not None,
             keys=None if self.keys is None else self.keys.assumption(),
         )
 
@@ -353,7 +354,7 @@ class Scenario(Brief, ScenarioTable):
         noisy = self.defender.noise is not None
         if noisy or self.secrecy.disturbance is not None:
             H, h = self.test_set.rows()
-            told |= {"defender_H": H, "defender_h": h, "noisy": noisy}
+            told |= {"defender_H": H, "defender_h": h}
         return self.knowledge().model_copy(update=told)
 
 

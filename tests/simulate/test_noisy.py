@@ -130,7 +130,7 @@ class Stepped:
     """The paper's plant as somebody's own."""
 
     def reset(self, seed: int | None) -> tuple[float, ...]:
-        self.x = (1.0, -0.5)
+        self.x: tuple[float, ...] = (1.0, -0.5)
         return self.x
 
     def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
@@ -143,6 +143,7 @@ def test_a_plant_of_ones_own_is_read_through_noise() -> None:
     scenario = noisy(plant={"disturbance": {"enters": "none"}})
     own = run(design(scenario), steps=60, runs=2, seed=3, plant=Stepped())
     assert own.record.truth is not None
+    assert own.record.x is not None
     off = np.abs(own.record.truth - own.record.x)
     assert 0.015 < off.max() <= 0.02
     assert (own.key >= 0).mean() > 0.4
@@ -172,7 +173,8 @@ def test_wrong_noise_is_one_line(changes: dict[str, Any], says: str) -> None:
 )
 def test_how_many_candidates_the_noise_leaves(share: float, candidates: int) -> None:
     """M of `packed` at alpha = 8, the noise a share of D_c in each coordinate."""
-    from controller_service.sets.alphabet import AlphabetError, choose_alphabet
+    from controller_service.sets.alphabet import choose_alphabet
+    from controller_service.sets.separation import AlphabetError
 
     scenario = noisy(
         plant={"noise": {"half_widths": [0.0, 0.0]}},
@@ -195,3 +197,25 @@ def test_the_design_of_the_shipped_scenario_is_found_anew() -> None:
     assert Path("runtime/scenarios/noisy.toml").name == f"{scenario.name}.toml"
     again = make_law(scenario, synthesise(scenario))
     assert again.candidates(scenario.initial_state) == law.candidates(scenario.initial_state)
+
+
+@pytest.mark.parametrize("name", ["motor", "gymnasium-pendulum", "unicycle"])
+def test_every_kind_of_plant_is_read_through_noise(name: str) -> None:
+    """A hundredth of D_c, both ends and their journals, 25 steps, seed 2: no key is wrong."""
+    scenario, law = law_of(name)
+    widths = scenario.defender.disturbance.half_widths
+    assert widths is not None
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    data["defender"].pop("calibration", None)
+    data["plant"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
+    data["defender"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
+    through = parse_scenario(data, name)
+    history = Simulation(through, law, seed=2).run(steps=25)
+    counted = list(history.plant.values())
+    assert len(counted) >= 24
+    apart = []
+    for t in counted:
+        assert t.symbol in (NO_SYMBOL, t.coin)
+        assert t.truth is not None
+        apart.append(np.abs(np.subtract(t.truth.x_next, t.x_next)) / np.array(widths))
+    assert 0.005 < np.max(apart) <= 0.01 + 1e-9

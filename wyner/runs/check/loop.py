@@ -44,8 +44,9 @@ class Switching(Clause):
         self._begin()
 
     def _begin(self) -> None:
-        """The plant starts, in no session's middle; x is empty where it starts as it stands."""
-        self._x: Vector = self.evidence.scenario.plant.initial_state
+        """The plant starts, in no session's middle; x is empty where only it knows."""
+        plant = self.evidence.scenario.plant
+        self._x: Vector = plant.initial_state if plant.noise is None else ()
         self._u: Vector = (0.0,) * self.evidence.rules.inputs
 
     def feed(self, part: Part) -> None:
