@@ -76,7 +76,7 @@ class Coins:
 
         Which key chooses it, and with which digit, stands in the offer.
         """
-        name, first = getattr(offer, "coin_key", None), getattr(offer, "coin_from", None)
+        name, first = offer.coin_key, offer.coin_from
         if not name or first is None or self._solver is None:
             return UNKNOWN
         if name not in self._digits:

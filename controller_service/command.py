@@ -42,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sign key blocks by this file, as `wyner certs --secret` writes it",
     )
     parser.add_argument(
+        "--clear-alarm",
+        action="store_true",
+        help="let a controller offer again whose offers an alarm has ended",
+    )
+    parser.add_argument(
         "--model-folder",
         metavar="D",
         help="where the file of defender.model is (default: the scenario's own folder)",
@@ -58,6 +63,7 @@ class ControllerOptions(ServiceOptions):
     message: str | None = None
     message_file: str | None = None
     secret: str | None = None
+    clear_alarm: bool = False
     model_folder: str | None = None
 
 
@@ -98,6 +104,7 @@ def run_controller(options: ControllerOptions) -> int:
         seed=options.seed,
         bounds=bounds,
         secret=None if options.secret is None else Path(options.secret),
+        clear_alarm=options.clear_alarm,
         run_dir=run_dir_of(options.run_dir),
         folder=scenario_file_of(options.scenario).parent
         if options.model_folder is None

@@ -16,10 +16,12 @@ from typing import Final, Literal
 
 from pydantic import ValidationError
 
-from controller_service.telemetry import ControllerTelemetry, MessageQueue
+from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL, AgreementResult
+from protocol.defence.key_digits import fails
+from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import Delivered, Queued, SessionBegan
+from protocol.link.events import Alarm, Delivered, Queued, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
@@ -43,7 +45,8 @@ from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
-from protocol.secret.tasks import Done
+from protocol.secret.records import Key
+from protocol.secret.tasks import CoinKeys, Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import USAGE
@@ -67,6 +70,10 @@ STALE: Final = 64
 """Old measurements in a row after which the session ends: the journal is ahead of the plant, for
 it answered a step that the plant never made. A network that reorders delays fewer."""
 
+HALTED: Final = (
+    "an alarm has ended the offers (look at the plant, then wyner controller --clear-alarm)"
+)
+
 Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
 
@@ -77,13 +84,17 @@ class _Step:
 
     ``following`` is the record with all that the next offer needs: the automaton's next state, and
     the next symbol decided. ``judged`` is None where the measurement reports no new transition,
-    ``offer`` until there is one, and where the law has no answer.
+    ``offer`` until there is one, and where there is none to give. ``expected`` is the candidate
+    that a key chose, -1 where the transition is unwatched, and ``alarm`` says that its test failed
+    and makes one.
     """
 
     measurement: Measurement
     following: SenderRecord
     judged: tuple[AgreementResult, Carry] | None = None
     offer: Offer | None = None
+    expected: int = NO_SYMBOL
+    alarm: bool = False
 
 
 class ControllerCore:
@@ -108,6 +119,8 @@ class ControllerCore:
         What was heard and said after that record, as read back: to be counted first.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
+    coin_keys : iterable of Key
+        That the key store holds for the session's coin, in order.
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
@@ -140,6 +153,7 @@ class ControllerCore:
         record: SenderRecord | None = None,
         step: tuple[Measurement, Offer] | None = None,
         contributions: Iterable[Contribution] = (),
+        coin_keys: Iterable[Key] = (),
         predict: Predict | None = None,
         message: bytes | None = None,
         telemetry: ControllerTelemetry | None = None,
@@ -168,6 +182,13 @@ class ControllerCore:
         if self.record.session is not None:
             said = self.record if step is None else step[1]
             self.keying.begin(self.record.session, said.block, said.tag, contributions)
+        self.coins = OfferedCoins(rules.size, on=rules.keyed)
+        self.coins.begin(
+            read.session,
+            coin_keys,
+            *((read.coin_key, read.coin_from) if step is None else _newest_coin(read, step[1])),
+            applied="" if read.offer is None else read.offer.coin_key or "",
+        )
         # the session
         self._state: State = "greeting"
         self._plant: str | None = None
@@ -273,13 +294,21 @@ class ControllerCore:
             self._starting = False
             # Saved first: no other process may greet as this life of the journal.
             actions = Actions(
-                write=Save(self.record), publish=(self._greeting(),), keys=self.keying.tasks()
+                write=Save(self.record),
+                publish=(self._greeting(),),
+                keys=self._key_tasks(),
+                notices=(self._refusal(HALTED),) if self.record.halted else (),
             )
         return actions._replace(finish_step=self._starting or self._blocks_differ)
 
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The key maker has done a task; rows that nobody needs any more go at once."""
         self._now = now
+        if isinstance(done, CoinKeys):
+            self.coins.done(done, now)
+            return NOTHING_TO_DO
+        if isinstance(done, BlockResult) and done.what == "confirmed":
+            self.coins.confirmed()
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
     def appear(self, count: int) -> Actions:
@@ -328,12 +357,15 @@ class ControllerCore:
         ):
             return self._diverged(measurement)
         step = self._report(measurement)
+        if step.following.halted:
+            return NOTHING_TO_DO if record.halted else self._without_offer(step, HALTED, "alarmed")
         try:
             candidates = self._propose(measurement.x)
             predictions = self._predictions(measurement.x, candidates)
         except LookupError as error:
-            return self._without_offer(step, str(error))
+            return self._without_offer(step, str(error), "outside")
         block, tag = self.keying.word()
+        coin_key, coin_from, coin_last = self.coins.named(measurement.k)
         step.offer = Offer(
             session=measurement.session,
             k=measurement.k,
@@ -345,6 +377,9 @@ class ControllerCore:
             heard=measurement.copy_number,
             block=block,
             tag=tag,
+            coin_key=coin_key,
+            coin_from=coin_from,
+            coin_last=coin_last,
         )
         self._step = step
         return self._offers(step.offer, payload)
@@ -359,7 +394,7 @@ class ControllerCore:
             return f"measurement.x_after: got {size} states, expected {n} or none"
         if max(map(abs, measurement.x + measurement.x_after)) > LARGEST_STATE:
             return f"measurement: got a state beyond {LARGEST_STATE:g}"
-        return ""
+        return self.rules.malformed_coin("measurement.applied_key", measurement.applied_key)
 
     def _offers(self, offer: Offer, answers: bytes = b"") -> Actions:
         """Publish an offer; the first one that ``answers`` a measurement is saved before."""
@@ -369,10 +404,10 @@ class ControllerCore:
         write = Append(answers, wire) if answers else None
         return Actions(write=write, publish=(Outgoing(Offer, wire),), finish_step=write is not None)
 
-    def _without_offer(self, step: _Step, why: str) -> Actions:
-        """The law has no answer: what the measurement reports counts all the same."""
+    def _without_offer(self, step: _Step, why: str, phase: Phase) -> Actions:
+        """There is no answer to give: what the measurement reports counts all the same."""
         if self._telemetry is not None:
-            self._telemetry.phase = "outside"
+            self._telemetry.phase = phase
         actions = self._count(step)
         assert isinstance(actions.write, Save)
         return actions._replace(
@@ -407,7 +442,15 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
-        return _Step(measurement, following, (verdict, carry))
+        expected = self.coins.expected(offer, measurement.applied_key)
+        failed = verdict.unexplained
+        if expected != NO_SYMBOL:
+            failed = failed or fails(verdict.gauges, expected)
+        alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
+        if tests != record.failed or alarm:
+            halted = record.halted or (alarm and self.rules.halts)
+            following = following._replace(failed=tests, halted=halted)
+        return _Step(measurement, following, (verdict, carry), expected=expected, alarm=alarm)
 
     def _decide(
         self,
@@ -478,11 +521,18 @@ class ControllerCore:
         following = step.following
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
-            following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+            coin_key, coin_from = _newest_coin(before, offer)
+            following = following._replace(
+                nonce=nonce,
+                block=offer.block,
+                tag=offer.tag,
+                coin_key=coin_key,
+                coin_from=coin_from,
+            )
         results = self.keying.heard(measurement)
         self._blocks_differ = _unequal(results)
         actions = NOTHING_TO_DO
-        contribution, delivered = None, False
+        contribution, delivered, alarm = None, False, None
         if step.judged is None:  # no transition: the state, and the arrows from it, stay
             self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
         else:
@@ -506,6 +556,8 @@ class ControllerCore:
                 carry,
                 before.message_symbol,
                 contribution,
+                coin_key=measurement.applied_key,
+                expected=step.expected,
             )
             self.record = following._replace(
                 k=measurement.k,
@@ -517,8 +569,10 @@ class ControllerCore:
                 offer=offer,
             )
             self._aim()
+            if step.alarm:
+                alarm = self._alarm(transition, applied)
             if self._telemetry is not None:
-                self._telemetry.unexplained += verdict.unexplained
+                self._telemetry.counted(transition, alarm)
             delivered = following.message != before.message
             actions = Actions((transition,))
             if delivered:
@@ -529,7 +583,33 @@ class ControllerCore:
         write = Save(
             self.record, later=later, contribution=contribution, obsolete_rows=obsolete_rows
         )
-        return actions._replace(write=write, keys=self.keying.tasks(results))
+        if alarm is not None:
+            actions = actions._replace(
+                events=(*actions.events, alarm),
+                notices=(*actions.notices, Notice(alarm.sentence(), "error", "alarms")),
+            )
+        return actions._replace(write=write, keys=self._key_tasks(results))
+
+    def _key_tasks(self, results: tuple[BlockResult, ...] = ()) -> tuple[Task, ...]:
+        """What the keeper of keys must do now."""
+        return (*self.keying.tasks(results), *self.coins.tasks(self._now))
+
+    def _alarm(self, transition: CountedTransition, applied: Offer) -> Alarm:
+        """What was read and what was expected, of a transition whose test makes an alarm."""
+        gauges = transition.verdict.gauges
+        key, candidate = transition.coin_key or "", transition.expected
+        if candidate == NO_SYMBOL:
+            key, candidate = "", gauges.index(min(gauges))
+        return Alarm(
+            transition.session,
+            transition.j,
+            transition.k,
+            transition.x_next,
+            key,
+            candidate,
+            self.rules.prediction(transition.x, applied, candidate),
+            gauges[candidate],
+        )
 
     def _delivered(self, transition: CountedTransition, number: int) -> Actions:
         """The last symbol of a message's frame has been counted."""
@@ -605,6 +685,7 @@ class ControllerCore:
         self._stale = 0
         self._aim()
         self.keying.begin(session)
+        self.coins.begin(session)
 
     def _no_session(self) -> SenderRecord:
         """What is left of the record once its session is over: the message starts again."""
@@ -617,6 +698,7 @@ class ControllerCore:
             state=self.rules.scheme.initial,
             message=record.message,
             incarnation=record.incarnation,
+            halted=record.halted,
         )
 
     def _drop_session(self) -> None:
@@ -626,6 +708,7 @@ class ControllerCore:
         self._stale = 0
         self._aim()
         self.keying.end()
+        self.coins.begin(None)
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
@@ -768,7 +851,7 @@ class ControllerCore:
         """What the dashboard is told; a controller without telemetry has none."""
         assert self._telemetry is not None
         return self._telemetry.status(
-            self.record, self.rules.size, self.keying, self.messages, self.malformed
+            self.record, self.rules, self.keying, self.coins, self.messages, self.malformed
         )
 
     def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
@@ -780,6 +863,13 @@ class ControllerCore:
         if keep:
             self._health_at = self._now + HEALTH_S
         return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
+
+
+def _newest_coin(record: SenderRecord, offer: Offer) -> tuple[str, int]:
+    """The newest key that the offers of a session named up to this one, and its first step."""
+    if offer.coin_key and offer.coin_from is not None:
+        return offer.coin_key, offer.coin_from
+    return record.coin_key, record.coin_from
 
 
 def _after(incarnation: int) -> int:

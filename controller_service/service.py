@@ -26,7 +26,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_key_maker, refusal
+from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
@@ -50,12 +50,14 @@ class ControllerConfig(EndConfig):
     """What the controller service is started with.
 
     ``message`` is queued once in a journal's life, however often the service is started with it.
+    ``clear_alarm``: offers go on that an alarm has ended.
     ``pace`` is the plant's: a network's delays are of its clock.
     """
 
     law: OnlineLaw
     message: bytes | None = None
     pace: Pace = field(default_factory=lambda: Pace("realtime"))
+    clear_alarm: bool = False
 
 
 def open_controller(
@@ -78,6 +80,8 @@ def open_controller(
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         record, step = journal.load(), journal.step()
+        if record is not None and config.clear_alarm:
+            record = record._replace(halted=False)
         contributions = journal.contributions(None if record is None else record.session)
         key_maker = open_key_maker(
             config.run_dir / CONTROLLER_KEYS,
@@ -87,6 +91,7 @@ def open_controller(
             config.secret,
             record,
         )
+        for_coin = coin_keys(key_maker, scenario, record)
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
@@ -106,6 +111,7 @@ def open_controller(
         record=record,
         step=step,
         contributions=contributions,
+        coin_keys=for_coin,
         predict=predict,
         message=config.message,
         telemetry=ControllerTelemetry(

@@ -1,16 +1,24 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
+from protocol.agreement import NO_SYMBOL
+from protocol.link.coins import OfferedCoins
+from protocol.link.events import Alarm
 from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
 
-Phase = Literal["greeting", "running", "outside", "stopped", "refused"]
+Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
+
+
+LARGEST_GAUGE: Final = 1e300
+"""What a status says of one that is larger still: a message holds finite numbers only."""
 
 
 class MessageQueue(Protocol):
@@ -32,34 +40,47 @@ class MessageQueue(Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail`` and ``unexplained`` are the core's to set.
+    ``phase`` and ``detail`` are the core's to set.
     """
 
     def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
-        self.unexplained = 0
+        self._unexplained = self._watched = self._unwatched = self._alarms = 0
+        self._alarm: Alarm | None = None
         self._keys_refused = keys_refused
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
         self._seq = 0
 
+    def counted(self, t: CountedTransition, alarm: Alarm | None) -> None:
+        """Take in a transition, and the alarm that it makes."""
+        self._unexplained += t.verdict.unexplained
+        if t.coin_key is not None:
+            watched = t.expected != NO_SYMBOL
+            self._watched += watched
+            self._unwatched += not watched
+        if alarm is not None:
+            self._alarms += 1
+            self._alarm = alarm
+
     def status(
         self,
         record: SenderRecord,
-        size: int,
+        rules: Rules,
         keying: Keying,
+        coins: OfferedCoins,
         messages: MessageQueue,
         malformed: int,
     ) -> ControllerStatus:
-        """What the dashboard is told now; ``size`` is M."""
+        """What the dashboard is told now."""
         idle = record.message >= messages.queued
         shown = min(record.message, messages.queued - 1)
         if shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
         payload = self._shown[1]
-        length = 0 if payload is None else frame_length(len(payload), size)
+        length = 0 if payload is None else frame_length(len(payload), rules.size)
         try:
             set_index = self._law.index(record.x) if record.x else -1
         except LookupError:
@@ -82,6 +103,24 @@ class ControllerTelemetry:
             frame_length=length,
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
-            unexplained=self.unexplained,
+            unexplained=self._unexplained,
+            defence="keyed-coin" if rules.keyed else "residual",
+            watched=self._watched,
+            unwatched=self._unwatched,
+            coin_keys=coins.left,
+            alarms=self._alarms,
+            **self._last_alarm(),
             **keying.told(self._keys_refused),
         )
+
+    def _last_alarm(self) -> dict[str, Any]:
+        """A status's fields of the last alarm."""
+        alarm = self._alarm
+        if alarm is None:
+            return {}
+        return {
+            "alarm_k": alarm.k,
+            "alarm_reading": alarm.reading,
+            "alarm_expected": alarm.expected,
+            "alarm_gauge": min(alarm.gauge, LARGEST_GAUGE),
+        }

@@ -21,6 +21,7 @@ from plant_service.adapters.base import PlantError
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
+from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
     NEW_JOURNAL,
     AttackBegan,
@@ -52,7 +53,8 @@ from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, Frame
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
-from protocol.secret.tasks import Done
+from protocol.secret.records import Key
+from protocol.secret.tasks import CoinKeys, Done
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
 
@@ -105,6 +107,8 @@ class PlantCore:
         Symbols of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
+    coin_keys : iterable of Key
+        That the key store holds for the session's coin, in order.
     step : PlantStep, optional
         The journal's step that was not counted, or begun and not read.
     back : tuple of float, optional
@@ -149,6 +153,7 @@ class PlantCore:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
+        coin_keys: Iterable[Key] = (),
         step: PlantStep | None = None,
         back: Vector | None = None,
         fresh: bool = False,
@@ -175,6 +180,7 @@ class PlantCore:
         self._steps = steps
         self._step: PlantStep | None = None
         self._payload = b""  # of its offer, as it came
+        self._keyed = False  # whether a key chose its coin
         self._truth: Truth | None = None if step is None else plant.truth  # of its end
         self._begun: PlantStep | None = None
         if step is not None and step.measurement is not None:
@@ -197,6 +203,8 @@ class PlantCore:
         self.keying = Keying(rules.schedule, nonces)
         said = record if self._step is None else self._step.measurement or record
         self.keying.begin(record.session, said.block, said.tag, contributions)
+        self.coins = AppliedCoins(rules.size, on=rules.keyed)
+        self.coins.begin(record.session, coin_keys, *_newest_coin(record, step))
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
@@ -348,6 +356,9 @@ class PlantCore:
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The key maker has done a task; rows that are not needed any more are erased at once."""
         self._now = now
+        if isinstance(done, CoinKeys):
+            self.coins.done(done, now)
+            return NOTHING_TO_DO
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
     def appear(self, count: int) -> Actions:
@@ -403,7 +414,10 @@ class PlantCore:
         if self._measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self._measured_at)
         self._payload = payload
-        return self._begin(PlantStep(offer, self._coin.toss(record.transitions)))
+        # tossed in any case: whether a key chose is not to show in the time that it takes
+        coin, digit = self._coin.toss(record.transitions), self.coins.digit(offer)
+        self._keyed = digit is not None
+        return self._begin(PlantStep(offer, coin if digit is None else digit))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -423,6 +437,10 @@ class PlantCore:
         if not all(map(rules.admissible, offer.candidates)):
             raise ValueError("offer.candidates: expected inputs in U")
         if wrong := rules.malformed_predictions(offer.predictions):
+            raise ValueError(wrong)
+        if wrong := rules.malformed_coin(
+            "offer.coin_key", offer.coin_key, offer.coin_from, offer.coin_last
+        ):
             raise ValueError(wrong)
         if offer.cipher >= rules.size:
             raise ValueError(f"offer.cipher: got {offer.cipher}, expected below {rules.size}")
@@ -490,7 +508,14 @@ class PlantCore:
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
+            applied_key=self._applied_key(offer.coin_key, keyed=self._keyed),
         )
+
+    def _applied_key(self, key: str | None, *, keyed: bool) -> str | None:
+        """What a measurement says of the coin; None where no coin is keyed."""
+        if not self.rules.keyed:
+            return None
+        return key if keyed else ""
 
     def _measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it.
@@ -511,6 +536,7 @@ class PlantCore:
             applied_copy=record.applied_copy,
             block=record.block,
             tag=record.tag,
+            applied_key=self._applied_key(record.coin_key, keyed=record.keyed),
         )
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
@@ -558,6 +584,7 @@ class PlantCore:
             coin,
             u,
             self._truth,
+            report.applied_key,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -578,6 +605,9 @@ class PlantCore:
             block=report.block,
             tag=report.tag,
             blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
+            coin_key=self.coins.key,
+            coin_from=self.coins.first,
+            keyed=bool(report.applied_key),
         )
         self._step = None
         self._state = TABLE[self._state, "offer applied"].next
@@ -606,7 +636,7 @@ class PlantCore:
             actions = actions._replace(notices=(*actions.notices, notice))
         if not self.keying.on:
             return actions
-        tasks = self.keying.tasks(judged)
+        tasks = (*self.keying.tasks(judged), *self.coins.tasks(self._now))
         if any(result.what == "unequal" for result in judged):
             self._state = TABLE[self._state, "blocks differ"].next
             self._begin_session()
@@ -678,6 +708,8 @@ class PlantCore:
             nonce=self.keying.nonce(),
             block=block,
             tag=tag,
+            coin_key=self.coins.key,
+            coin_from=self.coins.first,
         )
         self._left = False
 
@@ -819,9 +851,13 @@ class PlantCore:
             applied_copy=0,
             block=-1,
             tag=self.keying.no_tag,
+            coin_key="",
+            coin_from=-1,
+            keyed=False,
         )
         self._left = True
         self.keying.begin(session)
+        self.coins.begin(session)
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """The actions of a new session, added to those of ``before``."""
@@ -942,6 +978,19 @@ class PlantCore:
         """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
+
+
+def _newest_coin(record: ReceiverRecord, step: PlantStep | None) -> tuple[str, int]:
+    """The newest key of the session that a coin may have come from, and its first step.
+
+    Of a step that was begun and not read nobody knows whether it did.
+    """
+    if step is not None and step.offer.session == record.session:
+        offer, report = step.offer, step.measurement
+        may = report is None or bool(report.applied_key)
+        if may and offer.coin_key and offer.coin_from is not None:
+            return offer.coin_key, offer.coin_from
+    return record.coin_key, record.coin_from
 
 
 def _logged(text: str, level: Literal["info", "error"] = "info") -> Actions:

@@ -1,7 +1,7 @@
 """The plant's core as its journal has it: a new one, or one that goes on."""
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from attacker_service.asking import Attacker
@@ -16,6 +16,7 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
+from protocol.secret.records import Key
 from protocol.streams import SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -49,6 +50,7 @@ def open_core(
     seed: int | None = None,
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
+    coin_keys: Iterable[Key] = (),
     attack: Attack | None = None,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
@@ -72,6 +74,8 @@ def open_core(
         journal has, or a new one has from now on.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
+    coin_keys : iterable of Key
+        As of :class:`plant_service.core.PlantCore`.
     attack : Attack, optional
         On this plant, or on its bus.
 
@@ -132,6 +136,7 @@ def open_core(
             record=first,
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
+            coin_keys=coin_keys,
             step=step,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,

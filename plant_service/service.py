@@ -31,7 +31,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import open_key_maker, refusal
+from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
@@ -110,13 +110,9 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
+    record = journal.load()
     key_maker = open_key_maker(
-        config.run_dir / PLANT_KEYS,
-        "plant",
-        scenario,
-        config.seed,
-        config.secret,
-        journal.load(),
+        config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret, record
     )
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""
@@ -136,6 +132,7 @@ def _opened(
         folder=config.folder,
         seed=config.seed,
         sensors=None if config.seed is None else Stream(config.seed, SENSOR, width=scenario.n),
+        coin_keys=coin_keys(key_maker, scenario, record),
         attack=config.attack,
     )
     undone.callback(let_go, core)

@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Protocol
 
 from protocol.scenario import Scenario
-from protocol.secret.records import Side, StoreError
+from protocol.secret.records import Key, Side, StoreError
 from runtime.errors import UsageError
+from runtime.keys import coins
 from runtime.keys.key_maker import KeyMakerAt
 from runtime.keys.ledger import take_secret
 from runtime.keys.secret_file import SecretError
@@ -76,3 +77,22 @@ def open_key_maker(
     finally:
         store.close()
     return KeyMakerAt(path, side)
+
+
+def coin_keys(
+    at: KeyMakerAt | None, scenario: Scenario, record: Counting | None
+) -> tuple[Key, ...]:
+    """Keys that a side's store holds for the coin of the session that its journal is in.
+
+    Raises
+    ------
+    UsageError
+        When the store cannot be used.
+    """
+    if at is None or record is None or not scenario.defence.keyed:
+        return ()
+    try:
+        with KeyStore(at.path, at.side) as store:
+            return coins.held(store, record.session)
+    except StoreError as error:
+        raise UsageError(str(error)) from None

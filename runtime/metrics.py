@@ -35,6 +35,9 @@ COUNTERS = {
     },
     ControllerStatus.topic: {
         "delivered": ("messages_delivered", "messages of which every symbol was counted"),
+        "alarms": ("alarms", "transitions whose test failed and made an alarm"),
+        "watched": ("watched_steps", "transitions tested by a key's candidate"),
+        "unwatched": ("unwatched_steps", "transitions that no key watched, of a keyed coin"),
         "malformed": ("malformed", "messages that were no messages"),
         "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
         "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key in its life"),

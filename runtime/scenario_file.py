@@ -50,6 +50,20 @@ def scenario_of(text: str) -> Scenario:
         raise UsageError(error.problems) from None
 
 
+def scenario_in(text: str, source: str) -> Scenario:
+    """The scenario that a text states; ``source`` is what it is called in a line.
+
+    Raises
+    ------
+    UsageError
+        With one line for each wrong field.
+    """
+    try:
+        return parse_scenario(tomllib.loads(text), source)
+    except ScenarioError as error:
+        raise UsageError(error.problems) from None
+
+
 def attack_option(text: str | None, stated: Attack | None, steps: int | None) -> Attack | None:
     """The attack that ``--attack`` names, else the scenario's own.
 

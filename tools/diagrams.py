@@ -5,8 +5,10 @@ docs/protocol.md and docs/howto/run-folder.md; a test says when they are stale.
 """
 
 import ast
+import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,9 +16,25 @@ from typing import Any, Final, NamedTuple
 from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
+from protocol.link.events import (
+    Alarm,
+    AttackBegan,
+    Delivered,
+    Event,
+    FrameRefused,
+    Interrupted,
+    Missed,
+    Queued,
+    Recovered,
+    SessionBegan,
+    Timing,
+)
+from protocol.link.key_events import Appearances, BlockStored
+from protocol.link.session import CountedTransition
 from protocol.messages import FIELD, INTEL, OPS, Message
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
+from protocol.secret.blocks import BlockResult
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
@@ -148,6 +166,56 @@ def evidence_table() -> str:
     return "\n".join([*lines, ""])
 
 
+EVENTS: Final[tuple[tuple[str, type[Event]], ...]] = (
+    ("both", CountedTransition),
+    ("plant", Missed),
+    ("plant", Interrupted),
+    ("both", SessionBegan),
+    ("plant", AttackBegan),
+    ("controller", Alarm),
+    ("controller", Queued),
+    ("controller", Delivered),
+    ("plant", Recovered),
+    ("plant", FrameRefused),
+    ("plant", Timing),
+    ("both", BlockStored),
+    ("both", BlockResult),
+    ("both", Appearances),
+)
+"""What a trace holds, and who writes it."""
+
+
+def event_fields(kind: type[Event]) -> list[str]:
+    """The names in a trace's line of this kind, ``event`` first, as its source gives them."""
+    named: list[str] = []
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kind.as_event)))):
+        if isinstance(node, ast.Dict):
+            named += [str(key.value) for key in node.keys if isinstance(key, ast.Constant)]
+        elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
+            named.append(str(node.slice.value))
+        elif isinstance(node, ast.Attribute) and node.attr == "_asdict":
+            named += [name for name in vars(kind)["_fields"] if name != "truth"]
+    return named
+
+
+def event_name(kind: type[Event]) -> str:
+    """What a trace's lines of this kind call themselves."""
+    found = re.search(r'"event": "(\w+)"', inspect.getsource(kind.as_event))
+    if found is None:
+        raise ValueError(f"{kind.__name__}.as_event: expected the event's name in its source")
+    return found[1]
+
+
+def event_table() -> str:
+    """The lines of a trace: who writes them, their fields, and what their class says of them."""
+    lines = ["| event | of | fields | what it says |", "|---|---|---|---|"]
+    for side, kind in EVENTS:
+        fields = ", ".join(f"`{name}`" for name in event_fields(kind) if name != "event")
+        said = " ".join((inspect.getdoc(kind) or "").split()).replace("``", "`")
+        lines.append(f"| `{event_name(kind)}` | {side} | {fields} | {said} |")
+    return "\n".join([*lines, ""])
+
+
 ROOMS: Final = (
     "protocol",
     "runtime",
@@ -188,7 +256,10 @@ PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
 }
 """Of docs/protocol.md."""
 
-RUN_FOLDER_PARTS: Final[dict[str, Callable[[], str]]] = {"evidence": evidence_table}
+RUN_FOLDER_PARTS: Final[dict[str, Callable[[], str]]] = {
+    "events": event_table,
+    "evidence": evidence_table,
+}
 """Of docs/howto/run-folder.md."""
 
 DOCUMENTS: Final = {

@@ -9,7 +9,6 @@ one disturbance lasts for several steps, all that is known is that p of the sess
 """
 
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 DAY_S: Final = 86_400.0
@@ -21,9 +20,20 @@ class AlarmRule(NamedTuple):
     failures: int = 1
     window: int = 1
 
-    def alarms(self, failed: Sequence[bool]) -> bool:
-        """Whether the last tests, oldest first, make an alarm."""
-        return sum(failed[-self.window :]) >= self.failures
+    def test(self, before: int, *, failed: bool) -> tuple[bool, int]:
+        """Whether one more test makes an alarm, and what to remember for the next one.
+
+        Parameters
+        ----------
+        before : int
+            What was remembered: a bit for each of the ``window`` - 1 tests before, the newest
+            lowest, set where it failed. 0 at first.
+        failed : bool
+            A test that did not fail makes no alarm, whatever those before it did.
+        """
+        tests = before << 1 | failed
+        alarm = failed and tests.bit_count() >= self.failures
+        return alarm, tests & ((1 << (self.window - 1)) - 1)
 
     def false_alarms(self, exit_probability: float, steps: float) -> float:
         """Honest steps that fail and make an alarm, in the mean over ``steps`` of them.
@@ -32,6 +42,10 @@ class AlarmRule(NamedTuple):
         """
         before = _at_least(self.failures - 1, self.window - 1, exit_probability)
         return steps * exit_probability * before
+
+
+AT_ONCE: Final = AlarmRule()
+"""The first test that fails makes an alarm."""
 
 
 def exit_probability(session: float, steps: int) -> float:

@@ -32,7 +32,7 @@ class SessionBegan(NamedTuple):
 
 
 class AttackBegan(NamedTuple):
-    """The plant of this process is attacked: every parameter, for whoever judges the run."""
+    """The plant is attacked: ``kind``, ``at``, ``onset`` and the attack's own, for who judges."""
 
     attack: dict[str, Any]
 
@@ -82,6 +82,39 @@ class Interrupted(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "interrupted", **_labelled(self._asdict())}
+
+
+class Alarm(NamedTuple):
+    """A transition failed its test at the controller, and that makes an alarm.
+
+    ``reading`` is x(k+1) as it was reported. ``expected`` is the prediction for ``candidate``, and
+    ``gauge`` how far the reading is from it, in D_c: above 1. The candidate is the one that the key
+    ``coin_key`` chose, or, where that is empty, the nearest one: no candidate explains the reading.
+    """
+
+    session: str
+    j: int
+    k: int
+    reading: Vector
+    coin_key: str
+    candidate: int
+    expected: Vector
+    gauge: float
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "alarm", **self._asdict()}
+
+    def sentence(self) -> str:
+        """As a line of the log."""
+        whose = f"candidate {self.candidate} of key {self.coin_key}"
+        if not self.coin_key:
+            whose = f"the nearest of all candidates, {self.candidate}"
+        read, expected = (", ".join(f"{v:.4g}" for v in x) for x in (self.reading, self.expected))
+        return (
+            f"ALARM at step {self.k}: read ({read}), expected ({expected}) within D_c, by {whose}; "
+            f"it is {self.gauge:.3g} times as far"
+        )
 
 
 class Timing(NamedTuple):

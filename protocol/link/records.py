@@ -33,7 +33,10 @@ class SenderRecord(NamedTuple):
     came from there or is idle.
     ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
     answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
-    ``incarnation`` counts the processes that had this journal.
+    ``incarnation`` counts the processes that had this journal. ``coin_key`` is the newest key that
+    an offer of the session named for its coin, and ``coin_from`` the step of its first digit.
+    ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm has ended
+    the offers.
     """
 
     session: str | None = None
@@ -55,6 +58,10 @@ class SenderRecord(NamedTuple):
     block: int = -1
     tag: str = ""
     incarnation: int = 0
+    coin_key: str = ""
+    coin_from: int = -1
+    failed: int = 0
+    halted: bool = False
 
     @property
     def s(self) -> int:
@@ -74,7 +81,9 @@ class ReceiverRecord(NamedTuple):
     counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
     of the sensors' noise. ``begun`` is there
     only in what is written while a plant acts: the step that is under way. The session of its offer
-    may be one that has ended since.
+    may be one that has ended since. ``coin_key`` is the newest key of the session whose digits a
+    coin came from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last
+    applied offer's did.
     """
 
     session: str
@@ -102,6 +111,9 @@ class ReceiverRecord(NamedTuple):
     blocks_begun: int = 0
     sensor_seed: int = 0
     begun: PlantStep | None = None
+    coin_key: str = ""
+    coin_from: int = -1
+    keyed: bool = False
 
     @property
     def s(self) -> int:

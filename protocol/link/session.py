@@ -31,7 +31,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple, Self
 
-from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult, AgreementRule, Gauge
+from protocol.agreement import (
+    INSIDE,
+    NO_SYMBOL,
+    AgreementResult,
+    AgreementRule,
+    Gauge,
+    predict,
+)
+from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Offer
 from protocol.scenario import Scenario
@@ -63,6 +71,12 @@ class Rules:
         Of key blocks; without one no keys are made.
     predicted : bool
         f_c is not linear: its predictions travel with the offer.
+    keyed : bool
+        The plant's coin comes from keys, as long as there are some.
+    alarm_rule : AlarmRule
+        When failed tests make an alarm.
+    halts : bool
+        An alarm ends the offers.
     """
 
     agreement: AgreementRule
@@ -73,6 +87,9 @@ class Rules:
     inputs_gauge: Gauge
     schedule: Schedule | None = None
     predicted: bool = False
+    keyed: bool = False
+    alarm_rule: AlarmRule = AT_ONCE
+    halts: bool = False
 
     @property
     def size(self) -> int:
@@ -90,6 +107,22 @@ class Rules:
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
+
+    def prediction(self, x: Vector, offer: Offer, candidate: int) -> Vector:
+        """f_c(x, u_i) of one candidate of an offer."""
+        if self.predicted:
+            return offer.predictions[candidate]
+        return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
+
+    def malformed_coin(self, name: str, *said: object) -> str:
+        """What is wrong with a message's fields of the coin, which begin with ``name``."""
+        if not self.keyed:
+            return (
+                ""
+                if all(v is None for v in said)
+                else f"{name}: expected none, as no coin is keyed"
+            )
+        return f"{name}: expected one, as the coin is keyed" if None in said else ""
 
     def malformed_predictions(self, predictions: tuple[Vector, ...]) -> str:
         """What is wrong with an offer's predictions; nothing where they are as the rules say."""
@@ -126,6 +159,9 @@ def rules_of(scenario: Scenario) -> Rules:
         inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
         schedule=None if scenario.keys is None else scenario.keys.schedule(),
         predicted=scenario.defender.model is not None,
+        keyed=scenario.defence.keyed,
+        alarm_rule=scenario.alarm_rule,
+        halts=scenario.defence.on_alarm == "safe",
     )
 
 
@@ -155,14 +191,19 @@ class Truth(NamedTuple):
 class CountedTransition(NamedTuple):
     """A transition as one side counted it: the public part, and what that side made of it.
 
-    ``role`` is ``message`` where it carried a message symbol, else ``test``; ``symbol`` is the key
-    symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p] carried (each
-    -1 where there is none); ``p`` counts message symbols up to here, ``s`` is the automaton's state
-    afterwards. ``tested`` says whether the verdict counted, ``counts`` which copies count for keys:
-    1 the offer's, 2 that of the measurement it answers, 3 both. ``predictions`` are the offer's
-    predictions, of an f_c that is not linear. Only the plant knows ``coin``, its b_r, and
-    ``u``, the input that was in force: at the controller they are -1 and empty. ``truth`` is there
-    where the plant is attacked, for whoever judges the run.
+    ``j`` is its number in the session. ``x``, ``candidates``, ``cipher`` and ``x_next`` are public.
+    ``role`` is ``message`` where it carried a message symbol, else ``test``. ``gauges`` (of the
+    ``verdict``) tell how far ``x_next`` lies from each prediction; 1 is the edge of D_c. ``symbol``
+    is the key symbol agreed, ``key`` the one under which it carried, ``message_symbol`` the m[p]
+    carried (each -1 where there is none). ``p`` counts message symbols up to here, ``s`` is the
+    automaton's state afterwards. ``tested`` says whether the verdict counted. ``counts`` says which
+    copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
+    ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
+    b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
+    ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
+    plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
+    coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
+    candidate that its own copy of that key chose: -1 where the transition is unwatched.
     """
 
     session: str
@@ -185,6 +226,9 @@ class CountedTransition(NamedTuple):
     coin: int = NO_SYMBOL
     u: Vector = ()
     truth: Truth | None = None
+    coin_key: str | None = None
+    coin_from: int = -1
+    expected: int = NO_SYMBOL
 
     @classmethod
     def of(
@@ -201,6 +245,8 @@ class CountedTransition(NamedTuple):
         coin: int = NO_SYMBOL,
         u: Vector = (),
         truth: Truth | None = None,
+        coin_key: str | None = None,
+        expected: int = NO_SYMBOL,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         carried = carry.pad != NO_SYMBOL
@@ -225,12 +271,15 @@ class CountedTransition(NamedTuple):
             coin,
             u,
             truth,
+            coin_key,
+            offer.coin_from if coin_key and offer.coin_from is not None else -1,
+            expected,
         )
 
     @property
     def shared(self) -> Self:
-        """What both ends count alike: all but the coin, the input that it chose and the truth."""
-        return self._replace(coin=NO_SYMBOL, u=(), truth=None)
+        """What both ends count alike: all but the coin and its input, the truth, and the test."""
+        return self._replace(coin=NO_SYMBOL, u=(), truth=None, expected=NO_SYMBOL)
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""
@@ -257,4 +306,10 @@ class CountedTransition(NamedTuple):
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u
+        if self.coin_key is not None:
+            event["coin_key"] = self.coin_key
+        if self.coin_key:
+            event["coin_from"] = self.coin_from
+        if self.expected != NO_SYMBOL:
+            event["expected"] = self.expected
         return event if self.truth is None else event | self.truth.fields()

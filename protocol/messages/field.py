@@ -9,6 +9,7 @@ from protocol.messages.base import (
     Copy,
     Count,
     Identifier,
+    KeyName,
     Message,
     Nonce,
     SessionId,
@@ -17,10 +18,19 @@ from protocol.messages.base import (
 from protocol.vectors import FiniteVector
 
 
-class Measurement(Message):
+class _Step(Message):
+    """A message of a step: fields that its scenario has no use for are None, and stay away."""
+
+    def wire(self) -> bytes:
+        """The message as it travels: JSON in UTF-8."""
+        return self.__pydantic_serializer__.to_json(self, exclude_none=True)
+
+
+class Measurement(_Step):
     """Plant to controller: x(k), and the last applied offer with the state right after it.
 
-    The last five fields serve keys. In a scenario that makes none they keep their defaults.
+    The five fields from ``copy_number`` on serve keys. In a scenario that makes none they keep
+    their defaults.
 
     Attributes
     ----------
@@ -44,6 +54,9 @@ class Measurement(Message):
         The last key block that the plant has announced; -1 before the first.
     tag : str
         That block's tag, 32 hexadecimal digits.
+    applied_key : str, optional
+        Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
+        Only where the coin is keyed.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -57,9 +70,10 @@ class Measurement(Message):
     applied_copy: Copy = 0
     block: BlockNumber = -1
     tag: Tag = ""
+    applied_key: KeyName | None = None
 
 
-class Offer(Message):
+class Offer(_Step):
     """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
 
     Fields that are not listed are those of `Measurement`.
@@ -74,6 +88,11 @@ class Offer(Message):
         f_c(x, u_i), n numbers each, where f_c is not linear; else empty.
     heard : {0, 1}
         Which copy of the measurement the controller received first.
+    coin_key, coin_from : str, int, optional
+        Key whose digit k - ``coin_from`` chooses the candidate; an empty id: none does. These
+        three are there only where the coin is keyed.
+    coin_last : str, optional
+        The newest key that the controller holds for later steps; the plant takes all up to it.
     """
 
     topic: ClassVar[str] = "offer"
@@ -87,6 +106,9 @@ class Offer(Message):
     heard: Copy = 0
     block: BlockNumber = -1
     tag: Tag = ""
+    coin_key: KeyName | None = None
+    coin_from: Count | None = None
+    coin_last: KeyName | None = None
 
 
 class Sealed(Message):

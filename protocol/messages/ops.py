@@ -458,12 +458,22 @@ class ControllerStatus(_Status):
         ``frame_length``.
     queue, delivered : int
         Messages that wait behind it, and those of which every symbol was counted.
-    unexplained : int
-        Transitions of this process's life that no candidate explains.
+    unexplained, watched, unwatched : int
+        Transitions of this process's life that no candidate explains; those that were tested
+        against the one candidate that a key chose; and, where the coin is keyed, those that could
+        not be.
+    defence : str
+        The test: ``residual`` or ``keyed-coin``.
+    coin_keys : int
+        Keys that are held for the coins of steps to come.
+    alarms, alarm_k : int
+        Alarms of this process's life, and the step of the last one (-1: none).
+    alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
+        What was read after that step, what was expected, and how far apart they are, in D_c.
     """
 
     topic: ClassVar[str] = "ops/controller/status"
-    phase: Literal["greeting", "running", "outside", "stopped", "refused"]
+    phase: Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
     session: SessionId | None
     k: Annotated[int, Field(ge=-1)]
     set_index: Annotated[int, Field(ge=-1)]
@@ -477,6 +487,15 @@ class ControllerStatus(_Status):
     queue: Count
     delivered: Count
     unexplained: Count = 0
+    defence: str = "residual"
+    watched: Count = 0
+    unwatched: Count = 0
+    coin_keys: Count = 0
+    alarms: Count = 0
+    alarm_k: Annotated[int, Field(ge=-1)] = -1
+    alarm_reading: FiniteVector = ()
+    alarm_expected: FiniteVector = ()
+    alarm_gauge: float = 0.0
     keys_made: Count = 0
     keys_of_block: Count = 0
     key_block_steps: Count = 0
@@ -485,6 +504,18 @@ class ControllerStatus(_Status):
     key_blocks_lost: Count = 0
     key_blocks_waiting: Count = 0
     appearances: Count = 1
+
+    def alarm_sentence(self) -> str:
+        """The alarms and the last one, in words; empty where there is none."""
+        if not self.alarms:
+            return ""
+        read, expected = (
+            ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
+        )
+        return (
+            f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
+            f"({expected})"
+        )
 
 
 Status = PlantStatus | ControllerStatus

@@ -8,6 +8,7 @@ made from it, and never this.
 
 from protocol.scenario.attack import Attack, attack_of
 from protocol.scenario.control import Control, Cost, Performance, Regulator
+from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Calibration, Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
@@ -38,6 +39,7 @@ __all__ = [
     "Control",
     "ConvexSet",
     "Cost",
+    "DefenceTable",
     "Defender",
     "Disturbance",
     "Keys",

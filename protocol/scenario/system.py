@@ -9,9 +9,11 @@ from typing import Annotated, Self
 from pydantic import Field, SerializeAsAny, model_validator
 
 from protocol.brief import Brief
+from protocol.defence.alarm_rule import AlarmRule
 from protocol.knowledge import Knowledge
 from protocol.scenario.attack import Attack
 from protocol.scenario.control import Control
+from protocol.scenario.defence import DefenceTable
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
@@ -60,6 +62,8 @@ class Scenario(Brief, ScenarioTable):
     """The eavesdropper's place."""
     keys: Keys | None = None
     """What the operator claims that she misses; distilled keys rest on it."""
+    defence: DefenceTable = DefenceTable()
+    """How the controller tests what it is told."""
     attack: Attack | None = None
     """Who lies about the plant, if anybody does."""
 
@@ -143,6 +147,13 @@ class Scenario(Brief, ScenarioTable):
         return self.eavesdropper_shape.scaled(self.secrecy.alpha)
 
     @property
+    def alarm_rule(self) -> AlarmRule:
+        """When failed tests make an alarm."""
+        return self.defence.rule(
+            self.defender.calibration, self.plant.period_s, self.secrecy.candidates
+        )
+
+    @property
     def hidden_widths(self) -> int:
         """Widths of D_c unknown to one who knows f_c and D_e: one where D_e = alpha D_c."""
         if self.secrecy.disturbance is None:
@@ -183,6 +194,11 @@ class Scenario(Brief, ScenarioTable):
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
+        problems += self.defence.problems(self.keys, self.link)
+        try:
+            _ = self.alarm_rule
+        except ValueError as error:
+            problems.append(f"defence.{error}")
         if problems:
             raise ValueError("; ".join(problems))
         return self
@@ -261,8 +277,10 @@ class Scenario(Brief, ScenarioTable):
         shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
         if self.defender.noise is not None:
             shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
+        coin = {"coin": "keyed"} if self.defence.keyed else {}
         return _digest(
             {
+                **coin,
                 **keys,
                 **f_c,
                 **shape,
@@ -285,11 +303,12 @@ class Scenario(Brief, ScenarioTable):
         to the controller alone, those of a kind of plant to the plant.
         """
         apart = {"plant", "control"}
-        rest = self.model_dump(
-            mode="json", exclude={"description", "source", "tap", "attack", *apart}
-        )
+        untold = {"description", "source", "tap", "attack"}
+        if self.defence == DefenceTable():
+            untold.add("defence")
         if self.network is None:
-            del rest["network"]
+            untold.add("network")
+        rest = self.model_dump(mode="json", exclude={*untold, *apart})
         if self.defender.noise is None:
             del rest["defender"]["noise"]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)

@@ -497,7 +497,7 @@ class KeyStore(StoreFile):
         if there is not None:
             return bool(there == use)
         if own:
-            return here is not None and not here.startswith("sealed ")
+            return here is not None and not here.startswith(("sealed ", "coin "))
         return here is None and state in ("stored", "confirmed")
 
     def newest(self) -> int:
@@ -601,6 +601,16 @@ class KeyStore(StoreFile):
         if missing:
             raise UnknownKeys(missing)
         return tuple(keys)
+
+    def used(self, db: sqlite3.Connection, name: str, uses: tuple[str, str]) -> Key:
+        """A key that was set aside for a use from the first name to below the second; it stays.
+
+        Raises
+        ------
+        UnknownKeys
+            When it was not.
+        """
+        return self._key_of(db, name, "use >= ? AND use < ?", *uses)
 
     def tried(self, ids: Sequence[str]) -> int:
         """Count a wrong tag under these keys; returns their wrong tags so far."""

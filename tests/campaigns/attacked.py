@@ -97,10 +97,15 @@ def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:
 
 
 def table(results: Sequence[dict[str, Any]], scenario: str) -> list[dict[str, Any]]:
-    """Undetected shares after n steps, with intervals of 95 % and M^-n."""
-    rows = []
+    """Undetected shares after n steps, with intervals of 95 % and M^-n.
+
+    Where the coin is keyed only runs count in which every attacked step was watched.
+    """
+    rows, keyed = [], scenario_of(scenario).defence.keyed
     for size in SIZES:
         ours = [r for r in results if r["size"] == size and r["scenario"] == scenario]
+        if keyed:
+            ours = [r for r in ours if r["watched"]]
         for n in range(1, SHOWN + 1):
             left = sum(r["passed"] >= n for r in ours)
             low, high = clopper_pearson(left, len(ours), 0.025)
@@ -145,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     base = scenario_of(args.scenario)
     scenarios = {size: sized(base, size) for size in SIZES}
     laws = {size: designed(scenario) for size, scenario in scenarios.items()}
-    keyed = getattr(getattr(base, "defence", None), "kind", "") == "keyed-coin"
+    keyed = base.defence.keyed
     until = time.monotonic() + args.seconds
     done = sum(r["scenario"] == args.scenario for r in results)
     wrong = sum(bool(r["wrong"]) for r in results)

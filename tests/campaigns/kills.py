@@ -9,7 +9,8 @@ set so, and lives on a machine of its own as far as the monotonic clock goes: in
 (needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays, blocks of keys are signed in every other run, and every other
-message is sealed.
+message is sealed. With ``--watched`` the coin is keyed and the loop is in lock-step: no honest step
+may alarm.
 """
 
 import argparse
@@ -40,6 +41,7 @@ KINDS: Final = {
     "apart": "campaign-apart.json",
     "tls": "campaign-tls.json",
     "keys": "campaign-kills-keys.json",
+    "watched": "campaign-kills-watched.json",
 }
 """Kinds of campaign, and where their results go."""
 
@@ -105,7 +107,8 @@ def one_run(
     draw = random.Random(seed)
     keys = kind == "keys"
     text = plain_text(draw, 200)
-    pace = "x20" if keys else draw.choice(PACES)
+    watched = kind == "watched"
+    pace = "fast" if watched else "x20" if keys else draw.choice(PACES)
     relay = RELAY if keys else None
     signed = keys and seed % 2 == 0
     loop = LiveLoop(
@@ -117,6 +120,7 @@ def one_run(
         relay=relay,
         secret=signed,
         boots=draw if kind == "apart" else None,
+        scenario="watched" if watched else "keys",
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
@@ -147,6 +151,7 @@ def main(argv: list[str] | None = None) -> int:
         ("apart", "each has clocks of its own"),
         ("tls", "a router that asks for certificates"),
         ("keys", "a relay, sealed messages"),
+        ("watched", "the coin is keyed"),
     ):
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")

@@ -216,6 +216,8 @@ class LiveLoop:
         Blocks of keys are signed.
     boots : random.Random, optional
         Every process has a wall clock and a monotonic clock of its own.
+    scenario : str
+        A shipped one that makes keys.
     """
 
     def __init__(
@@ -229,6 +231,7 @@ class LiveLoop:
         relay: tuple[float, float, float] | None = None,
         secret: bool = False,
         boots: random.Random | None = None,
+        scenario: str = "keys",
     ) -> None:
         for module in PRELOADED:
             __import__(module)
@@ -237,7 +240,7 @@ class LiveLoop:
         self.processes: dict[str, Process] = {}
         self.run_dir.mkdir(mode=0o700)
         file = self.run_dir / SCENARIO
-        tables = tomllib.loads(scenario_file_of("keys").read_text())
+        tables = tomllib.loads(scenario_file_of(scenario).read_text())
         tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
         file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"

@@ -150,6 +150,7 @@ class Traffic:
             self.wrong += _recovered(run_dir, self.expected, counts)
             if self.sealed:
                 self.wrong += _opened(run_dir, self.sealed)
+            self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
             results = check(evidence)
         except (OSError, StoreError, ValueError) as error:
@@ -158,6 +159,19 @@ class Traffic:
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
         failed = [f"{r.clause.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
         return self.wrong + failed
+
+
+def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:
+    """Steps that a key watched, and what honest steps must not do."""
+    told: Counter[str] = Counter()
+
+    def note(event: dict[str, Any]) -> None:
+        told[event["event"]] += 1
+        told["watched"] += event.get("expected", -1) != -1 and event["event"] == "transition"
+
+    Run.load(run_dir).feed("controller", note)
+    counts["watched"] = told["watched"]
+    return [f"{told['alarm']} honest steps made an alarm"] * bool(told["alarm"])
 
 
 def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""``wyner demo``: three runs, three lines, and an exit code that means them."""
+"""``wyner demo``: five runs, four lines, and an exit code that means them."""
 
 import json
 from pathlib import Path
@@ -14,8 +14,9 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["demo", "--json", "--run-dir", str(tmp_path / "demo")]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["as_it_must"]
-    assert [line.split()[1] for line in told["verdict"]] == ["Spoken:", "Sealed:", "Control:"]
-    spoken, sealed, control = (told["runs"][name] for name in ("spoken", "sealed", "control"))
+    points = [line.split()[1] for line in told["verdict"]]
+    assert points == ["Spoken:", "Sealed:", "Control:", "Attacked:"]
+    spoken, sealed, control, caught, unseen = told["runs"].values()
     # at the limit of the channel, and she has it at the very step at which the plant has it
     assert spoken["bits_per_second"] > 15
     assert spoken["taps"]["nearest-centre"]["solved_k"] == spoken["delivered_k"] > 0
@@ -25,3 +26,12 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert sealed["keys"]["same_at_both_ends"]
     assert control["keys"]["made"] == 0
     assert "eps_E" in control["keys"]["refused"]
+    # the same attack under a key that she does not have, and under one that she has
+    assert caught["attack"]["alarm_k"] >= caught["attack"]["onset"]
+    assert caught["attack"]["watched"] > 0
+    assert caught["keys"]["held_by_tap_bits"] == 0
+    assert unseen["attack"]["alarm_k"] == -1
+    assert unseen["attack"]["watched"] > 0
+    assert unseen["attack"]["away"] > 20
+    assert unseen["keys"]["held_by_tap_bits"] > 0
+    assert caught["attack"]["false_alarms"] == unseen["attack"]["false_alarms"] == 0

@@ -25,6 +25,7 @@ SAYS = {
     "data_frame": "True",
     "certificate": "confidence 0.999: 688 sessions",
     "gymnasium_plant": "recovered [b'gym']",
+    "lesson": "631 thresholds, messages found: {b'Hi'}",
     "lossy_network": "the plant has [b'first', b'second']",
     "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",
     "own_plant": "250 of 250 tested steps agreed, 10.0 bit/s",

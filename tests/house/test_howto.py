@@ -22,6 +22,7 @@ from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.addresses import free_endpoints
+from runtime.recording import MARKS
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus
@@ -35,15 +36,19 @@ PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
 EXAMPLES = PAGES.parents[1] / "examples"
 
 
-def program(page: str, folder: Path, name: str, language: str = "python") -> Path:
-    """The page's first program, or other text, written to a file."""
-    found = re.search(
-        rf"^```{language}\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE
-    )
+def table(page: str, folder: Path, name: str) -> Path:
+    """The page's table of a scenario, written to a file."""
+    found = re.search(r"^```toml\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE)
     assert found is not None
     path = folder / name
     path.write_text(found[1])
     return path
+
+
+def program(page: str, folder: Path, name: str) -> Path:
+    """The program that the page names, beside the run."""
+    assert f"examples/own/{name}" in (PAGES / page).read_text()
+    return Path(shutil.copy(EXAMPLES / "own" / name, folder))
 
 
 @pytest.mark.slow
@@ -65,9 +70,9 @@ def test_the_attack_of_the_page_runs_live(
 
 
 def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
-    table = program("attack.md", tmp_path, "table.toml", "toml").read_text()
+    stated = table("attack.md", tmp_path, "table.toml").read_text()
     path = tmp_path / "attacked.toml"
-    path.write_text((SCENARIOS / "keys.toml").read_text() + table)
+    path.write_text((SCENARIOS / "keys.toml").read_text() + stated)
     found = load_scenario(path)
     plain = load_scenario(SCENARIOS / "keys.toml")
     assert found.attack is not None
@@ -103,7 +108,7 @@ def law_scenario(folder: Path, law: str) -> Path:
     text = text.replace("horizon = 250", "horizon = 60")
     text = text.replace("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]")
     stated = (folder / "law.toml").read_text().removeprefix("[control]\n")
-    text = text.replace('law = "sustained"\n', stated.replace("nearer.py:Nearer", law))
+    text = text.replace('law = "sustained"\n', stated.replace("examples/own/nearer.py:Nearer", law))
     path = folder / "own.toml"
     path.write_text(text)
     return path
@@ -113,7 +118,7 @@ def law_scenario(folder: Path, law: str) -> Path:
 @pytest.mark.integration
 def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path: Path) -> None:
     program("law.md", tmp_path, "nearer.py")
-    program("law.md", tmp_path, "law.toml", "toml")
+    table("law.md", tmp_path, "law.toml")
     law_scenario(tmp_path, "nearer.py:Nearer")
 
     def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -152,7 +157,7 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
 def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
     tmp_path: Path,
 ) -> None:
-    program("law.md", tmp_path, "law.toml", "toml")
+    table("law.md", tmp_path, "law.toml")
     file = program("law.md", tmp_path, "nearer.py")
     scenario = load_scenario(law_scenario(tmp_path, f"{file}:Nearer"))
     law = make_law(scenario, synthesise(scenario))
@@ -186,7 +191,7 @@ def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
 def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
     tmp_path: Path, text: str, expected: str
 ) -> None:
-    program("law.md", tmp_path, "law.toml", "toml")
+    table("law.md", tmp_path, "law.toml")
     (tmp_path / "bad.py").write_text(text)
     with pytest.raises(ScenarioError) as error:
         load_scenario(law_scenario(tmp_path, f"{tmp_path}/bad.py:Nearer"))
@@ -284,6 +289,8 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     run = SmallRun(tmp_path / "run", (b"two by two",))
     run.until_received(1)
     run.close()
+    for mark in ("continued", "end", "lines", "sha256", "next"):
+        assert f"`{mark}`" in page
     events = [
         json.loads(line)
         for side in ("plant", "controller")
@@ -292,7 +299,7 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     seen = {event["event"] for event in events}
     assert {"transition", "session", "sent", "recovered", "end"} <= seen
     for event in events:
-        if event["event"] != "header":
+        if event["event"] not in MARKS:
             for field in set(event) - {"event"}:
                 assert f"`{field}`" in told[event["event"]], (event["event"], field)
     code = (PAGES.parents[1] / "protocol" / "link").rglob("*.py")

@@ -33,7 +33,7 @@ def run(
 ) -> tuple[list[tuple[int, ...]], list[int], list[Box]]:
     """A loop of K x plus or minus half the offset, d and n at corners; the box holds x."""
     draw = random.Random(seed)
-    x = (0.5, 0.0)
+    x: tuple[float, ...] = (0.5, 0.0)
 
     def read(x: tuple[float, ...]) -> tuple[float, ...]:
         rows = zip(observer.C, observer.noise, strict=True)

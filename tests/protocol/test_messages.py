@@ -69,8 +69,15 @@ def test_a_loop_id_is_one_plain_chunk(loop: str) -> None:
 def test_the_field_bus_has_these_messages_with_these_fields_only() -> None:
     """A key, a plaintext or a state would need a field: adding one must not go unnoticed."""
     assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
-        "Measurement": {"v", "session", "k", "x", "applied_k", "x_after", "applied_copy", *OF_KEYS},
-        "Offer": {"v", "session", "k", "candidates", "cipher", "predictions", "heard", *OF_KEYS},
+        "Measurement": {
+            *("v", "session", "k", "x", "applied_k", "x_after", "applied_copy", "applied_key"),
+            *OF_KEYS,
+        },
+        "Offer": {
+            *("v", "session", "k", "candidates", "cipher", "predictions", "heard"),
+            *("coin_key", "coin_from", "coin_last"),
+            *OF_KEYS,
+        },
         "Sealed": {"v", "id", "key_ids", "cipher", "tag"},
     }
 

@@ -1,7 +1,7 @@
 """The study of the attacks: its rows say what the theorems say, and what is measured again."""
 
 import csv
-import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -150,17 +150,15 @@ def test_what_is_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_the_defence_of_the_page_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = re.search(r"^```python\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE)
-    assert found is not None
-    (tmp_path / "edge.py").write_text(found[1])
+    file = shutil.copy(PAGE.parents[1] / "examples" / "own" / "edge.py", tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tables, "OWN_RUNS", 50)
-    assert main(["--defence", "edge.py:Edge"]) == 0
+    assert main(["--defence", f"{Path(file).name}:Edge"]) == 0
     said = capsys.readouterr().out
     assert "ghost, key secret: unseen after 1: 0 (below 0.0713)" in said  # she pushes to the edge
     assert "covert, 0.3, key secret: unseen after 1: 1 (above 0.9287)" in said
     assert "honest steps alarmed" not in said
-    assert "--defence edge.py:Edge" in PAGE.read_text()
+    assert "--defence examples/own/edge.py:Edge" in PAGE.read_text()
 
 
 @pytest.mark.parametrize(

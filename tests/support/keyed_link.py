@@ -9,20 +9,23 @@ from typing import Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Event
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Alarm, Event
 from protocol.link.peer import Actions, Notice, Peer, Write
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
 from protocol.secret.tasks import Done, Task
+from runtime.keys import coins
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
 from runtime.perform import Ports as AnyPorts
 from tests.support.copies import Copies
-from tests.support.giving import deliver, deliver_named
+from tests.support.giving import agree, deliver, deliver_named
 from tests.support.line_ends import Reports, line_controller, line_plant
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
@@ -108,6 +111,9 @@ class World:
         self.copies = Copies()
         self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
+        self.coins: dict[tuple[str, int], tuple[str, int]] = {}
+        """Digits that coins came from, by key and number, with session and step."""
+        self.watched: set[tuple[str, int]] = set()
         for side in SIDES:
             self.start(side)
 
@@ -132,16 +138,35 @@ class World:
         journal = self.journals["controller"]
         assert isinstance(journal, MemoryControllerJournal)
         return line_controller(
-            self.rules, lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)), journal, Zeros(), self.name()
+            self.rules,
+            lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)),
+            journal,
+            Zeros(),
+            self.name(),
+            coin_keys=self.coin_keys("controller", journal.load()),
         )
 
     def plant(self) -> PlantCore:
         journal = self.journals["plant"]
         assert isinstance(journal, MemoryPlantJournal)
         endpoint, _ = line_plant(
-            self.rules, journal, self.name, self.name(), self.now, self.period_s
+            self.rules,
+            journal,
+            self.name,
+            self.name(),
+            self.now,
+            self.period_s,
+            coin_keys=self.coin_keys("plant", journal.load()),
         )
         return endpoint
+
+    def coin_keys(
+        self, side: Side, record: SenderRecord | ReceiverRecord | None
+    ) -> tuple[Key, ...]:
+        """Keys that a process that begins finds in its store, for the coin of its session."""
+        if record is None or not self.rules.keyed:
+            return ()
+        return coins.held(self.stores[side], record.session)
 
     def carry_out(self, side: Side, actions: Actions) -> None:
         try:
@@ -181,6 +206,10 @@ class World:
         if self.done[side]:
             self.carry_out(side, self.ends[side].key_task_done(self.done[side].pop(0), self.now))
 
+    def asks(self) -> None:
+        """Each end asks the other which keys may be given, and is answered."""
+        agree(*self.stores.values())
+
     def serve(self, side: Side) -> None:
         """A key server gives a key, and its partner finds the same one by its id."""
         try:
@@ -188,6 +217,7 @@ class World:
         except TooFewKeys:
             return
         assert key not in self.given, "a key was given twice"
+        assert key.key_id not in {name for name, _ in self.coins}, "a coin came from it"
         self.given.append(key)
         try:
             (same,) = deliver_named(
@@ -208,7 +238,9 @@ class World:
             self.ports[side].crash_at(before if side == victim else None)
             self.bag[side].clear()
         deaths = self.deaths
-        for _ in range(rounds):
+        for n in range(rounds):
+            if self.rules.keyed and n % 8 == 7:
+                self.asks()
             if deaths != self.deaths:
                 deaths = self.deaths
                 for side in SIDES:
@@ -236,12 +268,25 @@ class World:
     def traced(self, side: Side, event: Event) -> None:
         if isinstance(event, BlockResult):
             assert event.what == "confirmed", "the ends hold different blocks"
+        assert not isinstance(event, Alarm), "an honest step made an alarm"
         if isinstance(event, CountedTransition):
+            self.coin_was(side, event)
             transition = event.shared
             at = transition.session, transition.j
             self.counted[side][at] = transition
             other = self.counted[OTHER[side]].get(at)
             assert other is None or other == transition, "the ends counted differently"
+
+    def coin_was(self, side: Side, t: CountedTransition) -> None:
+        """A keyed coin is of the digit of its step alone; who watches it expects that one."""
+        if side == "controller":
+            if t.expected != NO_SYMBOL:
+                self.watched.add((t.session, t.k))
+            return
+        if t.coin_key:
+            digit = t.coin_key, t.k - t.coin_from
+            at = t.session, t.k
+            assert self.coins.setdefault(digit, at) == at, "a digit served two steps"
 
     def agree(self) -> None:
         """Ids come in one order at both ends."""

@@ -1,6 +1,6 @@
 """Both endpoints on the plant on a line, with a coin and a disturbance that a test chooses."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
@@ -12,6 +12,7 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import Measurement, Message, Status
 from protocol.secret.nonces import NonceSource, fresh_nonce
+from protocol.secret.records import Key
 from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
@@ -78,6 +79,7 @@ class Reports:
             )
             assert (record.nonce, record.applied_copy) == (report.nonce, report.applied_copy)
             assert (record.block, record.tag) == (report.block, report.tag)
+            assert (report.applied_key or "") == (record.coin_key if record.keyed else "")
 
 
 class ToldPorts:
@@ -124,6 +126,7 @@ def line_controller(
     instance: str,
     nonces: NonceSource = fresh_nonce,
     period_s: float = PERIOD_S,
+    coin_keys: Iterable[Key] = (),
 ) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
     record, step = journal.load(), journal.step()
@@ -138,6 +141,7 @@ def line_controller(
         record=record,
         step=step,
         contributions=contributions,
+        coin_keys=coin_keys,
         nonces=nonces,
     )
 
@@ -151,10 +155,22 @@ def line_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
+    coin_keys: Iterable[Key] = (),
 ) -> tuple[PlantCore, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     plant = LinePlant()
-    core = line_core(rules, plant, journal, new_id, instance, now, step_s, nonces, repeats)
+    core = line_core(
+        rules,
+        plant,
+        journal,
+        new_id,
+        instance,
+        now,
+        step_s,
+        nonces,
+        repeats,
+        coin_keys=coin_keys,
+    )
     return core, plant
 
 
@@ -169,6 +185,7 @@ def line_core(
     nonces: NonceSource,
     repeats: int,
     x: Vector | None = None,
+    coin_keys: Iterable[Key] = (),
 ) -> PlantCore:
     """The core of what tosses its own coin; ``x`` is what it reads first, if it acts."""
     assert isinstance(plant, Coin)
@@ -186,6 +203,7 @@ def line_core(
         record=first,
         chunks=journal.chunks(),
         contributions=journal.contributions(first.session),
+        coin_keys=coin_keys,
         step=journal.step(),
         back=None if record is None else x,
         fresh=record is None,

@@ -16,19 +16,23 @@ from typing import Final, Literal
 
 from controller_service.core import ControllerCore
 from controller_service.service import ControllerConfig, open_controller
+from plant_service.core import PlantCore
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import Event
 from protocol.link.peer import Actions, Outgoing, Peer
 from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
+from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
+from runtime.keys.sealed_book import SealedBook
 from runtime.pace import Pace
 from runtime.perform import Crashed, CrashingPorts, perform
 from runtime.ports import Files, LoopPorts
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from tap_service.capture.recording import mirror_line
+from tests.support.giving import ask
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace
 from wyner.runs.check import check
@@ -37,6 +41,11 @@ from wyner.runs.check.evidence import read_evidence
 Side = Literal["plant", "controller"]
 
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
+ASK_EVERY: Final = 16
+"""Things that happen between two questions about keys."""
+
+ASK_S: Final = 0.02
+
 QUIET_S: Final = 60.0
 """Virtual seconds without a transition after which a loop is stuck."""
 
@@ -77,6 +86,7 @@ class _End:
     key_maker: KeyMaker | None
     tasks: deque[Task]
     """They wait for the keeper, as they do in a service."""
+    asker: Asker | None
 
 
 class RecordedLoop:
@@ -94,6 +104,7 @@ class RecordedLoop:
     def __init__(self, folder: Path, message: bytes = b"", name: str = "sustained") -> None:
         self.folder = folder
         self.now = 0.0
+        self._steps = 0
         self.lives = dict.fromkeys(SIDES, 0)
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
@@ -130,7 +141,8 @@ class RecordedLoop:
             lambda status: health.write(status, time.monotonic()),
             tasks.append,
         )
-        self._ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks)
+        asker = None if key_maker is None else Asker(SealedBook(key_maker.store))
+        self._ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks, asker)
         self._do(side, endpoint.start)
 
     def kill(self, side: Side) -> None:
@@ -188,6 +200,13 @@ class RecordedLoop:
         assert isinstance(found, ControllerCore)
         return found
 
+    @property
+    def plant(self) -> PlantCore:
+        """The plant's end of the link."""
+        found = self._ends["plant"].endpoint
+        assert isinstance(found, PlantCore)
+        return found
+
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
         at = offer.session, self.controller.reported
@@ -209,6 +228,9 @@ class RecordedLoop:
     def step(self) -> None:
         """Deliver a message to each end, or let time pass."""
         quiet = True
+        self._steps += 1
+        if self._scenario.defence.keyed and self._steps % ASK_EVERY == 0:
+            self._ask()
         for side in SIDES:
             end = self._ends[side]
             if end.tasks and end.key_maker is not None:
@@ -224,6 +246,14 @@ class RecordedLoop:
             side = min(due, key=lambda s: due[s])
             self.now = max(self.now, due[side])
             self._do(side, self._ends[side].endpoint.wake)
+
+    def _ask(self) -> None:
+        """Each end asks the other what may be given, as it does beside the loop; time passes."""
+        self.now += ASK_S
+        for mine, theirs in (SIDES, SIDES[::-1]):
+            asker, partner = self._ends[mine].asker, self._ends[theirs].asker
+            if asker is not None and partner is not None:
+                ask(asker, partner, float(self._steps))
 
     def run(self, over: Callable[[], bool]) -> None:
         """Go on until ``over``; an error where nothing moves any more."""

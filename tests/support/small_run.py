@@ -272,7 +272,7 @@ class SmallRun:
 
     def _see(self, message: Message) -> None:
         self._t_ns += 1
-        body = json.loads(message.model_dump_json())
+        body = json.loads(message.wire())
         assert isinstance(message, Measurement | Offer)
         self._seen.append(
             {"event": "field", "t_ns": self._t_ns, "topic": message.topic, "message": body}

@@ -1,7 +1,8 @@
-"""``wyner demo``: the whole story in three short runs on one screen.
+"""``wyner demo``: the whole story in five short runs on one screen.
 
 The paper's channel at its limit, read by the tap as it is spoken; a sealed message under distilled
-keys beside a tap that misses three messages of ten; and the control, a tap that hears all.
+keys beside a tap that misses three messages of ten; the control, a tap that hears all; and a sensor
+that is spoofed, under a key that is secret and under one that the tap reads.
 """
 
 import argparse
@@ -11,8 +12,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
@@ -37,18 +38,34 @@ SEALED: Final = "The old mill, at nine."
 PACE: Final = "x4"
 """Fast enough for a minute in all, slow enough to be read and for a machine with other work."""
 
+ATTACKED_PACE: Final = "x6"
+
 REPEAT_S: Final = 0.2
 
-TITLES: Final = {"spoken": "1/3 spoken", "sealed": "2/3 sealed", "control": "3/3 control"}
+TITLES: Final = {
+    "spoken": "1/4 spoken",
+    "sealed": "2/4 sealed",
+    "control": "3/4 control",
+    "caught": "4/4 attacked, secret key",
+    "unseen": "4/4 attacked, key read",
+}
 ABOUT: Final = {
     "spoken": "a message over the paper's channel, beside a tap that hears all",
     "sealed": "one under keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
+    "caught": "a sensor spoofed by who misses 30 %, under keys distilled from that",
+    "unseen": "the same by who hears all: the claim that she misses 30 % is false",
 }
 """What each run is, as the screen's first line begins and as a line says before it."""
 
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
+
+ONSET: Final = 360
+"""Step from which the sensor is spoofed: six seconds in, keys are there."""
+
+SPOOFED: Final = 100
+"""Steps of the attack."""
 
 DEAF: Final = "loss = 0.3"
 CLAIM: Final = "eps_E = 0.3"
@@ -62,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Three runs, a line of verdict each; 0 if each came out as it must."""
+    """Each of its runs, and the lines of verdict; 0 if each came out as it must."""
     from wyner.dashboard.app import has_screen, one_stage
 
     if not args.headless and not args.json and has_screen():
@@ -91,16 +108,24 @@ class _Told:
 
 
 def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Told:
-    """The three runs, one after the other; what was left or interrupted is the last."""
+    """The runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
     told = _Told()
-    acts = (("spoken", _spoken), ("sealed", _sealed), ("control", _control))
+    acts: tuple[tuple[str, Callable[..., Act]], ...] = (
+        ("spoken", _spoken),
+        ("sealed", _sealed),
+        ("control", _control),
+        ("caught", _caught),
+        ("unseen", _unseen),
+    )
     for name, act in acts:
         if stage is not None:
             stage.card(TITLES[name], ABOUT[name], "", "Controller, plant and tap start.")
         outcome, line, as_it_must = act(args, folder / name, told.lines, stage)
         if outcome.left:
             line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
+        if name == "unseen" and not outcome.left:
+            told.lines.pop()  # its line is one with that of the run before
         told.lines.append(line)
         told.summaries[name] = outcome.summary
         failed = bool(outcome.summary["failed"])
@@ -185,14 +210,10 @@ def _sealed(
 
 
 def _control(
-    args: argparse.Namespace, folder: Path, before: Sequence[str], stage: "Stage | None"
+    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
 ) -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
-    text = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
-    for piece in (DEAF, CLAIM):
-        if piece not in text:
-            raise ValueError(f"keys.toml: expected {piece!r}")
-        text = text.replace(piece, piece.replace("0.3", "0.0"))
+    text = _changed("keys", DEAF, CLAIM)
 
     def line_of(summary: dict[str, Any]) -> str:
         keys = summary["keys"] or {}
@@ -205,14 +226,75 @@ def _control(
         scenario = Path(where) / "wired-tap.toml"
         scenario.write_text(text, encoding="utf-8")
         options = _options(args, str(scenario), folder, secret=True)
-        outcome = run_session(
-            options,
-            epilogue=lambda summary: [*before, line_of(summary)],
-            title=TITLES["control"],
-            stage=stage,
-        )
+        outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
     made = (outcome.summary["keys"] or {}).get("made", 0)
     return outcome, line_of(outcome.summary), made == 0
+
+
+def _caught(
+    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
+) -> Act:
+    """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
+    options = _attacked(args, "watched", folder)
+    outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
+    found = outcome.summary["attack"] or {}
+    delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
+    steps = f"{delay} step{'' if delay == 1 else 's'}"
+    told = f"caught {steps} after its onset under a secret key"
+    line = f"4. Attacked: a spoofed sensor is {told if caught else 'NOT caught'}"
+    return outcome, line, bool(caught and not found.get("false_alarms"))
+
+
+def _unseen(
+    args: argparse.Namespace, folder: Path, before: Sequence[str], stage: "Stage | None"
+) -> Act:
+    """The same by one who hears all, so that she has the key and every digit of it."""
+
+    def line_of(summary: dict[str, Any]) -> str:
+        found = summary["attack"] or {}
+        away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
+        if found.get("alarm_k", -1) >= 0:
+            return f"{before[-1]}, and beside a tap that reads the key as well: that must not be."
+        return (
+            f"{before[-1]}, and never under one that the tap reads: the plant is then {away:.0f} "
+            f"away while the screen shows {shown:.1f}."
+        )
+
+    with tempfile.TemporaryDirectory() as where:
+        scenario = Path(where) / "false-claim.toml"
+        scenario.write_text(_changed("watched", DEAF), encoding="utf-8")
+        outcome = run_session(
+            _attacked(args, str(scenario), folder),
+            epilogue=lambda summary: [*before[:-1], line_of(summary)],
+            title=TITLES["unseen"],
+            stage=stage,
+        )
+    found = outcome.summary["attack"] or {}
+    unseen = found.get("alarm_k", 0) < 0 < found.get("watched", 0)
+    return outcome, line_of(outcome.summary), bool(unseen)
+
+
+def _attacked(args: argparse.Namespace, scenario: str, folder: Path) -> RunOptions:
+    """What a run is asked to be whose sensor is spoofed."""
+    options = _options(args, scenario, folder, secret=True)
+    steps = ONSET + SPOOFED
+    return replace(
+        options,
+        attack=f"ghost@{ONSET}",
+        steps=steps,
+        pace=ATTACKED_PACE,
+        until_delivered=False,
+    )
+
+
+def _changed(scenario: str, *pieces: str) -> str:
+    """A shipped scenario's text, in which a tap hears all, or nothing is claimed of her."""
+    text = (SCENARIOS / f"{scenario}.toml").read_text(encoding="utf-8")
+    for piece in pieces:
+        if piece not in text:
+            raise ValueError(f"{scenario}.toml: expected {piece!r}")
+        text = text.replace(piece, piece.replace("0.3", "0.0"))
+    return text
 
 
 class SealedMessage:

@@ -48,6 +48,8 @@ def run(args: argparse.Namespace) -> int:
         ),
     ]
     warnings += [*_warnings_of_taps(run_dir), *unread]
+    if controller.alarms:
+        warnings.append(controller.alarm_sentence())
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     if controller.keys_stopped and not plant.keys_stopped:
@@ -196,8 +198,17 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         + (f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else "")
         + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
+        *_lines_of_coin(controller),
         *_lines_of_appearances(plant, controller, claim),
     ]
+
+
+def _lines_of_coin(controller: "ControllerStatus") -> list[str]:
+    """How many steps a key watched, where the coin is keyed."""
+    if controller.defence != "keyed-coin":
+        return []
+    left = f"{controller.coin_keys} keys left for it"
+    return [f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, {left}"]
 
 
 def _lines_of_appearances(

@@ -27,8 +27,8 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_JOURNAL,
 )
-from runtime.scenario_file import attack_option, scenario_of
-from wyner.deployment.one_machine import RunOptions, lay_out
+from runtime.scenario_file import attack_option, scenario_in
+from wyner.deployment.one_machine import RunOptions, lay_out, text_of
 
 if TYPE_CHECKING:
     from protocol.link.events import AttackBegan
@@ -167,7 +167,7 @@ def run_session(
     at_least("--seed", options.seed, 0)
     _take_signals()
     pace_of(options.pace)
-    scenario = scenario_of(options.scenario)
+    scenario = scenario_in(text_of(options), options.scenario)
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)

@@ -68,6 +68,8 @@ def progress(board: Board) -> str:
     ]
     if board.model is not None and board.model.keys_claim:
         parts.append(f"distilled keys {plant.keys_made}, {held(board, 99)[0]}")
+    if board.controller is not None and board.controller.alarms:
+        parts.append(board.controller.alarm_sentence())
     left = time_left_s(board)
     if left is not None:
         parts.append(f"{duration(left)} to go")

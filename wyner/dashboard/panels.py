@@ -150,6 +150,8 @@ class Panels:
     def _control(self, width: int) -> Text:
         """Where the state is, among the controller's sets."""
         controller = self.board.controller
+        if controller is not None and controller.alarms:
+            return Text(f" {controller.alarm_sentence()}", style=STYLES["bad"])
         if controller is None or controller.set_index < 0:
             return Text(" control: outside of every set, or silent")
         at = controller.set_index

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
@@ -14,6 +15,7 @@ from runtime.addresses import free_endpoints
 from runtime.files import make_folder, write_atomically
 from runtime.keys.secret_file import make_secret
 from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
+from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
 from wyner.deployment.supervisor import Child, Supervisor
@@ -56,6 +58,28 @@ class RunOptions:
     story: bool = False
 
 
+KEYED_COIN: Final = """
+[defence]                        # of --attack, where keys are made
+kind = "keyed-coin"
+"""
+
+
+def text_of(options: RunOptions) -> str:
+    """The text of the run's scenario: an attack is watched where keys are made for it.
+
+    Raises
+    ------
+    UsageError
+        As :func:`runtime.scenario_file.scenario_of`.
+    """
+    scenario = scenario_of(options.scenario)
+    text = scenario_file_of(options.scenario).read_text(encoding="utf-8")
+    makes_keys = scenario.keys is not None and scenario.keys.refusal() is None
+    implied = options.attack is not None and makes_keys and options.seed is None
+    stated = "defence" in scenario.model_fields_set
+    return f"{text.rstrip()}\n{KEYED_COIN}" if implied and not stated else text
+
+
 def lay_out(
     options: RunOptions,
     scenario: Scenario,
@@ -85,7 +109,7 @@ def lay_out(
     scenario_file = run_dir / SCENARIO
     message_file = run_dir / MESSAGE
     knowledge_file = run_dir / KNOWLEDGE
-    write_atomically(scenario_file, scenario_file_of(options.scenario).read_bytes())
+    write_atomically(scenario_file, text_of(options).encode())
     write_atomically(message_file, payload)
     knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
     write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())

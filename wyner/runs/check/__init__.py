@@ -32,6 +32,7 @@ from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
 from wyner.runs.check.sealed import SealedOnce
 from wyner.runs.check.stores import KeyStores
+from wyner.runs.check.watched import Alarms, KeyedCoins
 
 CLAUSES: Final[tuple[type[Clause], ...]] = (
     Traces,
@@ -66,6 +67,8 @@ CLAUSES: Final[tuple[type[Clause], ...]] = (
     KeyStores,
     SealedOnce,
     RefusedAtZero,
+    KeyedCoins,
+    Alarms,
 )
 
 OF_KEYS: Final = frozenset(
@@ -81,6 +84,7 @@ OF_KEYS: Final = frozenset(
         KeyIds,
         KeyStores,
         SealedOnce,
+        KeyedCoins,
     )
 )
 """Clauses of which a scenario that makes no keys knows nothing."""

@@ -28,6 +28,12 @@ PUBLIC: Final = {
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""
 
+OF_COIN: Final = {
+    "measurement": frozenset({"applied_key"}),
+    "offer": frozenset({"coin_key", "coin_from", "coin_last"}),
+}
+"""What besides travels where the coin is keyed."""
+
 WITHOUT_KEYS: Final = {
     "copy_number": 0,
     "nonce": "",
@@ -44,6 +50,7 @@ _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
 _OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
+_COIN: Final = re.compile(rb',"(?:applied_key|coin_key|coin_from|coin_last)":(?:"[^"]*"|[0-9]+)')
 _BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
 _AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
 
@@ -218,6 +225,8 @@ class PublicFields(Clause):
         allowed = PUBLIC.get(topic)
         if allowed is None:
             return f"on {topic!r}"
+        if rules.keyed:
+            allowed |= OF_COIN.get(topic, frozenset())
         if seen.message.keys() != allowed:
             return f"{topic} with {_extra(frozenset(seen.message), allowed)}"
         try:
@@ -269,11 +278,12 @@ _DIGITS: Final = b"0123456789abcdef.+-"
 def _shape(raw: bytes) -> tuple[bytes, int]:
     """A message's names, lengths and kinds of value: all that is left without digits.
 
-    Of a nonce and a tag that is their length; which block was stored last follows from what was
-    counted, and that is public.
+    Of a nonce and a tag that is their length; which block was stored last and which key serves the
+    coin follow from what was counted, and that is public.
     """
     keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
     keyless = _BLOCK.sub(b"", keyless, 1)
+    keyless = _COIN.sub(b"", keyless)
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 

@@ -231,8 +231,8 @@ class Receiver(_Scheme):
     side = "plant"
 
 
-OWN: Final = ("coin", "u", "true_x_next", "true_u", "attack_failed")
-"""What the plant alone knows."""
+OWN: Final = ("coin", "u", "expected", "true_x_next", "true_u", "attack_failed")
+"""What one end alone knows."""
 
 _SHARED: Final = tuple(f.name for f in fields(TracedTransition) if f.name not in OWN)
 _UNWRITTEN: Final = tuple(

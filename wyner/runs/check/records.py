@@ -18,7 +18,8 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 class TracedTransition:
     """A transition as one side's trace holds it; from ``coin`` on the fields are the plant's alone.
 
-    The last three are there where it is attacked.
+    ``coin_key`` and ``coin_from`` are there where the coin is keyed; ``expected`` is the
+    controller's alone. The last three are there where the plant is attacked.
 
     A model would take three times the room, and a run has millions.
     """
@@ -40,6 +41,9 @@ class TracedTransition:
     s: int
     counts: int
     predictions: tuple[Vector, ...] = ()
+    coin_key: str | None = None
+    coin_from: int = -1
+    expected: int = -1
     coin: int | None = None
     u: Vector | None = None
     true_x_next: Vector | None = None
@@ -140,6 +144,21 @@ class AppearancesLine:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AlarmLine:
+    """A transition's test failed at the controller, and made an alarm."""
+
+    event: Literal["alarm"]
+    session: str
+    j: int
+    k: int
+    reading: Vector
+    coin_key: str
+    candidate: int
+    expected: Vector
+    gauge: float
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TimingLine:
     """How punctual the plant was."""
 
@@ -171,6 +190,7 @@ EventLine = (
     | BlockStoredLine
     | BlockJudgedLine
     | AppearancesLine
+    | AlarmLine
     | TimingLine
     | AttackLine
 )
@@ -192,6 +212,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     "controller": {
         "transition": TypeAdapter(TracedTransition),
         "session": TypeAdapter(SessionLine),
+        "alarm": TypeAdapter(AlarmLine),
         "sent": TypeAdapter(QueuedLine),
         "delivered": TypeAdapter(QueuedLine),
         "block": TypeAdapter(BlockStoredLine),
@@ -275,6 +296,8 @@ class Shape(NamedTuple):
             return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
         if not 0 <= t.counts <= 3:
             return f"counts: got {t.counts}, expected 0 to 3"
+        if plant and t.expected != -1:
+            return "expected: only in the controller's trace"
         if not plant and (t.coin is not None or t.u is not None):
             return "coin, u: expected in the plant's trace only"
         if not plant and (t.true_x_next is not None or t.true_u is not None):

@@ -24,6 +24,8 @@ class AttackCounts:
         The distance at x(k), from the onset on.
     alarms : list of int
         Steps of the readings over which the controller alarmed, in order.
+    shown : float, optional
+        The largest component of the last state that the controller was shown.
     watched, unwatched : int
         Transitions from the onset on that a key's digit was asked of, and others.
     """
@@ -34,6 +36,7 @@ class AttackCounts:
     alarms: list[int] = field(default_factory=list)
     watched: int = 0
     unwatched: int = 0
+    shown: float | None = None
     _sent: dict[int, list[float]] = field(default_factory=dict)
 
     def plant(self, event: dict[str, Any]) -> None:
@@ -53,6 +56,7 @@ class AttackCounts:
         if event["event"] == "alarm":
             self.alarms.append(event["k"] + 1)
         if event["event"] == "transition" and self.attack is not None:
+            self.shown = max(map(abs, event["x_next"]))
             late = event["k"] + 1 >= self.attack["onset"]
             if late and self.attack["at"] == "bus" and event["k"] + 1 in self._sent:
                 pairs = zip(self._sent[event["k"] + 1], event["x_next"], strict=True)
@@ -64,8 +68,9 @@ class AttackCounts:
         """What it came to; None where nobody attacked.
 
         ``alarm_k`` is the first alarm from the onset on, -1 none; ``delay`` the steps from the
-        first spoofed reading to it. ``false_alarms`` came before. ``away_at_alarm``, ``away``,
-        ``away_most``: the distance at the alarm, at the end, at most (None: not known).
+        last true reading to it. ``false_alarms`` came before. ``away_at_alarm``, ``away``,
+        ``away_most``: the distance at the alarm, at the end, at most (None: not known); ``shown``:
+        the largest component of the last state that was shown.
         """
         if self.attack is None:
             return None
@@ -75,12 +80,13 @@ class AttackCounts:
             **self.attack,
             "failed": self.failed,
             "alarm_k": alarm,
-            "delay": alarm - onset if alarm >= 0 else -1,
+            "delay": alarm - onset + 1 if alarm >= 0 else -1,
             "false_alarms": sum(k < onset for k in self.alarms),
             "watched": self.watched,
             "unwatched": self.unwatched,
             "away_at_alarm": self.off.get(alarm),
             "away": self.off[max(self.off)] if self.off else None,
+            "shown": self.shown,
             "away_most": max(self.off.values(), default=None),
         }
 
@@ -96,6 +102,10 @@ def attacked(run: Run) -> AttackCounts:
     return counts
 
 
+def _steps(number: int) -> str:
+    return f"{number} step{'' if number == 1 else 's'}"
+
+
 def attack_lines(found: dict[str, Any]) -> list[str]:
     """What an attack came to, for people."""
     head = AttackBegan(found).sentence()
@@ -103,7 +113,7 @@ def attack_lines(found: dict[str, Any]) -> list[str]:
         return [f"Attack     {head}: FAILED, the truth passed: {found['failed']}"]
     if found["alarm_k"] >= 0:
         away = found["away_at_alarm"]
-        text = f"alarm at step {found['alarm_k']}, {found['delay']} steps on"
+        text = f"alarm at step {found['alarm_k']}, {_steps(found['delay'])} on"
         told = "" if away is None else f"; the plant was then {away:.2g} from what was shown"
     else:
         away = found["away"]

@@ -1,0 +1,10 @@
+"""She says for ever what she said last."""
+
+from attacker_service.base import SensorAttack
+
+
+class Frozen(SensorAttack):
+    name = "frozen"
+
+    def sensor(self, told):
+        return told.shown

@@ -1,0 +1,160 @@
+"""The keyed coin on files, through deaths; its clauses, and what they catch."""
+
+import json
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+
+from plant_service.core import PlantCore
+from protocol.link.session import CountedTransition, Truth
+from protocol.vectors import Vector
+from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
+from tests.runs.check.mutants import small
+from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.small_run import Lines, read_lines, write_lines
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+
+STEPS = 1400
+"""Of M = 4: eleven keys."""
+
+
+def failed(folder: Path) -> set[str]:
+    return {r.clause.name for r in check(read_evidence(folder)) if r.result == "FAIL"}
+
+
+def transitions(folder: Path, trace: Path) -> Lines:
+    return [line for line in read_lines(folder / trace) if line["event"] == "transition"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in which each end was killed twelve times, at whatever it was doing."""
+    folder = tmp_path_factory.mktemp("runs") / "watched"
+    draw = random.Random(5)
+    loop = RecordedLoop(folder, b"The old mill.", "watched")
+    for at in range(500, STEPS, 75):
+        loop.run(lambda at=at: loop.transitions >= at)  # type: ignore[misc]
+        side = draw.choice(SIDES)
+        if draw.random() < 0.5:
+            loop.crash_at(side, draw.randrange(12))
+        else:
+            loop.crash_at(side, draw.randrange(4), CountedTransition)
+    loop.run(lambda: loop.transitions >= STEPS)
+    assert min(loop.lives.values()) > 3
+    loop.stop()
+    return folder
+
+
+def test_no_death_makes_an_alarm_or_a_digit_twice(run: Path) -> None:
+    assert failed(run) == set()
+    mine, theirs = (transitions(run, trace) for trace in (PLANT_TRACE, CONTROLLER_TRACE))
+    keyed = {(t["coin_key"], t["k"] - t["coin_from"]): t["coin"] for t in mine if t["coin_key"]}
+    assert len({t["k"] for t in mine if t["coin_key"]}) == len(keyed) > 500
+    watched = {t["k"]: t["expected"] for t in theirs if "expected" in t}
+    assert len(watched) > 500
+    coins = {t["k"]: t["coin"] for t in mine}
+    assert all(coins[k] == expected for k, expected in watched.items())
+    assert not [line for line in read_lines(run / CONTROLLER_TRACE) if line["event"] == "alarm"]
+
+
+class Ghost:
+    """A sensor that shows what candidate 0 would have led to, whatever was applied."""
+
+    acts = device = False
+    truth: Truth | None = None
+
+    def __init__(self, core: PlantCore) -> None:
+        self.core = core
+        self.prepare, self.safe, self.close = core.plant.prepare, core.plant.safe, core.plant.close
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        self.x = x
+
+    def end(self, k: int) -> Vector:
+        step = self.core._step
+        assert step is not None
+        return self.core.rules.prediction(self.x, step.offer, 0)
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose sensor is spoofed for its last sixty steps, by one who has no key."""
+    folder = tmp_path_factory.mktemp("runs") / "attacked"
+    loop = RecordedLoop(folder, name="watched")
+    loop.run(lambda: loop.controller.coins.left > 1 and loop.transitions > 600)
+    until = loop.transitions + 60
+    loop.plant.plant = Ghost(loop.plant)
+    loop.run(lambda: loop.controller.record.transitions > until)
+    loop.stop()
+    return folder
+
+
+def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Path) -> None:
+    """One step in four passes: that of candidate 0."""
+    lines = read_lines(attacked / CONTROLLER_TRACE)
+    alarms = [line for line in lines if line["event"] == "alarm"]
+    onset = alarms[0]["j"]
+    tested = [t for t in lines if t["event"] == "transition" and t["j"] >= onset]
+    assert [a["j"] for a in alarms] == [t["j"] for t in tested if t["expected"] != 0]
+    assert 0.5 < len(alarms) / len(tested) < 0.95
+    results = {r.clause.name: r.result for r in check(read_evidence(attacked))}
+    assert results["alarms"] == results["keyed-coin"] == "PASS"
+    status = json.loads((attacked / CONTROLLER_STATUS).read_text())
+    assert status["alarms"] == len(alarms)
+    assert status["alarm_k"] == alarms[-1]["k"]
+    assert status["watched"] > 400
+
+
+FIELDS = [
+    (CONTROLLER_TRACE, "alarm", name)
+    for name in ("session", "j", "k", "reading", "coin_key", "candidate", "expected", "gauge")
+] + [
+    (CONTROLLER_TRACE, "transition", "expected"),
+    (CONTROLLER_TRACE, "transition", "coin_key"),
+    (CONTROLLER_TRACE, "transition", "coin_from"),
+    (PLANT_TRACE, "transition", "coin_key"),
+    (PLANT_TRACE, "transition", "coin_from"),
+]
+
+
+@pytest.mark.parametrize("how", ["small", "gone"])
+@pytest.mark.parametrize(("trace", "event", "name"), FIELDS)
+def test_each_field_that_is_otherwise_is_noticed(
+    attacked: Path, tmp_path: Path, trace: Path, event: str, name: str, how: str
+) -> None:
+    before = failed(attacked)
+    folder = Path(shutil.copytree(attacked, tmp_path / "run"))
+    lines = read_lines(folder / trace)
+    line = [line for line in lines if line["event"] == event and name in line][-3]
+    if how == "gone":
+        del line[name]
+    else:
+        line[name] = small(line[name])
+    write_lines(folder / trace, lines)
+    assert failed(folder) > before
+
+
+@pytest.mark.parametrize("which", ["alarm", "no alarm"])
+def test_an_alarm_that_is_missing_or_one_too_many_is_noticed(
+    attacked: Path, tmp_path: Path, which: str
+) -> None:
+    folder = Path(shutil.copytree(attacked, tmp_path / "run"))
+    lines = read_lines(folder / CONTROLLER_TRACE)
+    alarms = [line for line in lines if line["event"] == "alarm"]
+    if which == "alarm":
+        lines.remove(alarms[3])
+    else:
+        told = {alarm["j"] for alarm in alarms}
+        at = next(
+            i
+            for i, line in enumerate(lines)
+            if line.get("expected") == 0 and line.get("j", -1) not in told
+        )
+        made = {name: alarms[0][name] for name in alarms[0]}
+        made |= {"j": lines[at]["j"], "k": lines[at]["k"], "reading": lines[at]["x_next"]}
+        lines.insert(at + 1, made)
+    write_lines(folder / CONTROLLER_TRACE, lines)
+    assert "alarms" in failed(folder)
