@@ -2,11 +2,14 @@
 
 import json
 import random
+from pathlib import Path
 
 import pytest
 
 from protocol.agreement import predict
 from protocol.box_observer import Box, BoxObserver
+from runtime.shipped import SCENARIOS
+from wyner.cli.main import main
 
 MOTOR = BoxObserver(
     A=((1.0, 0.0909), (0.0, 0.8187)),
@@ -98,3 +101,24 @@ def test_a_reading_that_nothing_explains_begins_anew() -> None:
     assert box.high[1] == 10.0
     missed = MOTOR.step(Box((0.0, 0.0), (0.0, 0.0)), ((0.0,),), (0.0,))
     assert missed.possible == (0,)
+
+
+@pytest.mark.parametrize(("alpha", "carries"), [(8.0, False), (20.0, True)])
+def test_design_says_whether_an_encoder_is_enough(
+    alpha: float, carries: bool, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The shipped motor: inputs must be 0.724 apart, and she allows 0.0515 (alpha - 1)."""
+    text = (SCENARIOS / "motor.toml").read_text()
+    text = text.replace("alpha = 8.0", f"alpha = {alpha}").split("[defender.calibration]")[0]
+    file = tmp_path / "motor.toml"
+    file.write_text(text)
+    assert main(["design", str(file), "--outputs", "1:0.0005", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["carries"] is carries
+    assert said["needed"] == pytest.approx(0.724, abs=1e-3)
+    assert said["possible"] == pytest.approx(0.05157 * (alpha - 1), rel=1e-2)
+    assert main(["design", "sustained", "--outputs", "1:0.001"]) == 0
+    assert "no key is sure" in capsys.readouterr().out
+    for wrong in ("1", "3:0.1", "1:-1"):
+        assert main(["design", "sustained", "--outputs", wrong]) == 2
+        assert capsys.readouterr().err.startswith("wyner: --outputs: ")
