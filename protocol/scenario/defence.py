@@ -52,10 +52,13 @@ class DefenceTable(ScenarioTable):
         """What the scenario lacks for this, a line each."""
         if self.keyed and keys is None:
             yield "defence.kind: keyed-coin takes distilled keys, and there is no table keys"
-        elif self.keyed and keys is not None and (reason := keys.refusal()) is not None:
-            yield f"defence.kind: keyed-coin takes distilled keys, and keys.{reason}"
+        elif self.keyed and keys is not None and keys.schedule() is None:
+            yield (
+                "defence.kind: keyed-coin takes distilled keys, and under keys.eps_E = "
+                f"{keys.eps_E:g} none is made"
+            )
         if self.on_alarm == "safe" and link.watchdog_s is None:
             yield (
-                "defence.on_alarm: safe ends the offers, so that the watchdog bites; expected "
+                "defence.on_alarm: safe ends the offers, so that the watchdog bites: expected "
                 "link.watchdog_s beside it"
             )

@@ -121,14 +121,21 @@ class RecordedLoop:
 
     # --- lives ------------------------------------------------------------------------------------
 
-    def start(self, side: Side) -> None:
+    def start(self, side: Side, *, clear_alarm: bool = False) -> None:
         """Begin a life of one end, from what its files hold."""
         self.lives[side] += 1
         if side == "plant":
             plant = PlantConfig(self._scenario, self.folder, "loop", Pace("fast"))
             endpoint, files = open_plant(plant, self.now)
         else:
-            made = ControllerConfig(self._scenario, self.folder, "loop", self._law, self._message)
+            made = ControllerConfig(
+                self._scenario,
+                self.folder,
+                "loop",
+                self._law,
+                self._message,
+                clear_alarm=clear_alarm,
+            )
             endpoint, files = open_controller(made)  # type: ignore[assignment]
         publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
         tasks: deque[Task] = deque()

@@ -3,17 +3,20 @@
 import json
 import random
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from plant_service.core import PlantCore
 from protocol.link.session import CountedTransition, Truth
+from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
 from tests.support.recorded_loop import SIDES, RecordedLoop
 from tests.support.small_run import Lines, read_lines, write_lines
+from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
@@ -158,3 +161,42 @@ def test_an_alarm_that_is_missing_or_one_too_many_is_noticed(
         lines.insert(at + 1, made)
     write_lines(folder / CONTROLLER_TRACE, lines)
     assert "alarms" in failed(folder)
+
+
+def test_status_tells_alarms_and_how_much_is_watched(
+    attacked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(attacked)]) == 1
+    told = capsys.readouterr().out
+    assert "warning: ALARMS: " in told
+    assert "steps watched" in told
+    status = ControllerStatus.model_validate_json((attacked / CONTROLLER_STATUS).read_text())
+    assert status.alarm_sentence() in told
+
+
+def halted(loop: RecordedLoop) -> bool:
+    return loop.controller.record.halted
+
+
+def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
+    loop = RecordedLoop(tmp_path / "run", name="watched")
+    loop.run(lambda: loop.controller.coins.left > 1 and loop.transitions > 600)
+    loop.controller.rules = replace(loop.controller.rules, halts=True)
+    at = loop.transitions
+    loop.plant.plant = Ghost(loop.plant)
+    for _ in range(3000):
+        loop.step()
+    made = loop.transitions - at
+    assert made < 20, "no offer follows an alarm"
+    assert halted(loop)
+    loop.kill("controller")
+    loop.start("controller")
+    for _ in range(500):
+        loop.step()
+    assert halted(loop)
+    assert loop.transitions - at == made
+    loop.kill("controller")
+    loop.start("controller", clear_alarm=True)
+    loop.run(lambda: loop.transitions > at + made + 20)
+    assert not halted(loop)
+    loop.stop()

@@ -7,6 +7,14 @@ different keys are more than 2 apart in some coordinate, and every key has a poi
 every coordinate, of wherever d leads.
 
 The theorems are those of docs/signalling.md; all bits here are claimed by the paper's rule.
+
+Theorem 5, in T steps of m inputs at most alpha^(mT) keys: let K be D_c cut by the inputs' space, T
+times over, P_j the points of key j, and R the union of all P_j + K. These are disjoint, and each
+P_j + alpha K holds R. Of q keys the smallest has vol(P_j + K) <= vol R / q, so
+vol R <= vol(P_j + alpha K) <= alpha^(mT) vol(P_j + K) <= alpha^(mT) vol R / q. The step in the
+middle is a lemma: vol(P + alpha K) <= alpha^n vol(P + K) for K convex in n dimensions. Give every
+point to its nearest p in K's gauge; the map from x to p + (x - p) / alpha stays within p's part and
+shrinks by alpha^n.
 """
 
 import math

@@ -5,8 +5,16 @@ She sees Y = S p + (what is known to her) + N, where N holds white Gaussian nois
 a step, and S is the loop's response to the offsets. With g = || S_n^(-1/2) C (zI - A - BK)^(-1) B
 || (the largest gain over frequencies) S'S <= g^2, so that Y is a degraded version of
 p + N(0, I / g^2): each coin seen once, by itself, through one Gaussian channel. Whatever she
-computes, knowing d, its law, the model and the control law, is then bounded by that channel. The
-proof is in docs/secrecy.md.
+computes, knowing d, its law, the model and the control law, is then bounded by that channel: the
+theorem of docs/secrecy.md.
+
+Its proof: in units of S_n, S'S <= g^2 I, for S is a block of a Toeplitz operator of norm g. The
+sufficient S'Y has the law of S'S q plus independent Gaussian noise of covariance
+S'S - (S'S)^2 / g^2 >= 0, for q = p + N(0, I / g^2), in which the coins are apart. Data processing
+does the rest.
+
+That of the key's length: Riesz and Thorin between l_1 (norm at most 2) and l_2 (at most 1, as two
+inputs collide with probability 2^-length), for the hash less its mean; then Hoelder.
 """
 
 import math
@@ -170,7 +178,7 @@ class Coin:
         """Length of a key that :func:`hashed` makes of so many coins.
 
         It is within ``eps`` of uniform and apart from all that she has, in the sum of absolute
-        differences: twice the statistical distance. Theorem and proof: docs/secrecy.md.
+        differences: twice the statistical distance.
 
         Raises
         ------
