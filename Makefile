@@ -121,6 +121,7 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).kills
 	$(CAMPAIGN).kills --jumps
 	$(CAMPAIGN).kills --tls --kills 240
+	$(CAMPAIGN).kills --watched
 	$(CAMPAIGN).calls
 	$(CAMPAIGN).spoiled
 	$(CAMPAIGN).spoiled_stores

@@ -22,10 +22,11 @@ BATCH: Final = 32
 """Keys that are set aside at once, and as many are held ahead: 4096 steps each of M = 4."""
 
 AGAIN_S: Final = 0.1
-"""Seconds between two questions whether the partner has marked a batch."""
+"""Seconds until the controller asks again whether the plant has marked a batch; then twice as
+long, and so on."""
 
 LACKING_S: Final = 1.0
-"""Seconds between two looks of the plant for a key that an offer names and that is not there."""
+"""Seconds between two looks for what is not there, at most."""
 
 
 class _Coins:
@@ -86,12 +87,11 @@ class _Coins:
         self._asked = True
         return CoinTask(self._session, self._newest, number, served)
 
-    def done(self, done: CoinKeys, now: float) -> None:
+    def _take(self, done: CoinKeys) -> None:
         """Take keys that were asked for."""
         self._asked = False
         if done.session == self._session:
             self._add(done.keys)
-        self._again_at = now + AGAIN_S
 
 
 class OfferedCoins(_Coins):
@@ -102,6 +102,7 @@ class OfferedCoins(_Coins):
         self._ahead: list[str] = []
         self._pending = False
         self._dry = False
+        self._wait_s = AGAIN_S
 
     def begin(
         self,
@@ -176,11 +177,14 @@ class OfferedCoins(_Coins):
 
     def done(self, done: CoinKeys, now: float) -> None:
         """Take keys that were set aside and marked."""
-        super().done(done, now)
+        self._take(done)
         if done.session == self._session:
             self._ahead += [key.key_id for key in done.keys]
             self._pending = done.pending
             self._dry = not done.pending and not done.keys
+        waits = self._pending and not done.keys
+        self._again_at = now + self._wait_s
+        self._wait_s = min(2 * self._wait_s, LACKING_S) if waits else AGAIN_S
 
 
 class AppliedCoins(_Coins):
@@ -230,7 +234,7 @@ class AppliedCoins(_Coins):
 
     def done(self, done: CoinKeys, now: float) -> None:
         """Take keys that the controller has had marked."""
-        super().done(done, now)
+        self._take(done)
         if self._wanted in self._digits or self._wanted == self._newest:
             self._wanted = ""
         self._again_at = -inf if done.keys else now + LACKING_S

@@ -54,7 +54,7 @@ def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["kills", "tls", "keys"])
+@pytest.mark.parametrize("kind", ["kills", "tls", "keys", "watched"])
 def test_a_run_whose_services_are_killed_delivers_once_and_passes(
     tmp_path: Path, kind: str
 ) -> None:

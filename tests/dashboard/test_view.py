@@ -402,6 +402,20 @@ def test_where_the_state_is_among_the_sets_is_told_in_words() -> None:
     assert "control: outside of every set" in shown(lost, 120, 40)
 
 
+def test_an_alarm_is_a_red_line() -> None:
+    board = with_controller(
+        board_after(700),
+        alarms=3,
+        alarm_k=650,
+        alarm_reading=(1.0, 2.0),
+        alarm_expected=(0.5, 2.0),
+    )
+    spans = [(line, span) for line in screen(board, 120, 40, PLAIN, 0) for span in line.spans]
+    red = [line.plain[s.start : s.end].strip() for line, s in spans if "red" in str(s.style)]
+    assert "ALARMS: 3, the last at step 650" in red
+    assert "ALARMS" not in shown(board_after(700), 120, 40)
+
+
 def test_keys_that_are_wrong_at_the_plant_are_told_at_any_rate() -> None:
     board = with_plant(board_after(700), rate_hz=12345.6, sessions=123, symbol_errors=54321)
     assert " wrong keys at the plant 54321 " in shown(board, 80, 24)

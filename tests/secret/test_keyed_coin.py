@@ -3,6 +3,7 @@
 Keys are short here, five digits each, so that they change all the time.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from random import Random
@@ -230,6 +231,20 @@ def test_what_cannot_be_agreed_is_unwatched() -> None:
     assert controller.named(3 + DIGITS) == ("", 0, "k0")
     controller.begin("t")
     assert controller.expected(said, "k0") == -1
+
+
+def test_a_batch_that_nobody_marks_is_asked_after_ever_less_often() -> None:
+    controller = OfferedCoins(2, on=True)
+    controller.begin("s")
+    asked, now = [], 0.0
+    for _ in range(1000):
+        now += 0.01
+        if controller.tasks(now):
+            asked.append(now)
+            controller.done(CoinKeys("s", pending=True), now)
+    assert [round(b - a, 1) for a, b in itertools.pairwise(asked)][:5] == [0.1, 0.2, 0.4, 0.8, 1.0]
+    controller.done(CoinKeys("s", tuple(keys(2))), now)
+    assert controller.tasks(now + 0.01) == (CoinTask("s", "k1", 32),)
 
 
 def test_a_scenario_without_it_says_nothing() -> None:

@@ -68,7 +68,7 @@ def test_a_byte_is_followed_through_three_real_processes(
 ) -> None:
     assert follow.main(["--walk"]) == 0
     text = capsys.readouterr().out
-    for name in ("wyner.cli.send:_answers", "Host._hear", "encrypt", "decrypt"):
+    for name in ("wyner.cli.send:answers", "Host._hear", "encrypt", "decrypt"):
         assert name in text
     for part in ("send", "queue", "decide", "decode"):
         found = next(line for line in text.splitlines() if line.startswith(part))

@@ -151,7 +151,9 @@ class Panels:
         """Where the state is, among the controller's sets."""
         controller = self.board.controller
         if controller is not None and controller.alarms:
-            return Text(f" {controller.alarm_sentence()}", style=STYLES["bad"])
+            alarms = controller.alarm_sentence()
+            told = longest(width, f" {alarms}", f" {alarms.rpartition(': read')[0]}")
+            return Text(told, style=STYLES["bad"])
         if controller is None or controller.set_index < 0:
             return Text(" control: outside of every set, or silent")
         at = controller.set_index
