@@ -60,7 +60,8 @@ class AttackedPlant:
             reported = self._attacker.vector("reading", k + 1, self._x, heard)
         failed = "" if self._told else self._attacker.failed
         self._told = self._attacker.failed
-        self.truth = Truth(self._x, self._u, failed)
+        inner = self._plant.truth  # of noisy sensors
+        self.truth = Truth(self._x if inner is None else inner.x_next, self._u, failed)
         return reported
 
     def safe(self, why: str) -> None:

@@ -181,7 +181,7 @@ class PlantCore:
         self._step: PlantStep | None = None
         self._payload = b""  # of its offer, as it came
         self._keyed = False  # whether a key chose its coin
-        self._truth: Truth | None = None  # of its end
+        self._truth: Truth | None = None if step is None else plant.truth  # of its end
         self._begun: PlantStep | None = None
         if step is not None and step.measurement is not None:
             self._step = step

@@ -1,5 +1,6 @@
 """The plant's core as its journal has it: a new one, or one that goes on."""
 
+import secrets
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.registry import is_model, open_plant
 from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
-from plant_service.plant import Coin, Disturbances, LinearModel, OperatedPlant, Plant
+from plant_service.plant import Coin, Disturbances, LinearModel, NoisyPlant, OperatedPlant, Plant
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
@@ -16,7 +17,7 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
 from protocol.secret.records import Key
-from protocol.streams import Stream, SymbolSource
+from protocol.streams import SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.journal import ReceiverJournal
@@ -47,6 +48,7 @@ def open_core(
     telemetry: PlantTelemetry | None = None,
     folder: Path = Path(),
     seed: int | None = None,
+    sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
     coin_keys: Iterable[Key] = (),
     attack: Attack | None = None,
@@ -67,6 +69,9 @@ def open_core(
         Where the files that the scenario's plant names are looked for.
     seed : int, optional
         For a plant with chance of its own.
+    sensors : Stream, optional
+        Uniform numbers for the sensors' noise; draw k belongs to y(k). None: of a seed that the
+        journal has, or a new one has from now on.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
     coin_keys : iterable of Key
@@ -99,7 +104,16 @@ def open_core(
             raise
         enters = scenario.plant.disturbance.enters or "state"
         plant = OperatedPlant(operated, disturbances, enters)
+    sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     try:
+        spec = scenario.plant.noise
+        if spec is not None and not plant.device:
+            draws = sensors or Stream(sensor_seed, SENSOR, width=spec.dimension)
+            noisy = NoisyPlant(plant, spec, draws)
+            k = 0 if record is None else record.k + 1  # of a step that was cut short
+            if step is not None and step.measurement is not None:
+                noisy.recall(step.measurement.k, step.measurement.x, step.u)
+            plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
         if attacker is not None and attacker.at == "bus":
             attacker.close()
         elif attacker is not None:
@@ -107,7 +121,9 @@ def open_core(
             plant = AttackedPlant(plant, attacker, x)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
-        first = record or first_record(scenario, new_id(), x)
+        first = record or first_record(scenario, new_id(), x)._replace(
+            sensor_seed=sensor_seed if spec is not None else 0
+        )
         return PlantCore(
             rules_of(scenario),
             plant,

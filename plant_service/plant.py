@@ -5,14 +5,14 @@ the plant moves by itself. The order of a step is the core's (:mod:`plant_servic
 """
 
 from math import isfinite
-from operator import add
+from operator import add, sub
 from typing import Protocol
 
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
 from protocol.link.session import Truth
-from protocol.scenario import Scenario
+from protocol.scenario import Scenario, SensorNoise
 from protocol.streams import Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import Failure
@@ -150,6 +150,63 @@ class LinearModel:
     def close(self) -> str:
         """Nothing is open, and nothing fails."""
         return ""
+
+
+class NoisyPlant:
+    """A plant that is read through sensors with noise: y(k) = x(k) + n(k).
+
+    What is known of it outside is y. Its state is y(k) - n(k), and n(k) is draw k of a seeded
+    stream: so it stands in no journal, and is the same after a restart.
+
+    Parameters
+    ----------
+    plant : Plant
+    noise : SensorNoise
+    draws : Stream
+        Of as many uniform numbers as there are states.
+    """
+
+    def __init__(self, plant: Plant, noise: SensorNoise, draws: Stream) -> None:
+        self._plant = plant
+        self._noise, self._draws = noise, draws
+        self.acts, self.device = plant.acts, plant.device
+        self.truth: Truth | None = None
+        self._u: Vector = ()
+
+    def read(self, k: int, x: Vector) -> Vector:
+        """y(k)."""
+        return tuple(map(add, x, self._noise.drawn(self._draws.at(k))))
+
+    def state(self, k: int, y: Vector) -> Vector:
+        """x(k)."""
+        return tuple(map(sub, y, self._noise.drawn(self._draws.at(k))))
+
+    def recall(self, k: int, y: Vector, u: Vector) -> None:
+        """Step ``k - 1``, of the journal, led to ``y`` under ``u``."""
+        self.truth = Truth(self.state(k, y), u)
+
+    def prepare(self, k: int) -> None:
+        """As the plant."""
+        self._plant.prepare(k)
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        """Apply ``u`` at the state that was read as ``x``."""
+        self._u = u
+        self._plant.begin(k, self.state(k, x), u)
+
+    def end(self, k: int) -> Vector:
+        """y(k+1)."""
+        y = self.read(k + 1, self._plant.end(k))
+        self.truth = Truth(self.state(k + 1, y), self._u)
+        return y
+
+    def safe(self, why: str) -> None:
+        """As the plant."""
+        self._plant.safe(why)
+
+    def close(self) -> str:
+        """As the plant."""
+        return self._plant.close()
 
 
 class OperatedPlant:

@@ -19,7 +19,7 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
-from protocol.streams import COIN, noise, symbols
+from protocol.streams import COIN, SENSOR, Stream, noise, symbols
 from protocol.text import readable
 from runtime.bus import Bus
 from runtime.end_service import EndConfig, EndService
@@ -131,6 +131,7 @@ def _opened(
         telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
+        sensors=None if config.seed is None else Stream(config.seed, SENSOR, width=scenario.n),
         coin_keys=coin_keys(key_maker, scenario, record),
         attack=config.attack,
     )

@@ -190,7 +190,7 @@ def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
     """What does not change while this process lives."""
-    H, h = scenario.defender.disturbance.rows()
+    H, h = scenario.test_set.rows()
     own = scenario.secrecy.disturbance is not None
     hers = scenario.eavesdropper_set.rows() if own else ((), ())
     return PlantModel(

@@ -7,6 +7,7 @@ multiply-add, no order left to a library. The key is what this function returns,
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 from operator import sub
 from typing import Final, NamedTuple
 
@@ -98,6 +99,11 @@ class Gauge:
         return largest
 
 
+def spread(gauge: Gauge, centres: Sequence[Sequence[float]]) -> float:
+    """The largest gauge of a difference of two centres, either way round."""
+    return max(gauge(tuple(map(sub, one, other))) for one in centres for other in centres)
+
+
 class AgreementResult(NamedTuple):
     """What the test says of one transition.
 
@@ -139,6 +145,10 @@ class AgreementRule:
         D_e = alpha D_c.
     reach : Gauge, optional
         Where D_e has a shape of its own: the gauge of D_e over alpha.
+    apart : Gauge, optional
+        Where sensors are noisy and ``gauge`` is that of W: the gauge of D_c. All candidates are
+        then possible for her where their centres are at most alpha - 1 apart in it, whatever x_next
+        is: d + B (u_b - u_i) is in D_e for every d in D_c, and gives the same readings for ever.
     """
 
     A: Matrix
@@ -146,6 +156,7 @@ class AgreementRule:
     gauge: Gauge
     alpha: float
     reach: Gauge | None = None
+    apart: Gauge | None = None
 
     def verdict(
         self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
@@ -157,6 +168,8 @@ class AgreementRule:
     def widest(self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
         """The largest gauge of D_e over alpha: up to alpha she finds every candidate possible."""
         gauge = self.gauge if self.reach is None else self.reach
+        if self.apart is not None:
+            return 1.0 + spread(self.apart, list(predictions))
         return max(gauge(tuple(map(sub, x_next, centre))) for centre in predictions)
 
     def verdict_at(
@@ -168,6 +181,10 @@ class AgreementRule:
         inside = 0
         possible = True
         gauge, alpha, reach = self.gauge, self.alpha, self.reach
+        if self.apart is not None:
+            predictions = list(predictions)
+            possible = 1.0 + spread(self.apart, predictions) <= alpha
+            alpha = inf
         for i, centre in enumerate(predictions):
             difference = tuple(map(sub, x_next, centre))
             g = gauge(difference)

@@ -93,6 +93,8 @@ class Knowledge(Brief, BaseModel):
         the defender knows, is told.
     defender_H, defender_h : tuple, shapes (rows, n) and (rows,), optional
         D_c, where D_e has a shape of its own. Only the oracle is told.
+    noisy : bool
+        The plant's sensors are noisy, which is public; how much they are is not.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
@@ -113,6 +115,7 @@ class Knowledge(Brief, BaseModel):
     alpha: float | None = None
     defender_H: Matrix | None = None
     defender_h: Vector | None = None
+    noisy: bool = False
     keys: Assumption | None = None
     noise: float = 0.0
     quantise: float = 0.0

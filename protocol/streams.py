@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 DISTURBANCE: Final = 0
 COIN: Final = 1
 CIPHER: Final = 2
+SENSOR: Final = 3
 
 BLOCK: Final = 256
 

@@ -190,8 +190,11 @@ def choose_alphabet(
     size: int,
     spacing: float = CERTAIN,
     shape: ConvexSet | None = None,
+    tested: ConvexSet | None = None,
 ) -> Alphabet:
     """The alphabet of ``size`` candidates for one or two inputs; D_e = alpha ``shape``, or D_c.
+
+    ``tested`` is W, where sensors are noisy.
 
     Raises
     ------
@@ -199,7 +202,7 @@ def choose_alphabet(
         When no such alphabet is certain, or U has no room; it names the most that fit. Below a
         spacing of 2 the spread is not held against alpha: that is the bet.
     """
-    sep = Separation.of(B, disturbance, shape)
+    sep = Separation.of(B, disturbance, shape, tested)
     if sep.inputs > 2:
         raise AlphabetError(f"plant.B: got {sep.inputs} inputs, expected 1 or 2 for packed")
     spaced = sep.spaced(spacing)

@@ -53,6 +53,7 @@ def alphabet_of(scenario: Scenario, spacing: float) -> Alphabet:
                 size=size,
                 spacing=spacing,
                 shape=scenario.secrecy.disturbance,
+                tested=None if scenario.defender.noise is None else scenario.test_set,
             )
 
         size = scenario.secrecy.candidates
@@ -76,7 +77,9 @@ def reduced(scenario: Scenario, alphabet: Alphabet) -> Scenario:
     disturbance = larger_disturbance(scenario.control_set, scenario.B, alphabet.offsets)
     return scenario.model_copy(
         update={
-            "defender": scenario.defender.model_copy(update={"disturbance": disturbance}),
+            "defender": scenario.defender.model_copy(
+                update={"disturbance": disturbance, "noise": None}
+            ),
             "control": scenario.control.model_copy(update={"inputs": inputs, "disturbance": None}),
         }
     )

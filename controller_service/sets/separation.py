@@ -47,18 +47,28 @@ class Separation:
 
     @classmethod
     def of(
-        cls, B: ArrayLike, disturbance: ConvexSet, shape: ConvexSet | None = None
+        cls,
+        B: ArrayLike,
+        disturbance: ConvexSet,
+        shape: ConvexSet | None = None,
+        tested: ConvexSet | None = None,
     ) -> "Separation":
-        """For the inputs of B, shape (n, m), D_c, and D_e over alpha where it is not D_c."""
+        """For the inputs of B, shape (n, m), D_c, and D_e over alpha where it is not D_c.
+
+        ``tested`` is W, where the defender's half of the test is not D_c.
+        """
+        if tested is not None:
+            hers = cls.of(B, disturbance, shape)
+            return cls(cls.of(B, tested).apart, hers.together, hers.taken)
         matrix = np.asarray(B, dtype=float)
         rows, bounds = disturbance.rows()
         H = np.array(rows) / np.array(bounds)[:, None]
         if shape is not None:
             own = cls.of(B, disturbance)
             hers_rows, hers_bounds = shape.rows()
-            hers = np.array(hers_rows) / np.array(hers_bounds)[:, None]
-            taken = (set_corners(disturbance) @ hers.T).max(axis=0)
-            return cls(own.apart, hers @ matrix, np.asarray(taken, dtype=float))
+            scaled = np.array(hers_rows) / np.array(hers_bounds)[:, None]
+            taken = (set_corners(disturbance) @ scaled.T).max(axis=0)
+            return cls(own.apart, scaled @ matrix, np.asarray(taken, dtype=float))
         if _symmetric(H):
             together = _distinct(H @ matrix)
             return cls(_distinct(H @ matrix / 2), together, np.ones(len(together)))

@@ -16,6 +16,11 @@ REMEMBERED: Final = 64
 """Steps of which copies are counted; an older one starts from its first copy again."""
 
 
+COPIES: Final = 128
+"""More than a step has with a deadline. In lock-step a step may have any number: after so many the
+state goes on as in the step after it, so that no bad state lasts for ever."""
+
+
 class Channel:
     """One direction of the network.
 
@@ -57,7 +62,7 @@ class Channel:
         sent = now
         if table.rate_hz is not None:  # a message that is lost later occupies the way, too
             sent = self._free_at = max(now, self._free_at) + table.sending_s * self._scale
-        if lost < self._loss(k):
+        if lost < self._loss(k + copy // COPIES):
             return None
         arrives = sent + self._delay_s(late) * self._scale
         if not table.reordering:

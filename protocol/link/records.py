@@ -78,7 +78,8 @@ class ReceiverRecord(NamedTuple):
     ``p``, which begin with the session. ``controller`` is the process that was asked last to take
     the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
-    counts key blocks that were begun, in all sessions, whatever became of them. ``begun`` is there
+    counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
+    of the sensors' noise. ``begun`` is there
     only in what is written while a plant acts: the step that is under way. The session of its offer
     may be one that has ended since. ``coin_key`` is the newest key of the session whose digits a
     coin came from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last
@@ -108,6 +109,7 @@ class ReceiverRecord(NamedTuple):
     tag: str = ""
     incarnation: int = 0
     blocks_begun: int = 0
+    sensor_seed: int = 0
     begun: PlantStep | None = None
     coin_key: str = ""
     coin_from: int = -1

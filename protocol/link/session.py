@@ -140,7 +140,8 @@ class Rules:
 @lru_cache(maxsize=16)
 def rules_of(scenario: Scenario) -> Rules:
     """The rules that both ends of a scenario share."""
-    H, h = scenario.defender.disturbance.rows()
+    D_c, noisy = scenario.defender.disturbance, scenario.defender.noise is not None
+    H, h = scenario.test_set.rows()
     hers = scenario.secrecy.disturbance
     return Rules(
         agreement=AgreementRule(
@@ -149,6 +150,7 @@ def rules_of(scenario: Scenario) -> Rules:
             gauge=Gauge.from_rows(H, h),
             alpha=scenario.secrecy.alpha,
             reach=None if hers is None else Gauge.from_rows(*hers.rows()),
+            apart=Gauge.from_rows(*D_c.rows()) if noisy else None,
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
         states=scenario.n,
@@ -164,7 +166,7 @@ def rules_of(scenario: Scenario) -> Rules:
 
 
 class Truth(NamedTuple):
-    """What a step really came to, where an attack says otherwise.
+    """What a step really came to, where an attack or a noisy sensor says otherwise.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS
 from protocol.scenario.link import Link
 from protocol.scenario.network import ChannelTable, Network
+from protocol.scenario.noise import NoiseSet, SensorNoise
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import Disturbance, OperatingPointTable, PlantTable
 from protocol.scenario.reading import (
@@ -44,6 +45,7 @@ __all__ = [
     "Keys",
     "Link",
     "Network",
+    "NoiseSet",
     "OperatingPointTable",
     "Performance",
     "PlantTable",
@@ -52,6 +54,7 @@ __all__ = [
     "ScenarioError",
     "ScenarioTable",
     "Secrecy",
+    "SensorNoise",
     "TapView",
     "attack_of",
     "describe_errors",

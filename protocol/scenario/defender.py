@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from protocol.scenario.noise import NoiseSet
 from protocol.scenario.parts import ScenarioTable, shape, shape_problem
 from protocol.scenario.plant import Disturbance
 from protocol.scenario.sets import ConvexSet
@@ -43,6 +44,8 @@ class Defender(ScenarioTable):
     """A nonlinear f_c: the function predict(x, u), as 'file.py:predict'; A and B linearise it."""
     disturbance: ConvexSet
     """D_c, which both ends know and she does not: it decides what a key is."""
+    noise: NoiseSet | None = None
+    """N, what both ends take the sensors to add at most; none where not given."""
     calibration: Calibration | None = None
     """What `wyner fit` promises of D_c."""
 
@@ -53,6 +56,8 @@ class Defender(ScenarioTable):
         if self.B is not None:
             yield from shape_problem("defender.B", shape(self.B), (n, m))
         yield from shape_problem("defender.disturbance", self.disturbance.dimension, n)
+        if self.noise is not None:
+            yield from shape_problem("defender.noise", self.noise.dimension, n)
 
     def covers(self, d: Disturbance) -> bool:
         """Whether the box that ``d`` is drawn from lies within D_c."""

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, field_validator
 
 from protocol.knowledge import NotNegative
+from protocol.scenario.noise import SensorNoise
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.vectors import FiniteMatrix, FiniteVector
 
@@ -92,6 +93,8 @@ class PlantTable(ScenarioTable):
     """x(0); empty where the plant starts as it stands."""
     disturbance: Disturbance
     """What disturbs the plant."""
+    noise: SensorNoise | None = None
+    """What its sensors add: a reading is y = x + n. A device's sensors have their own."""
     operating_point: OperatingPointTable | None = None
     """Where deviations are counted from, and in which unit."""
     limits: tuple[tuple[FiniteFloat, FiniteFloat], ...] | None = None
@@ -113,6 +116,8 @@ class PlantTable(ScenarioTable):
         d = self.disturbance
         size = {"input": m, "none": 0}.get(d.enters or "state", n)
         yield from shape_problem("plant.disturbance.half_widths", len(d.half_widths), size)
+        if self.noise is not None:
+            yield from shape_problem("plant.noise", self.noise.dimension, n)
         if self.operating_point is not None:
             yield from self.operating_point.problems(n, m)
         if self.limits is not None:

@@ -19,6 +19,7 @@ from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
 from protocol.scenario.link import Link
 from protocol.scenario.network import Network
+from protocol.scenario.noise import widened
 from protocol.scenario.parts import ScenarioTable, shape_problem
 from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
@@ -126,8 +127,14 @@ class Scenario(Brief, ScenarioTable):
 
     @property
     def control_set(self) -> ConvexSet:
-        """The disturbances that the sets T_i resist: ``control.disturbance``, else D_c."""
-        return self.control.disturbance or self.defender.disturbance
+        """What the sets T_i resist: ``control.disturbance``, else the test's own set."""
+        return self.control.disturbance or self.test_set
+
+    @property
+    def test_set(self) -> ConvexSet:
+        """The defender's half of the test: D_c, or W = D_c + N + A N where sensors are noisy."""
+        D_c, N = self.defender.disturbance, self.defender.noise
+        return D_c if N is None else widened(D_c, N, self.A)
 
     @property
     def eavesdropper_shape(self) -> ConvexSet:
@@ -198,13 +205,29 @@ class Scenario(Brief, ScenarioTable):
 
     def _safety_problems(self) -> Iterator[str]:
         D_c = self.defender.disturbance
+        noise, assumed = self.plant.noise, self.defender.noise
         if self.secrecy.disturbance is not None and not self.eavesdropper_set.contains(D_c):
             yield (
                 "secrecy.disturbance: expected a set that, times secrecy.alpha, contains "
                 "defender.disturbance (D_c within D_e, equation 11)"
             )
-        if self.control.disturbance is not None and not self.control.disturbance.contains(D_c):
-            yield "control.disturbance: expected a set that contains defender.disturbance, D_c"
+        if self.control.disturbance is not None and not self.control.disturbance.contains(
+            self.test_set
+        ):
+            yield (
+                "control.disturbance: expected a set that contains defender.disturbance, D_c"
+                + ("" if assumed is None else ", widened by defender.noise")
+            )
+        may_leave = self.plant.disturbance.may_leave_defender_set
+        if noise is not None and not may_leave and (assumed is None or not noise.within(assumed)):
+            yield (
+                "plant.noise: expected a set inside defender.noise, N, or "
+                "plant.disturbance.may_leave_defender_set = true"
+            )
+        if assumed is not None and self.secrecy.disturbance is not None:
+            yield "secrecy.disturbance: expected none beside defender.noise"
+        if assumed is not None and self.defender.model is not None:
+            yield "defender.noise: expected none beside defender.model, as W takes a linear f_c"
         if self.link.fallback == "regulator" and self.control.gain is None:
             yield (
                 "control.gain: expected a stated gain, as link.fallback = 'regulator' has the "
@@ -234,6 +257,7 @@ class Scenario(Brief, ScenarioTable):
                 "initial_state": self.initial_state,
                 "fallback": self.link.fallback,
                 **({} if self.defender.model is None else {"model": self.defender.model}),
+                **self._noise(),
                 **self._own_law(),
             }
         )
@@ -251,6 +275,8 @@ class Scenario(Brief, ScenarioTable):
         f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
         hers = self.secrecy.disturbance
         shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        if self.defender.noise is not None:
+            shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
         coin = {"coin": "keyed"} if self.defence.keyed else {}
         return _digest(
             {
@@ -283,6 +309,8 @@ class Scenario(Brief, ScenarioTable):
         if self.network is None:
             untold.add("network")
         rest = self.model_dump(mode="json", exclude={*untold, *apart})
+        if self.defender.noise is None:
+            del rest["defender"]["noise"]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
         return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
 
@@ -306,10 +334,16 @@ class Scenario(Brief, ScenarioTable):
                 "A": self.A,
                 "B": self.B,
                 "D_c": self.control_set.model_dump(exclude_none=True),
+                **self._noise(),
                 "control": control,
                 **self._own_law(),
             }
         )
+
+    def _noise(self) -> dict[str, object]:
+        """D_c and N, where W takes the place of D_c."""
+        N, D_c = self.defender.noise, self.defender.disturbance
+        return {} if N is None else {"N": N.model_dump(), "of": D_c.model_dump()}
 
     def _own_law(self) -> dict[str, str]:
         """The source of a law in a file of the user's, where this process knows laws."""
@@ -329,14 +363,16 @@ class Scenario(Brief, ScenarioTable):
             disturbance_H=H,
             disturbance_h=h,
             policy=self.control.policy(self.n, self.m),
+            noisy=self.defender.noise is not None,
             keys=None if self.keys is None else self.keys.assumption(),
         )
 
     def oracle_knowledge(self) -> Knowledge:
         """What the defender knows, in the form a tap reads: the control of the measurement."""
         told: dict[str, object] = {"alpha": self.secrecy.alpha}
-        if self.secrecy.disturbance is not None:
-            H, h = self.defender.disturbance.rows()
+        noisy = self.defender.noise is not None
+        if noisy or self.secrecy.disturbance is not None:
+            H, h = self.test_set.rows()
             told |= {"defender_H": H, "defender_h": h}
         return self.knowledge().model_copy(update=told)
 

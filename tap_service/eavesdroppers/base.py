@@ -283,6 +283,32 @@ class Model:
             for centre in predictions or [predict(self.A, self.B, x, u) for u in candidates]
         ]
 
+    def along_the_widest(
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        predictions: Sequence[Sequence[float]] = (),
+    ) -> list[float]:
+        """The same along one row of D_e, that along which the candidates lie farthest apart.
+
+        Where sensors are noisy W has another shape than D_c, and what the other rows say is noise.
+        """
+        centres = predictions or [predict(self.A, self.B, x, u) for u in candidates]
+        widths = self.gauge.half_widths
+        H, h = self.gauge.H, self.gauge.h
+        if widths is not None:
+            n = len(widths)
+            H = tuple(tuple(1.0 if j == i else 0.0 for j in range(n)) for i in range(n))
+            h = widths
+        places = [
+            [sum(a * v for a, v in zip(row, c, strict=True)) / b for c in centres]
+            for row, b in zip(H, h, strict=True)
+        ]
+        r = max(range(len(places)), key=lambda i: max(places[i]) - min(places[i]))
+        at = sum(a * v for a, v in zip(H[r], x_next, strict=True)) / h[r]
+        return [abs(at - place) for place in places[r]]
+
 
 class Follower:
     """Follows the scheme on verdicts of her own, and collects the message symbols.

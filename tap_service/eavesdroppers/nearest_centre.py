@@ -5,7 +5,8 @@ scaling the set keeps that order: the candidate nearest to x(k+1) is the key sym
 every alpha. Only *when* a key was agreed is hidden, behind a threshold. Her estimate of it is the
 largest nearest gauge so far, times a margin: the disturbance fills its set, so that the estimate
 grows towards the set's edge from inside. Under a law of which it is public that every transition
-agrees, *when* is no question, and she needs no threshold.
+agrees, *when* is no question, and she needs no threshold. Where the plant's sensors are noisy she
+measures along the one row of D_e that tells the candidates apart.
 """
 
 from collections.abc import Sequence
@@ -29,12 +30,14 @@ class NearestCentre(Following):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._largest = 0.0
+        self.noisy = knowledge.noisy
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
     ) -> tuple[int, Guess]:
         """Measure every candidate; the nearest is the guess."""
-        gauges = self.model.gauges(x, candidates, x_next, t.predictions)
+        measure = self.model.along_the_widest if self.noisy else self.model.gauges
+        gauges = measure(x, candidates, x_next, t.predictions)
         nearest = min(gauges)
         ties = gauges.count(nearest)
         self._largest = max(self._largest, nearest)

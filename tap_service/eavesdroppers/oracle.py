@@ -29,9 +29,12 @@ class Oracle(Following):
         h = tuple(b / knowledge.alpha for b in knowledge.disturbance_h)
         gauge, reach = Gauge.from_rows(knowledge.disturbance_H, h), None
         if knowledge.defender_H is not None and knowledge.defender_h is not None:
-            reach = gauge  # D_e has a shape of its own
+            reach = gauge  # D_e has a shape of its own, or W takes D_c's place
             gauge = Gauge.from_rows(knowledge.defender_H, knowledge.defender_h)
-        self._rule = AgreementRule(self.model.A, self.model.B, gauge, knowledge.alpha, reach)
+        apart = None
+        if knowledge.noisy:
+            reach, apart = None, reach
+        self._rule = AgreementRule(self.model.A, self.model.B, gauge, knowledge.alpha, reach, apart)
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector

@@ -170,3 +170,13 @@ def test_measured_delays_come_from_their_file(tmp_path: Any) -> None:
     file.write_text("0.02\nsoon\n")
     with pytest.raises(UsageError, match="delay 2: got soon, expected seconds"):
         expected_missed_share(scenario, tmp_path)
+
+
+def test_in_lock_step_a_bad_state_does_not_last_for_ever() -> None:
+    """A state that loses everything, in half of the steps: every step is made, and none missed."""
+    worst = {"loss_bad": 1.0, "to_bad": 0.5, "to_good": 0.5}
+    _, law = law_of("sustained")
+    both = Simulation(networked({"to_plant": worst}), law, seed=2)
+    history = both.run(steps=20, seconds=2000.0)
+    assert both.k == 20
+    assert history.missed == 0

@@ -49,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"instead: how many symbols the inputs can carry. {ABOUT} (default: 1.5 to 10 and "
         "the scenario's)",
     )
+    parser.add_argument(
+        "--outputs",
+        metavar="I:W,...",
+        help="instead: whether it carries keys if read by these states alone, the Ith with a noise "
+        "of half-width W",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     from runtime.shipped import scenario_file_of
 
     scenario = scenario_of(args.scenario)
+    if args.outputs is not None:
+        return show_outputs(scenario, args.outputs, as_json=args.json)
     if args.alphas is not None:
         return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
     begin = time.perf_counter()
@@ -87,6 +95,30 @@ def run(args: argparse.Namespace) -> int:
     print(json.dumps(result) if args.json else render(result))
     if reasons is not None and not args.json:
         print("\n".join(reasons.lines()))
+    return DONE
+
+
+def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
+    """Whether the plant carries keys where some states alone are read."""
+    from dataclasses import asdict
+
+    from wyner.studies.outputs import outputs_verdict
+
+    try:
+        pairs = [part.split(":") for part in text.split(",")]
+        read = {int(state): float(width) for state, width in pairs}
+        if not all(0 <= width < float("inf") for width in read.values()):
+            raise ValueError
+    except ValueError:
+        raise UsageError(
+            f"--outputs: got {text!r}, expected a state and its noise, such as 1:0.001"
+        ) from None
+    try:
+        verdict = outputs_verdict(scenario, tuple(read), tuple(read.values()))
+    except ValueError as error:
+        raise UsageError(f"--outputs: {error}") from None
+    said = {**asdict(verdict), "carries": verdict.carries}
+    print(json.dumps(said) if as_json else f"{scenario.name}, {verdict.line()}")
     return DONE
 
 

@@ -28,7 +28,7 @@ from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.scenario import Scenario
 from protocol.secret.tasks import Done, Task
-from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.journal import ReceiverJournal
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
@@ -349,6 +349,7 @@ class Simulation:
             Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
+            sensors=Stream(self._seed, SENSOR, width=self._scenario.n, run=self._run),
         )
         return self._plant
 

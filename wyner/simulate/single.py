@@ -7,6 +7,7 @@ run here, there and on the network.
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from operator import add
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
@@ -20,7 +21,7 @@ from protocol.link.fallback import Fallback
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.scenario.plant import Disturbance
-from protocol.streams import COIN, DISTURBANCE, SeededSymbols, Stream
+from protocol.streams import COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from protocol.vectors import Vector
 from runtime.model import load_model
 from wyner.simulate.engine.draws import symbol_type
@@ -169,6 +170,8 @@ def simulate_plant(
     us = np.empty((steps, M, m, R))
     gs = np.empty((steps, M, R))
     applied = np.empty((steps, m, R))
+    noise_of = scenario.plant.noise
+    truth = None if noise_of is None else np.empty((steps + 1, n, R))
     missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps, folder=folder)
     fallback = Fallback.of(scenario).input
     largest = np.empty((steps, R))
@@ -176,15 +179,28 @@ def simulate_plant(
         coins = SeededSymbols(seed, COIN, run=run)
         noise = Stream(seed, DISTURBANCE, width=width, run=run)
         plant, k = open_plant(), -1
+        sensors = Stream(seed, SENSOR, width=n, run=run)
+
+        def read(k: int, x: Vector, place: int = place, sensors: Stream = sensors) -> Vector:
+            if noise_of is None or truth is None:
+                return x
+            y = tuple(map(add, x, noise_of.drawn(sensors.at(k))))
+            truth[k, :, place] = x
+            return y
 
         def move(
-            k: int, _x: Vector, u: Vector, plant: Operated = plant, noise: Stream = noise
+            k: int,
+            _y: Vector,
+            u: Vector,
+            plant: Operated = plant,
+            noise: Stream = noise,
+            read: Callable[[int, Vector], Vector] = read,
         ) -> Vector:
             d = None if width == 0 else disturbance(spec, k, noise.at(k))
-            return step_plant(plant, spec, u, d)[1]
+            return read(k + 1, step_plant(plant, spec, u, d)[1])
 
         try:
-            x = plant.start(seed + run)
+            x = read(0, plant.start(seed + run))
             xs[0, :, place] = x
             toss = partial(coins.symbol, size=M)
             holes = () if missed is None else missed[:, place].tolist()
@@ -204,12 +220,14 @@ def simulate_plant(
                 symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
                 us[k, :, :, place] = t.candidates
                 gs[k, :, place] = gauges
-                predictions = [f_c(t.x, u) for u in t.candidates] if own_shape else ()
-                largest[k, place] = rule.widest(predictions, t.x_next) if own_shape else max(gauges)
+                by_rule = own_shape or rule.apart is not None
+                predictions = [f_c(t.x, u) for u in t.candidates] if by_rule else ()
+                largest[k, place] = rule.widest(predictions, t.x_next) if by_rule else max(gauges)
         except (LookupError, PlantError) as error:
             raise SimulationError(f"run {run}, step {k + 1}: {error}") from None
         finally:
             plant.close()
+    states = xs if truth is None else truth
     Q, weight = (np.array(w)[:, None] for w in scenario.cost_weights)
     return Runs(
         scenario=scenario,
@@ -218,12 +236,13 @@ def simulate_plant(
         coin=coin,
         symbol=symbol,
         largest=largest,
-        state_cost=(xs[1:] ** 2).sum(axis=(0, 1)),
+        state_cost=(states[1:] ** 2).sum(axis=(0, 1)),
         input_effort=(applied**2).sum(axis=(0, 1)),
-        cost=(Q * xs[1:] ** 2).sum(axis=(0, 1)) + (weight * applied**2).sum(axis=(0, 1)),
+        cost=(Q * states[1:] ** 2).sum(axis=(0, 1)) + (weight * applied**2).sum(axis=(0, 1)),
         missed=missed,
         x=xs,
         candidates=us,
         gauges=gs,
         u=applied,
+        truth=truth,
     )

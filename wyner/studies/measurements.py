@@ -20,7 +20,7 @@ from runtime.shipped import SCENARIOS
 from wyner.shipped import SWEEPS
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
-from wyner.studies import keys, network, shape, signalling
+from wyner.studies import keys, network, readings, shape, signalling
 from wyner.studies.attacks import study as attacks
 from wyner.studies.attacks import watermark
 from wyner.studies.grid import Point, code_version, load_sweep, points_of
@@ -308,6 +308,7 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "block-codes": measure_rows(signalling.BLOCK_COLUMNS, signalling.block_rows),
     "noise-bound": measure_rows(noise.COLUMNS, noise.bound_rows, noise.SOURCES),
     "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
+    "readings": measure_rows(readings.COLUMNS, readings.reading_rows, readings.SOURCES),
     "network": measure_rows(network.COLUMNS, network.network_rows, network.SOURCES),
     "key-controls": measure_rows(keys.CONTROL_COLUMNS, keys.control_rows, keys.SOURCES),
     "attacks": attacks.add_rows,

@@ -17,13 +17,19 @@ def rewrites(attack: AttackLine | None, k: int) -> bool:
 
 
 def wrong_labels(
-    attack: AttackLine | None, step: TracedTransition | MissedLine, *, restarted: bool
+    attack: AttackLine | None,
+    step: TracedTransition | MissedLine,
+    *,
+    restarted: bool,
+    noisy: bool = False,
 ) -> str:
     """What is wrong with a step's labels; empty where nothing is.
 
     ``restarted``: a process died before it, with the truth of what is counted from its journal.
     """
     x, u = step.true_x_next, step.true_u
+    if noisy and (attack is None or attack.at == "bus"):
+        return "" if x is None or len(x) == len(step.x) else "the truth is of another shape"
     if attack is None or attack.at == "bus":
         return "" if x is None and u is None else "a truth, and no attack on the plant"
     if x is None or u is None:
@@ -31,7 +37,7 @@ def wrong_labels(
         return "" if lost else "no truth, of an attacked plant"
     if (len(x), len(u)) != (len(step.x), len(step.u or ())):
         return "the truth is of another shape"
-    if x != step.x_next and (attack.at != "sensor" or step.k + 1 < attack.onset):
+    if not noisy and x != step.x_next and (attack.at != "sensor" or step.k + 1 < attack.onset):
         return f"reported x(k+1) = {list(step.x_next)}, the truth is {list(x)}"
     if u != step.u and (attack.at != "actuator" or step.k < attack.onset):
         return f"u = {list(step.u or ())} was chosen, the truth is {list(u)}"

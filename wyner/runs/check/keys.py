@@ -16,6 +16,9 @@ from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
 from wyner.runs.check.records import TracedTransition, Walked
 
+TINY: Final = 1e-12
+"""In place of alpha - 1 where alpha is 1: no two candidates are possible for her."""
+
 
 class _Opinion:
     """What the paper says of one end's trace, in blocks of transitions."""
@@ -24,8 +27,13 @@ class _Opinion:
         self._s = e.scenario
         self._linear = not e.rules.predicted
         self._A, self._B = np.array(e.scenario.A), np.array(e.scenario.B)
-        H, h = e.scenario.defender.disturbance.rows()
+        H, h = e.scenario.test_set.rows()
         self._D_c = np.array(H), np.array(h)
+        self._noisy = e.scenario.defender.noise is not None
+        if self._noisy:  # what is possible for her is said by the offer
+            room = max(e.scenario.secrecy.alpha - 1, TINY)
+            H, h = e.scenario.defender.disturbance.rows()
+            self._room = np.array(H), room * np.array(h)
         H, h = e.scenario.eavesdropper_set.rows()
         self._D_e = np.array(H), np.array(h)
         self._leaves = may_leave(e)
@@ -43,7 +51,12 @@ class _Opinion:
             else:
                 centres = np.array([t.predictions for t in ts])
             reached = scale(*self._D_c, x_next, centres)
-            keys = key_symbols(reached, scale(*self._D_e, x_next, centres))
+            hers = scale(*self._D_e, x_next, centres)
+            if self._noisy:
+                hers = np.max(
+                    [scale(*self._room, c, centres) for c in centres.swapaxes(0, 1)], axis=0
+                )
+            keys = key_symbols(reached, hers)
         return [self._wrong(*row) for row in zip(ts, keys.tolist(), reached.tolist(), strict=True)]
 
     def _wrong(self, t: TracedTransition, keys: list[int], reached: list[float]) -> str:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from protocol.agreement import predict
+from protocol.agreement import Gauge, predict
 from protocol.arrays import Array
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
@@ -44,8 +44,9 @@ class Switching(Clause):
         self._begin()
 
     def _begin(self) -> None:
-        """The plant starts, in no session's middle; x is empty where it starts as it stands."""
-        self._x: Vector = self.evidence.scenario.plant.initial_state
+        """The plant starts, in no session's middle; x is empty where only it knows."""
+        plant = self.evidence.scenario.plant
+        self._x: Vector = plant.initial_state if plant.noise is None else ()
         self._u: Vector = (0.0,) * self.evidence.rules.inputs
 
     def feed(self, part: Part) -> None:
@@ -123,6 +124,8 @@ class Reachable(Clause):
         super().__init__(evidence, counter)
         self._left, self._largest, self._leaves = 0, 0.0, may_leave(evidence)
         self._true: Vector | None = None  # x(k), where the step before it was labelled
+        self._noisy = evidence.scenario.plant.noise is not None
+        self._D_c = Gauge.from_rows(*evidence.scenario.defender.disturbance.rows())
         self._restarted = True
         self._truths, self._away = 0, 0.0
 
@@ -135,7 +138,7 @@ class Reachable(Clause):
                 continue
             step = item.t if isinstance(item, Walked) else item
             attack = self.evidence.plant.attack
-            if text := wrong_labels(attack, step, restarted=self._restarted):
+            if text := wrong_labels(attack, step, restarted=self._restarted, noisy=self._noisy):
                 self._restarted = False
                 self.counter.count(False, *_place(step), text)
                 continue
@@ -147,14 +150,19 @@ class Reachable(Clause):
     def _gauge_of(self, item: Walked | MissedLine, step: Step) -> float | None:
         """How far the true state came from where the input led; None where nobody knows."""
         e, true, x = self.evidence, step.true_x_next, self._true or step.x
-        self._true = true
+        known, self._true = self._true is not None, true
         if isinstance(step, MissedLine) and (step.interrupted or e.rules.predicted):
             return None  # what was applied is not known, or where it leads nobody predicted
         if true is not None and step.true_u is not None:
             self._truths += 1
             apart = [abs(a - b) for a, b in zip(true, step.x_next, strict=True)]
             self._away = max(self._away, *apart)
-            return None if e.rules.predicted else _gauge(e, x, step.true_u, true)
+            if e.rules.predicted:
+                return None
+            if self._noisy and known:  # by itself the state is disturbed within D_c
+                centre = predict(e.scenario.A, e.scenario.B, x, step.true_u)
+                return self._D_c([a - b for a, b in zip(true, centre, strict=True)])
+            return _gauge(e, x, step.true_u, true)
         if e.plant is not None and lies(e.plant.attack, step.k):
             return None  # the truth went with the plant's process
         if isinstance(item, Walked):
@@ -179,7 +187,9 @@ class Reachable(Clause):
             self.counter.fail("", -1, -1, text)
         alpha = e.rules.agreement.alpha
         self.counter.note = f"largest gauge {self._largest:.6f}, alpha {alpha:g}"
-        if self._truths:
+        if self._truths and self._noisy:
+            self.counter.note += f"; readings up to {self._away:.3g} from the state itself"
+        elif self._truths:
             self.counter.note += (
                 f"; {self._truths} of them the true state under attack, {self._away:.3g} from "
                 "what was reported at most"

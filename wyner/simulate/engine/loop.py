@@ -20,9 +20,11 @@ from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
 from protocol.link.fallback import Fallback
+from protocol.link.session import rules_of
 from protocol.scenario import Scenario
+from protocol.streams import SENSOR
 from protocol.vectors import Matrix
-from wyner.simulate.engine.draws import Draws, disturbances, symbol_type
+from wyner.simulate.engine.draws import Draws, Streams, disturbances, symbol_type
 from wyner.simulate.missed import missed_steps
 
 CHUNK_RUNS: Final = 4096
@@ -61,11 +63,14 @@ class Runs(Brief):
         Steps without an offer, where the scenario has a network: no transitions, their ``coin`` and
         ``symbol`` are -1.
     x : array, shape (steps + 1, n, R), optional
-        States; with ``candidates`` and ``gauges`` only where the record was asked for.
+        States as they are read, y where sensors are noisy; with ``candidates`` and ``gauges`` only
+        where the record was asked for.
     candidates : array, shape (steps, M, m, R), optional
     gauges : array, shape (steps, M, R), optional
     u : array, shape (steps, m, R), optional
         What was applied.
+    truth : array, shape (steps + 1, n, R), optional
+        The states themselves, where sensors are noisy.
     """
 
     scenario: Scenario
@@ -82,6 +87,7 @@ class Runs(Brief):
     candidates: Array | None = None
     gauges: Array | None = None
     u: Array | None = None
+    truth: Array | None = None
 
     def brief(self) -> dict[str, object]:
         """Of which system, and how many."""
@@ -146,13 +152,20 @@ class _Loop:
         self.true_B: Matrix
         self.true_A, self.true_B = scenario.plant_model
         self.same_model = (self.true_A, self.true_B) == (self.A, self.B)
-        self.gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
+        self.gauge = Gauge.from_rows(*scenario.test_set.rows())
+        self.rule = rules_of(scenario).agreement
+        self.noise = plant.noise
+        self.sensors = Streams(seed, runs, SENSOR)
         hers = scenario.secrecy.disturbance
         self.reach = None if hers is None else Gauge.from_rows(*hers.rows())
         self.possible = np.empty((self.M, len(runs)))
         self.draws = Draws(seed, runs, self.n)
         R = len(runs)
         self.x = np.repeat(np.array(scenario.initial_state)[:, None], R, axis=1)
+        self.y = self.x  # as read: the state itself where sensors are exact
+        if self.noise is not None:
+            self.y = self.x + self.drawn()
+            self.x = self.y - self.last
         self.following = np.empty((self.n, R))
         self.free = np.empty((self.n, R))  # A x
         self.centres = np.empty((self.M, self.n, R))
@@ -177,14 +190,14 @@ class _Loop:
 
         Of the runs ``missed`` the fallback is applied.
         """
-        rows_x = list(self.x)
+        rows_x, rows_y = list(self.x), list(self.y)
         in_force = self.u[:, missed].T.tolist()
         instead = [
-            self.fallback(tuple(x), tuple(u))
-            for x, u in zip(self.x[:, missed].T.tolist(), in_force, strict=True)
+            self.fallback(tuple(y), tuple(u))
+            for y, u in zip(self.y[:, missed].T.tolist(), in_force, strict=True)
         ]
         for i in range(self.n):
-            _weighted(self.A[i], rows_x, self.free[i], self.spare)
+            _weighted(self.A[i], rows_y, self.free[i], self.spare)
         for j, inputs in enumerate(columns):
             for i in range(self.n):
                 np.copyto(self.centres[j, i], self.free[i])
@@ -193,7 +206,7 @@ class _Loop:
             self.choose(coin, [inputs[i] for inputs in columns], self.u[i])
         for i in range(self.n):
             out = self.following[i]
-            if self.same_model:
+            if self.same_model and self.noise is None:
                 self.choose(coin, [self.centres[j, i] for j in range(self.M)], out)
             else:
                 _weighted(self.true_A[i], rows_x, out, self.spare)
@@ -203,13 +216,45 @@ class _Loop:
             self.u[:, r] = u
             moved = predict(self.true_A, self.true_B, self.x[:, r].tolist(), u)
             self.following[:, r] = np.array(moved) + d[:, r]
+        read = self.following if self.noise is None else self.following + self.drawn()
         for j in range(self.M):
-            np.subtract(self.following, self.centres[j], out=self.difference)
+            np.subtract(read, self.centres[j], out=self.difference)
             self.measure(self.gauge, self.gauges[j])
             if self.reach is not None:
-                np.subtract(self.following, self.centres[j], out=self.difference)
+                np.subtract(read, self.centres[j], out=self.difference)
                 self.measure(self.reach, self.possible[j])
+        if self.rule.apart is not None:
+            self.measure_spread(self.rule.apart)
+        if self.noise is not None:  # the state is what the reading is without its noise
+            self.y, self.x = read, read - self.last
+            return
         self.x, self.following = self.following, self.x
+        self.y = self.x
+
+    def drawn(self) -> Array:
+        """n of the next readings, shape (n, R)."""
+        assert self.noise is not None
+        uniforms = self.sensors.take(self.n).T
+        drawn: Array
+        if self.noise.half_widths is None:
+            corners = np.array(self.noise.corners())
+            drawn = corners[(uniforms[0] * len(corners)).astype(np.intp)].T
+        else:
+            w = np.array(self.noise.half_widths)[:, None]
+            box = self.noise.kind == "corners"
+            drawn = np.where(uniforms >= 0.5, w, -w) if box else (2.0 * uniforms - 1.0) * w
+        self.last = drawn
+        return drawn
+
+    def measure_spread(self, gauge: Gauge) -> None:
+        """How far the candidates' centres lie apart, the same for each candidate."""
+        widest = np.zeros(len(self.runs))
+        for j in range(self.M):
+            for i in range(self.M):
+                np.subtract(self.centres[j], self.centres[i], out=self.difference)
+                self.measure(gauge, self.possible[0])
+                np.maximum(widest, self.possible[0], out=widest)
+        self.possible[:] = 1.0 + widest
 
     def measure(self, gauge: Gauge, out: Array) -> None:
         """``out`` = g(difference)."""
@@ -230,7 +275,8 @@ class _Loop:
 
     def verdict(self, symbol: Symbols, largest: Array) -> None:
         """The verdict's parts that do not depend on alpha."""
-        hers = self.gauges if self.reach is None else self.possible
+        own = self.reach is None and self.rule.apart is None
+        hers = self.gauges if own else self.possible
         np.less_equal(self.gauges, INSIDE, out=self.inside)
         if self.M == 2:
             np.maximum(hers[0], hers[1], out=largest)
@@ -294,8 +340,11 @@ def simulate_runs(
     us = np.empty((steps, M, m, R)) if record else None
     gs = np.empty((steps, M, R)) if record else None
     applied = np.empty((steps, m, R)) if record else None
+    truth = np.empty((steps + 1, n, R)) if record and loop.noise is not None else None
     if xs is not None:
-        xs[0] = loop.x
+        xs[0] = loop.y
+    if truth is not None:
+        truth[0] = loop.x
     d = np.empty((0, n, R))
     for k in range(steps):
         place = k % BLOCK
@@ -303,7 +352,7 @@ def simulate_runs(
             uniforms, coins = loop.draws.block(min(BLOCK, steps - k))
             d = disturbances(scenario.plant.disturbance, k, uniforms)
             tosses[k : k + len(coins)] = coins * M
-        X = loop.x.T
+        X = loop.y.T
         if missed is not None:
             missed[k] |= _outside(law, X)
             X = np.where(missed[k][:, None], 0.0, X)
@@ -331,10 +380,12 @@ def simulate_runs(
             np.add(input_effort, loop.spare, out=input_effort)
             cost += weight[i] * loop.spare
         if xs is not None and us is not None and gs is not None and applied is not None:
-            xs[k + 1] = loop.x
+            xs[k + 1] = loop.y
             us[k] = options.transpose(1, 2, 0)
             gs[k] = loop.gauges
             applied[k] = loop.u
+            if truth is not None:
+                truth[k + 1] = loop.x
             us[k][..., without] = gs[k][:, without] = np.nan
     return Runs(
         scenario=scenario,
@@ -351,6 +402,7 @@ def simulate_runs(
         candidates=us,
         gauges=gs,
         u=applied,
+        truth=truth,
     )
 
 

@@ -1,0 +1,208 @@
+"""Where a state lies that is read through some outputs alone: a box, the same at both ends.
+
+y = C x + n. Both ends have y, the candidates and the decoded index, and so the same box, to the
+last bit: every operation rounds outwards by one float, in a fixed order, with no library between.
+The box advances once a transition, from y(k+1) and the offer alone, so that a process that begins
+again from the box that it kept goes on with the very same numbers.
+
+She has it too. What is possible for her is decided by the offer
+(:attr:`protocol.agreement.AgreementRule.apart`): a test of her own box would promise too much, for
+she may wait some steps before she names a symbol.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nextafter
+from typing import NamedTuple
+
+from protocol.vectors import Matrix, Vector
+
+PASSES = 2
+"""How often a box is contracted through the rows of C, and through those of A backwards."""
+
+
+class Box(NamedTuple):
+    """low <= x <= high, by component; shapes (n,)."""
+
+    low: Vector
+    high: Vector
+
+    @property
+    def radius(self) -> Vector:
+        """Half its widths."""
+        return tuple((b - a) / 2 for a, b in zip(self.low, self.high, strict=True))
+
+    @property
+    def centre(self) -> Vector:
+        """Its middle: the controller's estimate of the state."""
+        return tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
+
+
+Interval = tuple[float, float]
+
+
+def _add(one: Interval, other: Interval) -> Interval:
+    return nextafter(one[0] + other[0], -inf), nextafter(one[1] + other[1], inf)
+
+
+def _subtract(one: Interval, other: Interval) -> Interval:
+    return nextafter(one[0] - other[1], -inf), nextafter(one[1] - other[0], inf)
+
+
+def _scaled(factor: float, one: Interval) -> Interval:
+    if factor == 0:
+        return 0.0, 0.0
+    low, high = (factor * v for v in (one if factor > 0 else one[::-1]))
+    return nextafter(low, -inf), nextafter(high, inf)
+
+
+def _divided(one: Interval, factor: float) -> Interval:
+    low, high = (v / factor for v in (one if factor > 0 else one[::-1]))
+    return nextafter(low, -inf), nextafter(high, inf)
+
+
+def _total(terms: Sequence[Interval]) -> Interval:
+    """The sum, from the left."""
+    total = (0.0, 0.0)
+    for term in terms:
+        total = _add(total, term)
+    return total
+
+
+def _contracted(
+    row: Sequence[float], box: list[Interval], within: Interval
+) -> list[Interval] | None:
+    """The part of ``box`` where row x may be ``within``; None where it is nowhere."""
+    terms = [_scaled(a, part) for a, part in zip(row, box, strict=True)]
+    out = list(box)
+    for j, a in enumerate(row):
+        if a == 0:
+            continue
+        others = _total([t for i, t in enumerate(terms) if i != j])
+        low, high = _divided(_subtract(within, others), a)
+        low, high = max(low, out[j][0]), min(high, out[j][1])
+        if low > high:
+            return None
+        out[j] = (low, high)
+        terms[j] = _scaled(a, out[j])
+    return out
+
+
+class Observed(NamedTuple):
+    """What a transition tells: the candidates that explain it, and the box after it."""
+
+    possible: tuple[int, ...]
+    box: Box
+
+
+@dataclass(frozen=True, slots=True)
+class BoxObserver:
+    """The box of a plant x+ = A x + B u + d, y = C x + n.
+
+    Parameters
+    ----------
+    A, B, C : tuple of tuple of float, shapes (n, n), (n, m) and (r, n)
+    disturbance : tuple of float, shape (n,)
+        Half-widths of D_c.
+    noise : tuple of float, shape (r,)
+        Half-widths of N, of the outputs.
+    bounds : tuple of float, shape (n,)
+        Half-widths of what the state never leaves: where the box begins.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    disturbance: Vector
+    noise: Vector
+    bounds: Vector
+
+    def begin(self, y: Sequence[float]) -> Box:
+        """The box of a first reading, or of one that no candidate explains."""
+        whole = [(-b, b) for b in self.bounds]
+        return _box(self._met(whole, y) or whole)
+
+    def step(
+        self, box: Box, candidates: Sequence[Sequence[float]], y_next: Sequence[float]
+    ) -> Observed:
+        """Follow a transition: whatever explains y(k+1) stays, and the box is their hull.
+
+        A missed step is one with a single candidate, the fallback's input.
+        """
+        possible, found = [], []
+        for i, u in enumerate(candidates):
+            after = self._after(box, u, y_next)
+            if after is not None:
+                possible.append(i)
+                found.append(after)
+        if not found:
+            return Observed((), self.begin(y_next))
+        low = tuple(min(part[j][0] for part in found) for j in range(len(self.A)))
+        high = tuple(max(part[j][1] for part in found) for j in range(len(self.A)))
+        return Observed(tuple(possible), Box(low, high))
+
+    def _after(
+        self, box: Box, u: Sequence[float], y_next: Sequence[float]
+    ) -> list[Interval] | None:
+        """The box after one candidate; None where y(k+1) rules it out."""
+        before: list[Interval] | None = list(zip(box.low, box.high, strict=True))
+        pushes = [
+            _add(_total([_scaled(b, (v, v)) for b, v in zip(row, u, strict=True)]), (-w, w))
+            for row, w in zip(self.B, self.disturbance, strict=True)
+        ]
+        after: list[Interval] | None = None
+        for _ in range(PASSES):
+            assert before is not None
+            moved = [
+                _add(_total([_scaled(a, x) for a, x in zip(row, before, strict=True)]), push)
+                for row, push in zip(self.A, pushes, strict=True)
+            ]
+            after = self._met(moved, y_next)
+            if after is None:
+                return None
+            for row, push, there in zip(self.A, pushes, after, strict=True):
+                before = _contracted(row, before, _subtract(there, push))
+                if before is None:
+                    return None
+        return after
+
+    def _met(self, box: list[Interval], y: Sequence[float]) -> list[Interval] | None:
+        """The part of a box that may be read as ``y``."""
+        out: list[Interval] | None = box
+        for _ in range(PASSES):
+            for row, value, width in zip(self.C, y, self.noise, strict=True):
+                within = (nextafter(value - width, -inf), nextafter(value + width, inf))
+                out = _contracted(row, out or [], within)
+                if out is None:
+                    return None
+        return out
+
+    def needed(self, box: Box, u: Sequence[float]) -> tuple[Vector, Vector]:
+        """abs(C B u), and 2 rad(C A X + C D_c + N): the first must be larger, in some output.
+
+        So far apart must candidates that differ by ``u`` lead, to be told apart in every case.
+        """
+        moved = tuple(
+            abs(sum(c * sum(b * v for b, v in zip(row, u, strict=True)) for c, row in terms))
+            for terms in ([*zip(line, self.B, strict=True)] for line in self.C)
+        )
+        spread = tuple(
+            abs(sum(a * c for a, c in zip(column, line, strict=True)))
+            for line in self.C
+            for column in zip(*self.A, strict=True)
+        )
+        n = len(self.A)
+        blur = tuple(
+            2
+            * (
+                sum(s * r for s, r in zip(spread[i * n : (i + 1) * n], box.radius, strict=True))
+                + sum(abs(c) * w for c, w in zip(line, self.disturbance, strict=True))
+                + width
+            )
+            for i, (line, width) in enumerate(zip(self.C, self.noise, strict=True))
+        )
+        return moved, blur
+
+
+def _box(parts: Sequence[Interval]) -> Box:
+    return Box(tuple(p[0] for p in parts), tuple(p[1] for p in parts))

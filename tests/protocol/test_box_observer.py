@@ -1,0 +1,124 @@
+"""The box observer: it holds the state, is the same at both ends, and tells inputs apart."""
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from protocol.agreement import predict
+from protocol.box_observer import Box, BoxObserver
+from runtime.shipped import SCENARIOS
+from wyner.cli.main import main
+
+MOTOR = BoxObserver(
+    A=((1.0, 0.0909), (0.0, 0.8187)),
+    B=((0.0468,), (0.9063,)),
+    C=((1.0, 0.0),),
+    disturbance=(0.0005, 0.005),
+    noise=(0.0005,),
+    bounds=(10.0, 10.0),
+)
+"""A motor read by its encoder alone; the disturbance is a torque."""
+
+PAPER = BoxObserver(
+    A=((1.0, 0.0975), (0.0, 0.9512)),
+    B=((0.0246,), (0.4877,)),
+    C=((1.0, 0.0),),
+    disturbance=(0.12, 0.12),
+    noise=(0.001,),
+    bounds=(20.0, 20.0),
+)
+
+
+def run(
+    observer: BoxObserver, offset: float, steps: int, seed: int
+) -> tuple[list[tuple[int, ...]], list[int], list[Box]]:
+    """A loop of K x plus or minus half the offset, d and n at corners; the box holds x."""
+    draw = random.Random(seed)
+    x: tuple[float, ...] = (0.5, 0.0)
+
+    def read(x: tuple[float, ...]) -> tuple[float, ...]:
+        rows = zip(observer.C, observer.noise, strict=True)
+        return tuple(
+            sum(c * v for c, v in zip(row, x, strict=True)) + draw.choice((-w, w))
+            for row, w in rows
+        )
+
+    box = observer.begin(read(x))
+    possible, coins, boxes = [], [], []
+    for _ in range(steps):
+        middle = -2.0 * box.centre[0] - 0.5 * box.centre[1] if box.radius[1] < 5 else 0.0
+        candidates = tuple((middle + sign * offset / 2,) for sign in (-1.0, 1.0))
+        coin = draw.randrange(2)
+        moved = predict(observer.A, observer.B, x, candidates[coin])
+        d = [draw.choice((-w, w)) for w in observer.disturbance]
+        x = tuple(a + b for a, b in zip(moved, d, strict=True))
+        found = observer.step(box, candidates, read(x))
+        box = found.box
+        assert all(a <= v <= b for a, v, b in zip(box.low, x, box.high, strict=True))
+        assert coin in found.possible
+        possible.append(found.possible)
+        coins.append(coin)
+        boxes.append(box)
+    return possible, coins, boxes
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_motor_by_its_encoder_carries_keys(seed: int) -> None:
+    """1000 steps, every draw a corner: the coin is the one candidate in more than 90 %."""
+    possible, coins, _ = run(MOTOR, 0.8, 1000, seed)
+    told = [p == (coin,) for p, coin in zip(possible, coins, strict=True)]
+    assert sum(told) > 900
+    assert not any(len(p) == 1 and p[0] != c for p, c in zip(possible, coins, strict=True))
+
+
+def test_the_papers_plant_does_not() -> None:
+    """Its disturbance moves the position itself, further than an input does."""
+    possible, _, boxes = run(PAPER, 0.8, 300, seed=1)
+    assert sum(len(p) == 1 for p in possible) < 30
+    moved, blur = PAPER.needed(boxes[-1], (0.8,))
+    assert moved[0] < blur[0]
+    _, _, small = run(MOTOR, 0.8, 300, seed=1)
+    radius = sorted(b.radius[1] for b in small)[150]
+    moved, blur = MOTOR.needed(Box((0.0, -radius), (0.0, radius)), (0.8,))
+    assert moved[0] > 0.9 * blur[0]
+
+
+def test_it_goes_on_from_what_was_kept_with_the_same_bits() -> None:
+    _, _, boxes = run(MOTOR, 0.8, 50, seed=4)
+    kept = Box(*(tuple(v) for v in json.loads(json.dumps(boxes[20]))))
+    assert kept == boxes[20]
+    candidates, y = ((0.1,), (0.9,)), (0.25,)
+    assert MOTOR.step(kept, candidates, y) == MOTOR.step(boxes[20], candidates, y)
+
+
+def test_a_reading_that_nothing_explains_begins_anew() -> None:
+    box = MOTOR.begin((0.0,))
+    after = MOTOR.step(Box((0.0, 0.0), (0.0, 0.0)), ((0.0,), (0.5,)), (5.0,))
+    assert after.possible == ()
+    assert after.box == MOTOR.begin((5.0,))
+    assert box.high[1] == 10.0
+    missed = MOTOR.step(Box((0.0, 0.0), (0.0, 0.0)), ((0.0,),), (0.0,))
+    assert missed.possible == (0,)
+
+
+@pytest.mark.parametrize(("alpha", "carries"), [(8.0, False), (20.0, True)])
+def test_design_says_whether_an_encoder_is_enough(
+    alpha: float, carries: bool, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The shipped motor: inputs must be 0.724 apart, and she allows 0.0515 (alpha - 1)."""
+    text = (SCENARIOS / "motor.toml").read_text()
+    text = text.replace("alpha = 8.0", f"alpha = {alpha}").split("[defender.calibration]")[0]
+    file = tmp_path / "motor.toml"
+    file.write_text(text)
+    assert main(["design", str(file), "--outputs", "1:0.0005", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["carries"] is carries
+    assert said["needed"] == pytest.approx(0.724, abs=1e-3)
+    assert said["possible"] == pytest.approx(0.05157 * (alpha - 1), rel=1e-2)
+    assert main(["design", "sustained", "--outputs", "1:0.001"]) == 0
+    assert "no key is sure" in capsys.readouterr().out
+    for wrong in ("1", "3:0.1", "1:-1"):
+        assert main(["design", "sustained", "--outputs", wrong]) == 2
+        assert capsys.readouterr().err.startswith("wyner: --outputs: ")

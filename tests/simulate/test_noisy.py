@@ -1,0 +1,221 @@
+"""Readings with noise: W in the defender's half of the test, and the same run in every place."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.registry import make_law, synthesise
+from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.link.session import rules_of
+from protocol.scenario import NoiseSet, Scenario, ScenarioError, SensorNoise, parse_scenario
+from protocol.scenario.noise import widened
+from tests.support.safety import violations
+from tests.support.small_run import law_of
+from wyner.api import design, run
+from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.taps import listen
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
+
+
+def noisy(**changes: dict[str, Any]) -> Scenario:
+    scenario, _ = law_of("noisy")
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    for table, fields in changes.items():
+        data[table] = data.get(table, {}) | fields
+    return parse_scenario(data, "noisy")
+
+
+def test_w_is_the_sum_of_three_sets() -> None:
+    """The paper's plant, N of 0.024: 0.12 + 0.024 + (1 + 0.0975) 0.024 = 0.17034 in x_1."""
+    scenario, _ = law_of("noisy")
+    widths = scenario.test_set.half_widths
+    assert widths == pytest.approx((0.17034, 0.12 + 0.024 * 1.9512))
+    gauge = Gauge.from_rows(*scenario.test_set.rows())
+    draw = np.random.default_rng(1)
+    corners = draw.choice([-1.0, 1.0], size=(500, 3, 2))
+    for d, before, after in corners.tolist():
+        moved = predict(scenario.A, ((0.0,), (0.0,)), [0.024 * v for v in before], (0.0,))
+        terms = zip(d, after, moved, strict=True)
+        assert gauge([0.12 * a + 0.024 * b - c for a, b, c in terms]) <= 1 + 1e-12
+
+
+def test_w_of_a_polytope_holds_every_sum_of_corners() -> None:
+    scenario, _ = law_of("noisy")
+    N = NoiseSet(H=((1.0, 1.0), (-1.0, 0.5), (0.0, -1.0)), h=(0.02, 0.01, 0.03))
+    gauge = Gauge.from_rows(*widened(scenario.defender.disturbance, N, scenario.A).rows())
+    for before in N.corners():
+        for after in N.corners():
+            for d in ((0.12, 0.12), (0.12, -0.12), (-0.12, 0.12), (-0.12, -0.12)):
+                moved = predict(scenario.A, ((0.0,), (0.0,)), before, (0.0,))
+                terms = zip(d, after, moved, strict=True)
+                assert gauge([a + b - c for a, b, c in terms]) <= 1
+    assert N.within(N)
+    assert not NoiseSet(half_widths=(0.5, 0.0)).within(N)
+    drawn = SensorNoise(H=N.H, h=N.h, kind="corners").drawn((0.99, 0.0))
+    assert drawn == N.corners()[-1]
+
+
+def test_what_is_possible_for_her_is_said_by_the_offer() -> None:
+    """Whether centres lie within (alpha - 1) D_c, whatever the reading after them."""
+    rule = rules_of(noisy(secrecy={"candidates": 3})).agreement
+    near, far = 0.12 * 6.99, 0.12 * 7.01
+    for distance, agreed in ((near, True), (far, False)):
+        centres = ((0.0, 0.0), (0.0, 0.5), (0.0, distance))
+        assert rule.verdict_at(centres, (0.0, 0.1)).agreed is agreed
+        assert rule.widest(centres, (9.0, 9.0)) == pytest.approx(1 + distance / 0.12)
+
+
+@pytest.mark.parametrize("network", [None, {"to_plant": {"loss": 0.4}}])
+def test_the_engine_runs_as_the_two_ends_do(network: dict[str, Any] | None) -> None:
+    """Readings, coins and key symbols to the last bit, and the state itself; seed 4."""
+    scenario = noisy() if network is None else noisy(network=network)
+    _, law = law_of("noisy")
+    steps = 100
+    together = simulate_runs(scenario, law, seed=4, runs=range(2), steps=steps, record=True)
+    step_s = None if network is None else 0.1
+    history = Simulation(scenario, law, seed=4, run=1, step_s=step_s).run(steps=steps)
+    link = transfer(together)
+    assert together.x is not None
+    assert together.truth is not None
+    done = [t for t in history.plant.values() if t.k < steps]
+    assert len(done) > 30
+    for t in done:
+        assert t.x == tuple(together.x[t.k, :, 1])
+        assert t.x_next == tuple(together.x[t.k + 1, :, 1])
+        assert (t.coin, t.symbol) == (together.coin[t.k, 1], link.agreed[t.k, 1])
+        assert t.truth is not None
+        assert t.truth.x_next == tuple(together.truth[t.k + 1, :, 1])
+        assert max(np.abs(np.subtract(t.truth.x_next, t.x_next))) <= 0.02 + 1e-12
+
+
+def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
+    """20 runs of 500 steps, seed 1, d in the corners of D_c and n in those of N; all agree."""
+    scenario = noisy(
+        plant={
+            "disturbance": {"kind": "corners", "half_widths": [0.12, 0.12]},
+            "noise": {"kind": "corners", "half_widths": [0.024, 0.024]},
+        }
+    )
+    _, law = law_of("noisy")
+    runs = simulate_runs(scenario, law, seed=1, runs=range(20), steps=500)
+    agreed = (runs.symbol != NO_SYMBOL) & (runs.largest <= scenario.secrecy.alpha)
+    assert agreed.mean() == 1.0
+    assert (runs.symbol == runs.coin).all()
+
+
+def test_the_oracle_makes_the_defenders_test() -> None:
+    scenario, law = law_of("noisy")
+    runs = simulate_runs(scenario, law, seed=2, runs=range(1), steps=300, record=True)
+    oracle, nearest = listen(runs, transfer(runs), ("oracle", "nearest-centre"), 0)
+    assert oracle.right == oracle.agreements > 100
+    assert nearest.right > 0.9 * nearest.agreements
+
+
+def test_deaths_and_a_bad_network_break_nothing() -> None:
+    """Exactly once, and one state whatever is counted again: 4 seeds."""
+    scenario, law = law_of("noisy")
+    for seed in range(4):
+        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
+        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
+        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
+        assert list(violations(history, (b"a",))) == []
+        assert history.crashes > 0
+        assert history.inbox == [b"a"]
+
+
+class Stepped:
+    """The paper's plant as somebody's own."""
+
+    def reset(self, seed: int | None) -> tuple[float, ...]:
+        self.x: tuple[float, ...] = (1.0, -0.5)
+        return self.x
+
+    def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
+        scenario, _ = law_of("noisy")
+        self.x = predict(scenario.A, scenario.B, self.x, u)
+        return self.x
+
+
+def test_a_plant_of_ones_own_is_read_through_noise() -> None:
+    scenario = noisy(plant={"disturbance": {"enters": "none"}})
+    own = run(design(scenario), steps=60, runs=2, seed=3, plant=Stepped())
+    assert own.record.truth is not None
+    assert own.record.x is not None
+    off = np.abs(own.record.truth - own.record.x)
+    assert 0.015 < off.max() <= 0.02
+    assert (own.key >= 0).mean() > 0.4
+    assert ((own.key == own.coin) | (own.key < 0)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"plant": {"noise": {"half_widths": [0.1, 0.1]}}}, "plant.noise: expected a set inside"),
+        ({"plant": {"noise": {"half_widths": [0.01]}}}, r"plant.noise: got shape 1, expected 2"),
+        ({"defender": {"noise": {"half_widths": [0.0]}}}, r"defender.noise: got shape 1"),
+        ({"secrecy": {"disturbance": {"half_widths": [0.2, 0.2]}}}, "expected none beside"),
+        (
+            {"plant": {"noise": {"H": [[1.0, 0.0]], "h": [0.1]}}},
+            "expected 'corners' for a polytope",
+        ),
+    ],
+)
+def test_wrong_noise_is_one_line(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError, match=says):
+        noisy(**changes)
+
+
+@pytest.mark.parametrize(
+    ("share", "candidates"), [(0.05, 4), (0.085, 4), (0.09, 3), (0.3, 3), (0.39, 2), (0.5, 2)]
+)
+def test_how_many_candidates_the_noise_leaves(share: float, candidates: int) -> None:
+    """M of `packed` at alpha = 8, the noise a share of D_c in each coordinate."""
+    from controller_service.sets.alphabet import choose_alphabet
+    from controller_service.sets.separation import AlphabetError
+
+    scenario = noisy(
+        plant={"noise": {"half_widths": [0.0, 0.0]}},
+        defender={"noise": {"half_widths": [0.12 * share] * 2}},
+    )
+    alphabet = {
+        "B": scenario.B,
+        "disturbance": scenario.defender.disturbance,
+        "inputs": scenario.control.inputs,
+        "alpha": 8.0,
+        "tested": scenario.test_set,
+    }
+    assert len(choose_alphabet(size=candidates, **alphabet).offsets) == candidates  # type: ignore[arg-type]
+    with pytest.raises(AlphabetError, match=f"expected at most {candidates}"):
+        choose_alphabet(size=candidates + 1, **alphabet)  # type: ignore[arg-type]
+
+
+def test_the_design_of_the_shipped_scenario_is_found_anew() -> None:
+    scenario, law = law_of("noisy")
+    assert Path("runtime/scenarios/noisy.toml").name == f"{scenario.name}.toml"
+    again = make_law(scenario, synthesise(scenario))
+    assert again.candidates(scenario.initial_state) == law.candidates(scenario.initial_state)
+
+
+@pytest.mark.parametrize("name", ["motor", "gymnasium-pendulum", "unicycle"])
+def test_every_kind_of_plant_is_read_through_noise(name: str) -> None:
+    """A hundredth of D_c, both ends and their journals, 25 steps, seed 2: no key is wrong."""
+    scenario, law = law_of(name)
+    widths = scenario.defender.disturbance.half_widths
+    assert widths is not None
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    data["defender"].pop("calibration", None)
+    data["plant"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
+    data["defender"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
+    through = parse_scenario(data, name)
+    history = Simulation(through, law, seed=2).run(steps=25)
+    counted = list(history.plant.values())
+    assert len(counted) >= 24
+    apart = []
+    for t in counted:
+        assert t.symbol in (NO_SYMBOL, t.coin)
+        assert t.truth is not None
+        apart.append(np.abs(np.subtract(t.truth.x_next, t.x_next)) / np.array(widths))
+    assert 0.005 < np.max(apart) <= 0.01 + 1e-9
