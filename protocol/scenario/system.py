@@ -155,7 +155,10 @@ class Scenario(Brief, ScenarioTable):
 
     @property
     def hidden_widths(self) -> int:
-        """Widths of D_c unknown to one who knows f_c and D_e: one where D_e = alpha D_c."""
+        """Widths of D_c and N unknown to one who knows f_c and D_e: one where D_e = alpha D_c."""
+        N = self.defender.noise
+        if N is not None:
+            return 1 + len(N.half_widths or N.h or ())
         if self.secrecy.disturbance is None:
             return 1
         D_c = self.defender.disturbance

@@ -21,6 +21,12 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
     assert done["keys"] > 0
 
 
+def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    assert schedules.main(["--networks", "--count", "60", "--results", str(results)]) == 0
+    assert json.loads(results.read_text())["broken"] == []
+
+
 @pytest.mark.slow
 def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
     results = tmp_path / "results.json"

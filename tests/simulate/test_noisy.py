@@ -14,6 +14,7 @@ from protocol.scenario.noise import widened
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.api import design, run
+from wyner.runs.score.counts import PlantCounts
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.simulate.faults import Faults
@@ -219,3 +220,18 @@ def test_every_kind_of_plant_is_read_through_noise(name: str) -> None:
         assert t.truth is not None
         apart.append(np.abs(np.subtract(t.truth.x_next, t.x_next)) / np.array(widths))
     assert 0.005 < np.max(apart) <= 0.01 + 1e-9
+
+
+def test_one_who_knows_her_own_set_lacks_the_noise_too() -> None:
+    """One width of D_c, and two of N."""
+    assert noisy().hidden_widths == 3
+    assert law_of("sustained")[0].hidden_widths == 1
+
+
+def test_the_cost_of_a_run_is_that_of_the_state_itself() -> None:
+    counts = PlantCounts(((2.0, 0.0), (1.0,)))
+    step = {"event": "missed", "k": 0, "x_next": (9.0, 9.0), "u": (0.5,)}
+    counts.take(step)
+    assert counts.mean_cost == pytest.approx(2 * 81 + 0.25)
+    counts.take(step | {"true_x_next": (1.0, 7.0), "true_u": (0.5,)})
+    assert counts.cost == pytest.approx(2 * 81 + 0.25 + 2 + 0.25)

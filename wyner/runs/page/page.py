@@ -199,7 +199,9 @@ class _Recorded:
             self.born_in = step.session
         self.steps += 1
         s = self._scenario
-        self.cost += step_cost(s.cost_weights, step.x_next, step.u or ())
+        self.cost += step_cost(
+            s.cost_weights, step.true_x_next or step.x_next, step.true_u or step.u or ()
+        )
         self.newest = step.k
         self.windows.add(step)
         at = step.k * self._scenario.plant.period_s

@@ -69,8 +69,9 @@ class PlantCounts:
             self.recovered.append((self._last_k, base64.b64decode(event["payload"])))
 
     def _judge(self, event: Mapping[str, Any]) -> None:
-        """Add a step's cost."""
-        self.cost += step_cost(self.weights, event["x_next"], event["u"])
+        """Add a step's cost: of the state itself and the input applied, where they are told."""
+        x_next = event.get("true_x_next", event["x_next"])
+        self.cost += step_cost(self.weights, x_next, event.get("true_u", event["u"]))
 
 
 def step_cost(weights: tuple[Vector, Vector], x_next: Sequence[float], u: Sequence[float]) -> float:
