@@ -232,6 +232,11 @@ class PlantCore:
         self._waiting_there = 1  # until it says how many
 
     @property
+    def under_way(self) -> Offer | None:
+        """The offer whose step is not counted yet, if any."""
+        return None if self._step is None else self._step.offer
+
+    @property
     def accepted(self) -> bool:
         """Whether the controller asked has accepted this session in this process's life."""
         return self._state in WORKING
@@ -508,10 +513,10 @@ class PlantCore:
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
-            applied_key=self._applied_key(offer.coin_key, keyed=self._keyed),
+            applied_key=self.said_key(offer.coin_key, keyed=self._keyed),
         )
 
-    def _applied_key(self, key: str | None, *, keyed: bool) -> str | None:
+    def said_key(self, key: str | None, *, keyed: bool) -> str | None:
         """What a measurement says of the coin; None where no coin is keyed."""
         if not self.rules.keyed:
             return None
@@ -536,7 +541,7 @@ class PlantCore:
             applied_copy=record.applied_copy,
             block=record.block,
             tag=record.tag,
-            applied_key=self._applied_key(record.coin_key, keyed=record.keyed),
+            applied_key=self.said_key(record.coin_key, keyed=record.keyed),
         )
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------

@@ -75,7 +75,7 @@ class _Coins:
             self._digits[key.key_id] = digits(key.key, self._size)
             self._newest = key.key_id
 
-    def _of(self, offer: Offer) -> int | None:
+    def digit_of(self, offer: Offer) -> int | None:
         """The digit of an offer, by the key that it names, if that is held."""
         name, first = offer.coin_key, offer.coin_from
         if not name or first is None:
@@ -155,7 +155,7 @@ class OfferedCoins(_Coins):
         """The candidate of an applied offer, where the plant says it came from ``key``; or -1."""
         if not key or key != applied.coin_key:
             return NO_SYMBOL
-        digit = self._of(applied)
+        digit = self.digit_of(applied)
         return NO_SYMBOL if digit is None else digit
 
     def confirmed(self) -> None:
@@ -222,7 +222,7 @@ class AppliedCoins(_Coins):
             self.key, self.first = name, first
         elif first != self.first:
             return None
-        return self._of(offer)
+        return self.digit_of(offer)
 
     def tasks(self, now: float) -> tuple[CoinTask, ...]:
         """What the keeper of keys must do now: read what was marked, erase what has served."""

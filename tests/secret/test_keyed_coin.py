@@ -92,7 +92,7 @@ def by_transitions(patch: pytest.MonkeyPatch) -> None:
         return key, first if not key else k - served % DIGITS, newest
 
     patch.setattr(OfferedCoins, "named", next_digit)
-    patch.setattr(AppliedCoins, "digit", lambda self, offer: self._of(offer))
+    patch.setattr(AppliedCoins, "digit", lambda self, offer: self.digit_of(offer))
 
 
 def every_process_begins_with_the_first_key(patch: pytest.MonkeyPatch) -> None:
@@ -102,14 +102,14 @@ def every_process_begins_with_the_first_key(patch: pytest.MonkeyPatch) -> None:
         "begin",
         lambda self, session, keys=(), key="", first=-1, applied="": begin(self, session, keys),
     )
-    patch.setattr(AppliedCoins, "digit", lambda self, offer: self._of(offer))
+    patch.setattr(AppliedCoins, "digit", lambda self, offer: self.digit_of(offer))
 
 
 def the_plant_says_that_every_coin_is_keyed(patch: pytest.MonkeyPatch) -> None:
     from plant_service.core import PlantCore
 
     patch.setattr(
-        PlantCore, "_applied_key", lambda self, key, *, keyed: key if self.rules.keyed else None
+        PlantCore, "said_key", lambda self, key, *, keyed: key if self.rules.keyed else None
     )
 
 

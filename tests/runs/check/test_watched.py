@@ -77,9 +77,9 @@ class Ghost:
         self.x = x
 
     def end(self, k: int) -> Vector:
-        step = self.core._step
-        assert step is not None
-        return self.core.rules.prediction(self.x, step.offer, 0)
+        offer = self.core.under_way
+        assert offer is not None
+        return self.core.rules.prediction(self.x, offer, 0)
 
 
 @pytest.fixture(scope="module")
