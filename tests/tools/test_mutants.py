@@ -52,7 +52,12 @@ def test_what_was_tried_is_told_with_its_interval_and_the_survivors() -> None:
 def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
     judges = {Path(name).name for names in ROOMS.values() for name in names}
     there = {path.name for path in Path(f"tests/{room}").glob("test_*.py")}
-    slow = {"test_mutants.py", "test_key_clauses.py", "test_evidence.py"}  # live services, too
+    slow = {
+        "test_watched.py",
+        "test_mutants.py",
+        "test_key_clauses.py",
+        "test_evidence.py",
+    }
     assert there - judges <= slow
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.agreement import NO_SYMBOL
+from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
 from runtime.recording import TraceError
 from wyner.runs.run import Run
@@ -98,8 +99,14 @@ def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tup
 
 
 def cost_of(run: Run) -> float | None:
-    """The control cost a step of a run's plant, as far as its trace can be read."""
-    counts = PlantCounts(run.scenario.cost_weights)
+    """The control cost a step of a run's plant, as far as its trace can be read.
+
+    None without a step, and where the run's scenario is gone, which holds the weights.
+    """
+    try:
+        counts = PlantCounts(run.scenario.cost_weights)
+    except ScenarioError:
+        return None
     with suppress(TraceError):
         run.feed("plant", counts.take)
     return counts.mean_cost

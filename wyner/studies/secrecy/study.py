@@ -38,6 +38,9 @@ SOURCES: Final = (
 )
 """Where the numbers come from, besides the loop."""
 
+HEARD: Final = ("view", "loss", "noise", "quantise", "delay", "model_error", "seed")
+"""What of her view a task varies."""
+
 STUDIES: Final = ("ladder", "alpha", "learning", "view")
 
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
@@ -76,7 +79,11 @@ class Task:
     @property
     def id(self) -> str:
         """A hash of what is measured and how."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+        heard = ", ".join(f"{name}={getattr(self.view, name)!r}" for name in HEARD)
+        text = f"Task(study={self.study!r}, condition={self.condition!r}, tap={self.tap!r}"
+        text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
+        text += f", view=View({heard}), raw={self.raw!r})"
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def tasks(runs: int = RUNS) -> Iterator[Task]:
