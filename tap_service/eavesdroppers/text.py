@@ -113,7 +113,7 @@ class Text(Eavesdropper):
                 self._open.append(message)
                 due = self._heard // 4
                 if not message.whole and message.due_k >= 0:
-                    due = message.due_k - self._kept[-1].k + SOON
+                    due = min(self._heard // 2, message.due_k - self._kept[-1].k + SOON)
                 self._next = min(self._next, self._heard + max(due, SOON))
         verdicts, _ = verdicts_of(steps, among, self.size, certain=self.certain)
         for step, row in zip(steps, verdicts.tolist(), strict=True):
