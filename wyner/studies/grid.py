@@ -333,6 +333,7 @@ SOURCES: Final = (
     "protocol/losses.py",
     "protocol/link/channel.py",
     "protocol/link/fallback.py",
+    "protocol/link/session.py",
     "protocol/agreement.py",
     "protocol/schemes/*.py",
     "protocol/streams.py",
