@@ -26,11 +26,11 @@ from runtime.recording import MARKS
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus
+from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import named
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
-from wyner.studies.secrecy.runs import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 GUIDES = (ROOT / "docs" / "guides.md").read_text(encoding="utf-8")
