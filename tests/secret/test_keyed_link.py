@@ -17,7 +17,8 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
-from protocol.link.peer import Actions, Append, Peer
+from protocol.link.peer import Actions, Peer
+from protocol.link.records import Step
 from protocol.messages import Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -124,9 +125,9 @@ def test_keys_are_made_and_served_once_all_is_well() -> None:
 
 
 def send_before_save(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-    if isinstance(actions.write, Append):
-        for kind, payload in actions.publish:
-            ports.publish(kind, payload)
+    if isinstance(actions.write, Step):
+        for message in actions.publish:
+            ports.publish(message)
         actions = actions._replace(publish=())
     perform(actions, endpoint, ports)
 
@@ -148,10 +149,12 @@ def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:
     offers = ControllerCore._offers
 
-    def wrong(self: ControllerCore, offer: Offer, answers: bytes = b"") -> Actions:
-        if answers and self._step is not None:
-            offer = self._step.offer = offer.model_copy(update={"heard": 0})
-        return offers(self, offer, answers)
+    def wrong(self: ControllerCore, offer: Offer, step: Step | None = None) -> Actions:
+        if step is not None and self._under_way is not None:
+            offer = offer.model_copy(update={"heard": 0})
+            step = step._replace(offer=offer)
+            self._under_way = (step, *self._under_way[1:])
+        return offers(self, offer, step)
 
     patch.setattr(ControllerCore, "_offers", wrong)
 
