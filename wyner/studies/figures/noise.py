@@ -10,7 +10,7 @@ from wyner.studies.figures.style import COLOURS, MARKERS, plain_rows
 
 
 def draw_table(figure: Figure, table: dict[str, Any]) -> None:
-    """What `wyner bound` prints: the proof below, a measured tap above, the claim flat."""
+    """What `wyner design --noise` prints: the proof below, a measured tap above, the claim flat."""
     axes = figure.subplots()
     rows = table["rows"]
     ratios = [row["ratio"] for row in rows]
