@@ -134,7 +134,7 @@ class Dashboard:
         self._waiting = 0
         self._looks += 1
         self._watch.take(self._source)
-        lines, self._reporter = self._reporter.report(self._watch.board, self._looks * 10**9)
+        lines, self._reporter = self._reporter.report(self._watch.state, self._looks * 10**9)
         if self._looks % 10 == 0:
             drawn = self._watch.draw(((80, 24), (200, 60), (40, 10))[self._looks % 3], 0)
             lines += [text.plain for text in drawn]
