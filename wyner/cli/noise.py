@@ -11,7 +11,7 @@ from wyner.cli.figure_file import save_table
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
-    from wyner.studies.noise.loop import LinearLoop
+    from wyner.bound.loop import LinearLoop
 
 RATIOS: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Noise over the smallest half-width of D_c, where none is named."""
@@ -114,7 +114,7 @@ def show_noise(
     scenario: "Scenario", asked: NoiseOptions, *, as_json: bool, figure: str | None
 ) -> int:
     """Show the table."""
-    from wyner.studies.noise.loop import BoundError, LinearLoop
+    from wyner.bound.loop import BoundError, LinearLoop
 
     if figure and Path(figure).suffix not in (".svg", ".png"):
         raise UsageError(f"--plot: got {figure!r}, expected a name in .svg or .png")
@@ -133,7 +133,7 @@ def show_noise(
     result = describe(scenario, loop, noises, asked, states)
     print(json.dumps(result) if as_json else render(result))
     if figure:
-        save_table(figure, "wyner.studies.figures.noise:draw_table", result)
+        save_table(figure, "wyner.drawing.bound:draw_table", result)
     return DONE
 
 
@@ -171,7 +171,7 @@ def describe(
     import numpy as np
 
     from protocol.statistics import normal
-    from wyner.studies.noise.taps import block_left
+    from wyner.bound.taps import block_left
 
     M = len(loop.offsets)
     active = loop.used > 1
