@@ -4,7 +4,7 @@ import argparse
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from runtime.errors import DONE, UsageError
 from wyner.cli.figure_file import save_table
@@ -59,7 +59,7 @@ class NoiseOptions:
 
     noise: str | None = None
     watch: str | None = None
-    offers: str = "none"
+    offers: Literal["none", "noisy", "clear"] = "none"
     coins: int = 1000
     eps: float = 1e-12
     measure: bool = False
