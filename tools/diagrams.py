@@ -224,6 +224,7 @@ ROOMS: Final = (
     "tap_service",
     "attacker_service",
     "wyner",
+    "studies",
 )
 """The importable names, each of which imports those above it at most."""
 

@@ -26,11 +26,11 @@ from runtime.recording import MARKS
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus
+from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import named
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
-from wyner.studies.secrecy.runs import simulate
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
 EXAMPLES = PAGES.parents[1] / "examples"

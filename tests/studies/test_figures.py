@@ -15,14 +15,12 @@ from matplotlib.figure import Figure
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
-from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.simulate.engine import simulate_runs
-from wyner.studies.figures import FIGURES, FigureError, draw
-from wyner.studies.figures.__main__ import main as figures
-from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
-from wyner.studies.figures.style import drawing, plain_rows, save
-from wyner.studies.grid import ROOT, Row, load_sweep, points_of
-from wyner.studies.measurements import (
+from studies import DATA, FIGURES_FOLDER
+from studies.figures import FIGURES, FigureError, draw
+from studies.figures.__main__ import main as figures
+from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
+from studies.figures.rows import plain_rows
+from studies.measurements import (
     MEASUREMENTS,
     centre_distances,
     closed_form,
@@ -32,8 +30,11 @@ from wyner.studies.measurements import (
     system,
     write,
 )
-from wyner.studies.results import SUMS, read_rows, read_table
-from wyner.studies.secrecy.tables import PAGE
+from studies.secrecy.tables import PAGE
+from wyner.drawing.style import drawing, save
+from wyner.simulate.engine import simulate_runs
+from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
+from wyner.sweeps.results import SUMS, read_rows, read_table
 
 SIGNALLING = ROOT / "docs" / "signalling.md"
 PAGES = {
@@ -69,7 +70,7 @@ def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
-    command = [sys.executable, "-m", "wyner.studies.figures", "distance", "--output", "there"]
+    command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
     svg, png = draw("distance", output=tmp_path / "here")
     assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
