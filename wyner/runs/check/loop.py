@@ -162,9 +162,19 @@ class Reachable(Clause):
                 self.counter.count(False, *_place(step), text)
                 continue
             self._restarted = False
+            if isinstance(item, Walked) and not self._held(item.t):
+                text = f"x(k) = {self._true} is not in the box that both ends have"
+                self.counter.count(self._leaves, *_place(step), text)
             gauge = self._gauge_of(item, step)
             if gauge is not None:
                 self._judge(step, gauge)
+
+    def _held(self, t: TracedTransition) -> bool:
+        """Whether the state before it is in its box, as far as both are known."""
+        if t.box is None or self._true is None:
+            return True
+        low, high = t.box
+        return all(a <= v <= b for a, v, b in zip(low, self._true, high, strict=True))
 
     def _gauge_of(self, item: Walked | MissedLine, step: Step) -> float | None:
         """How far the true state came from where the input led; None where nobody knows."""
