@@ -89,6 +89,4 @@ class OutputRule:
         together = 1.0 + spread(self.apart, centres) <= self.alpha
         symbol = found.possible[0] if inside == 1 and together else NO_SYMBOL
         inputs = tuple([candidates[i] for i in found.possible]) or candidates
-        return AgreementResult(
-            tuple(gauges), symbol, inside, box=box, seen=Seen(found.box, inputs)
-        )
+        return AgreementResult(tuple(gauges), symbol, inside, box=box, seen=Seen(found.box, inputs))

@@ -138,9 +138,7 @@ class Rules:
         missed = measurement.k - measurement.applied_k - 1
         return self.outputs.box(record.seen, missed, measurement.x).centre
 
-    def prediction(
-        self, x: Vector, offer: Offer, candidate: int, box: Box | None = None
-    ) -> Vector:
+    def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
         """f_c(x, u_i) of one candidate of an offer, as it would be read."""
         if self.outputs is not None:
             assert box is not None

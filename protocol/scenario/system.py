@@ -342,7 +342,9 @@ class Scenario(Brief, ScenarioTable):
         # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
         f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
         hers = self.secrecy.disturbance
-        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        shape: dict[str, object] = (
+            {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        )
         if self.defender.noise is not None:
             shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
         if self.plant.C is not None:  # what is predicted of a missed step follows the fallback

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Protocol
 
 from pydantic import BaseModel, ConfigDict
 
@@ -23,9 +23,6 @@ from protocol.schemes.registry import make_scheme
 from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
-
-if TYPE_CHECKING:
-    from tap_service.inference.output_model import OutputModel
 
 IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
@@ -263,7 +260,7 @@ class Model:
     """Whole states need no time to be known."""
 
     @classmethod
-    def of(cls, knowledge: Knowledge, needed_by: str) -> "Model | OutputModel":
+    def of(cls, knowledge: Knowledge, needed_by: str) -> "Measuring":
         """The model in ``knowledge``, for what is read of the plant.
 
         Raises
@@ -329,6 +326,40 @@ class Model:
         return [abs(at - place) for place in places[r]]
 
 
+class Measuring(Protocol):
+    """A model that measures every candidate, whatever is read of the plant."""
+
+    @property
+    def A(self) -> Matrix:
+        """Her A."""
+
+    @property
+    def B(self) -> Matrix:
+        """Her B."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether she knows the state by now."""
+
+    def gauges(
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        predictions: Sequence[Sequence[float]] = (),
+    ) -> list[float]:
+        """See :meth:`Model.gauges`."""
+
+    def along_the_widest(
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        predictions: Sequence[Sequence[float]] = (),
+    ) -> list[float]:
+        """See :meth:`Model.along_the_widest`."""
+
+
 class Follower:
     """Follows the scheme on verdicts of her own, and collects the message symbols.
 
@@ -380,7 +411,7 @@ class Follower:
         if self.solved_k < 0:
             self.solved_k = k
 
-    def belief(self, model: "Model | OutputModel | None", confidence: float = 0.0) -> Belief:
+    def belief(self, model: "Measuring | None", confidence: float = 0.0) -> Belief:
         """What this way of following gives: certain once a frame check held."""
         partial = self._deframer.partial
         return Belief(

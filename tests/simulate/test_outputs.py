@@ -42,7 +42,7 @@ def held(t: CountedTransition) -> bool:
 def test_the_engine_is_the_two_ends_to_the_last_bit(
     network: dict[str, Any] | None, fallback: str
 ) -> None:
-    """Readings, states, inputs, coins and symbols, over missed steps too; the box holds the state."""
+    """Readings, states, coins and symbols, over missed steps too; the box holds the state."""
     changes: dict[str, Any] = {"link": {"fallback": fallback}}
     scenario = encoder(**(changes if network is None else changes | {"network": network}))
     _, law = law_of("encoder")

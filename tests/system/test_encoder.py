@@ -1,7 +1,8 @@
-"""A motor of which its encoder alone is read, live: kill -9 of both ends, and every clause holds."""
+"""A motor of which the encoder alone is read, live: both ends killed, and every clause holds."""
 
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,7 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     assert len(steps) > 500
     inside = [
         all(a <= v <= b for a, v, b in zip(t["box"][0], x, t["box"][1], strict=True))
-        for before, t in zip(steps, steps[1:], strict=False)
+        for before, t in pairwise(steps)
         if before["k"] + 1 == t["k"] and (x := before.get("true_x_next"))
     ]
     assert len(inside) > 500

@@ -351,9 +351,7 @@ class Simulation:
             Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
-            sensors=Stream(
-                self._seed, SENSOR, width=self._scenario.readings, run=self._run
-            ),
+            sensors=Stream(self._seed, SENSOR, width=self._scenario.readings, run=self._run),
         )
         return self._plant
 

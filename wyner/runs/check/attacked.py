@@ -26,7 +26,8 @@ def wrong_labels(
 ) -> str:
     """What is wrong with a step's labels; empty where nothing is.
 
-    ``states`` has the truth where outputs alone are read. ``restarted``: a process died before it, with the truth of what is counted from its journal.
+    ``states`` are the truth's, where outputs alone are read. ``restarted``: a process died before
+    it, with the truth of what is counted from its journal.
     """
     x, u = step.true_x_next, step.true_u
     if noisy and (attack is None or attack.at == "bus"):

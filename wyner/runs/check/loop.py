@@ -189,7 +189,9 @@ class Reachable(Clause):
             if e.rules.predicted:
                 return None
             if e.rules.outputs is not None and not known:
-                return item.verdict.gauges[step.coin] if isinstance(item, Walked) else None
+                if not isinstance(item, Walked) or item.t.coin is None:
+                    return None
+                return item.verdict.gauges[item.t.coin]
             if self._noisy and known:  # by itself the state is disturbed within D_c
                 centre = predict(e.scenario.A, e.scenario.B, x, step.true_u)
                 return self._D_c([a - b for a, b in zip(true, centre, strict=True)])
