@@ -1,7 +1,6 @@
 """Field messages, which everyone reads: no key, plaintext or state, and one form in all states."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, StringConstraints
@@ -42,11 +41,11 @@ class StepMessage(Message):
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""
-        return self._bytes
-
-    @cached_property
-    def _bytes(self) -> bytes:
-        return self.__pydantic_serializer__.to_json(self, exclude_none=True)
+        made: bytes | None = self.__dict__.get("_bytes")
+        if made is None:
+            made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
+            self.__dict__["_bytes"] = made
+        return made
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
