@@ -158,6 +158,8 @@ def test_a_steps_picture_is_the_agreement_test_to_scale(run_dir: Path, text: str
         centres = re.findall(r'class="dc" href="#dc" x="([-\d.]+)" y="([-\d.]+)"', article)
         dot = re.search(r'cx="([-\d.]+)" cy="([-\d.]+)"', article)
         assert dot is not None
+        assert article.count("<tr>") == len(event["candidates"])
+        assert f"input {event['coin']} (applied)</td>" in article
         for (x, y), gauge in zip(centres, event["gauges"], strict=True):
             off = max(abs(float(dot[1]) - float(x)) / wide, abs(float(dot[2]) - float(y)) / high)
             if gauge < 3:  # beyond, the dot may have been moved to the edge of the picture

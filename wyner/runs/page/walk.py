@@ -269,9 +269,7 @@ class Walk:
         for i, (u, gauge) in enumerate(zip(t.candidates, t.gauges, strict=False)):
             where = "in D_c: explains it" if gauge <= INSIDE else f"{gauge:.3g} times D_c"
             applied = " (applied)" if t.coin == i else ""
-            rows.append(
-                f"<tr><td>input {i}{applied}</td><td>{_vector(u)}</td><td>{where}</td></tr>"
-            )
+            rows.append((f"input {i}{applied}", _vector(u), where))
         for one in self._said:
             said = one.live.get((t.session, t.k))
             if said is None:
