@@ -250,7 +250,8 @@ def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     yield (
         f"<p>{recorded.steps} steps ({recorded.missed} missed) in {seconds:g} s of plant time; "
         f"{len(recorded.agreed)} key symbols agreed, {recorded.symbols} message symbols carried, "
-        f"{rate:.3g} bits a second. That is what was sent; what stayed secret is above.</p>"
+        f"{rate:.3g} bits a second. That is what was sent, counted and so without an interval; "
+        "what stayed secret is above.</p>"
     )
     if recorded.steps:
         yield f"<p>Control cost: {recorded.cost / recorded.steps:.4g} a step, x' Q x + u' R u.</p>"
