@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from protocol.link.events import Event
+from protocol.link.guarded import Guarded
 from protocol.link.peer import Notice, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
@@ -30,12 +31,16 @@ class Journal(Protocol):
 
 @dataclass(slots=True)
 class Files:
-    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
+    """Where one end of one loop leaves what it has to keep: journal, trace and status.
+
+    ``guarded`` is the end with its messages guarded, where they are.
+    """
 
     journal: Journal
     trace: TraceWriter
     health: Path
     key_maker: KeyMakerAt | None = None
+    guarded: Guarded | None = None
 
     def close(self) -> None:
         """Close journal and trace."""

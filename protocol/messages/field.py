@@ -18,6 +18,11 @@ from protocol.messages.base import (
 from protocol.vectors import FiniteVector
 
 
+Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{1,9})?$")]
+Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
+Bits = Annotated[int, Field(ge=0, lt=2**64)]
+
+
 class _Step(Message):
     """A message of a step: fields that its scenario has no use for are None, and stay away."""
 
@@ -57,6 +62,12 @@ class Measurement(_Step):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
+    guard, until, mac : str, int, str, optional
+        Batch and slot of the key that guards the message, as ``3/17``; the step up to which its
+        sender goes on so; and its tag, 8 hexadecimal digits. Only where messages are guarded.
+    after, rest : str, tuple of int, optional
+        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
+        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -71,6 +82,11 @@ class Measurement(_Step):
     block: BlockNumber = -1
     tag: Tag = ""
     applied_key: KeyName | None = None
+    guard: Slot | None = None
+    until: Count | None = None
+    after: Slot | None = None
+    rest: tuple[Bits, ...] | None = None
+    mac: Mac | None = None
 
 
 class Offer(_Step):
@@ -109,6 +125,9 @@ class Offer(_Step):
     coin_key: KeyName | None = None
     coin_from: Count | None = None
     coin_last: KeyName | None = None
+    guard: Slot | None = None
+    until: Count | None = None
+    mac: Mac | None = None
 
 
 class Sealed(Message):

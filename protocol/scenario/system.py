@@ -197,7 +197,9 @@ class Scenario(Brief, ScenarioTable):
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
-        problems += self.defence.problems(self.keys, self.link)
+        problems += self.defence.problems(
+            self.keys, self.link, self.n, self.secrecy.candidates
+        )
         try:
             _ = self.alarm_rule
         except ValueError as error:
@@ -280,10 +282,9 @@ class Scenario(Brief, ScenarioTable):
         shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
         if self.defender.noise is not None:
             shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
-        coin = {"coin": "keyed"} if self.defence.keyed else {}
         return _digest(
             {
-                **coin,
+                **self.defence.shared(),
                 **keys,
                 **f_c,
                 **shape,
