@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
-PACKAGES := protocol runtime controller_service plant_service tap_service attacker_service wyner benchmarks tools
+PACKAGES := protocol runtime controller_service plant_service tap_service attacker_service wyner studies benchmarks tools
 NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
-ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-house
+ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-studies test-house
 .PHONY: $(ROOM_TARGETS)
 .PHONY: demo dev test test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
@@ -14,7 +14,7 @@ help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          all tests, with ruff and mypy"
 	@echo "make test-fast     the tests without the slow ones"
-	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, house"
+	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, studies, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make coverage      branch coverage of each room; protocol/ at 95 % or more"
@@ -71,7 +71,8 @@ ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
 ROOM_attacker := attacker
-ROOM_wyner := api cli dashboard deployment kme runs simulate studies system
+ROOM_wyner := advice api bound capacity cli dashboard deployment fit kme runs simulate sweeps system
+ROOM_studies := studies
 ROOM_house := house benchmarks campaigns examples tools
 
 $(ROOM_TARGETS): test-%: $(STAMPS)/dev
@@ -105,7 +106,7 @@ docs: $(STAMPS)/dev
 	@echo "build/docs/index.html"
 
 figures: $(STAMPS)/dev
-	$(BIN)/python -m wyner.studies.figures
+	$(BIN)/python -m studies.figures
 
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper

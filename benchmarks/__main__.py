@@ -87,7 +87,7 @@ def _names(args: argparse.Namespace) -> list[str]:
 
 def _watch(args: argparse.Namespace, results: dict[str, Any]) -> int:
     """Add to the record, or say what fell since."""
-    from wyner.studies.grid import code_version
+    from wyner.sweeps.grid import code_version
 
     try:
         entries = record.read()

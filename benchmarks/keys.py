@@ -26,7 +26,7 @@ from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
 from runtime.errors import Failure
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE
-from wyner.studies.fit.toml import as_toml
+from wyner.fit.toml import as_toml
 
 SCENARIO: Final = Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "keys.toml"
 CASES: Final = ("off", "on", "distilling")

@@ -2,7 +2,7 @@
 
 import random
 
-from wyner.studies.fit.conformal import (
+from wyner.fit.conformal import (
     conformal_scale,
     rank,
     sessions_needed,

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import needs
+from studies import DATA
+from studies.secrecy.tables import exact_of, read_rows, share_of
 from wyner.runs.score.report import percent
-from wyner.shipped import DATA
-from wyner.studies.secrecy.tables import exact_of, read_rows, share_of
 
 FOLDER: Final = Path(__file__).resolve().parent.parent / "paper"
 MARKS: Final = ("<!-- begin results -->", "<!-- end results -->")

@@ -19,8 +19,8 @@ from protocol.scenario import Scenario
 from runtime.errors import DONE, USAGE
 from runtime.files import write_atomically
 from runtime.scenario_file import scenario_of
+from wyner.drawing.style import COLOURS, drawing, save
 from wyner.simulate.network import Simulation
-from wyner.studies.figures.style import COLOURS, drawing, save
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
 PAGE: Final = DOCS / "tutorial.md"

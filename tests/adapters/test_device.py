@@ -313,7 +313,7 @@ class Line(PythonLine):
 def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
     """Three real processes; the plant's code kills its service, and the check knows such a step."""
     (tmp_path / "line.py").write_text(SUICIDAL)
-    from wyner.studies.fit.toml import as_toml
+    from wyner.fit.toml import as_toml
 
     tables = line("line.py:Line").model_dump(mode="json", exclude_none=True)
     (tmp_path / "line.toml").write_text(as_toml(tables))

@@ -232,7 +232,7 @@ def test_sets_in_four_dimensions_cannot_be_drawn() -> None:
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 
-    from wyner.studies.figures.axes import draw_sets
+    from wyner.drawing.axes import draw_sets
 
     with pytest.raises(ValueError, match="T_0: got 4 states, expected 2 to draw"):
         draw_sets(Figure().subplots(), {0: np.zeros((5, 4))})

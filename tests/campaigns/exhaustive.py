@@ -19,7 +19,7 @@ from typing import Final
 from runtime.files import write_atomically
 from tests.campaigns.loop import SCHEMES
 from tests.campaigns.space import SIDES, Space
-from wyner.studies.grid import code_version
+from wyner.sweeps.grid import code_version
 
 TOLD_S: Final = 15.0
 SAVED_S: Final = 900.0

@@ -40,8 +40,8 @@ from runtime.scenario_file import load_scenario
 from tests.campaigns.fuzz import LARGEST, NUMBERS, TEXTS, megabytes
 from tools.rehearsal import Rehearsal
 from wyner.cli.main import main as wyner
-from wyner.shipped import SWEEPS
-from wyner.studies.grid import SweepError, code_version, load_sweep
+from wyner.sweeps import SWEEPS
+from wyner.sweeps.grid import SweepError, code_version, load_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 30.0

@@ -39,7 +39,7 @@ from runtime.run_folder import CAPTURE, PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
 from tests.campaigns.fuzz import LARGEST, payloads
 from tools.rehearsal import Rehearsal
-from wyner.studies.grid import code_version
+from wyner.sweeps.grid import code_version
 
 BUSES = ("field", "ops", "intel")
 CARRIES: dict[str, tuple[type[Message], ...]] = {

@@ -23,7 +23,7 @@ from runtime.perform import perform
 from tests.campaigns.listeners import LISTENERS, listener
 from tests.campaigns.world import World, quiet
 from tests.support.line_ends import ToldPorts
-from wyner.studies.grid import code_version
+from wyner.sweeps.grid import code_version
 
 NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
 TEXTS = ("", "x" * 5000, "\x1b[31m", "\u202e", "0" * 16, "../../etc")

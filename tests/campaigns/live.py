@@ -31,7 +31,7 @@ from tests.campaigns.relay import main as pass_on
 from tests.support.key_sites import Sites
 from wyner.cli.main import main
 from wyner.deployment.certificates import ensure_certificates
-from wyner.studies.fit.toml import as_toml
+from wyner.fit.toml import as_toml
 
 PRELOADED: Final = (
     "controller_service.command",

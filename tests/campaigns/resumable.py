@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.files import write_atomically
-from wyner.studies.grid import code_version
+from wyner.sweeps.grid import code_version
 
 
 class Results:

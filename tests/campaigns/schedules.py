@@ -35,7 +35,7 @@ from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
-from wyner.studies.grid import code_version
+from wyner.sweeps.grid import code_version
 
 EACH: Final = 5000
 PAYLOADS: Final = (b"", b"x")

@@ -19,11 +19,11 @@ from protocol.messages import FIELD, Sealed
 from runtime.options import alone_in
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
+from studies.secrecy.runs import Run, simulate
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.cli.main import main
-from wyner.studies.secrecy.runs import Run, simulate
 
 
 @pytest.fixture(scope="module")

@@ -95,9 +95,6 @@ class Installed:
     def run(self, *arguments: str, code: int = 0) -> str:
         return self._told("wyner", arguments, code)
 
-    def figures(self, *arguments: str, code: int = 0) -> str:
-        return self._told("python", ("-m", "wyner.studies.figures", *arguments), code)
-
     def _told(self, program: str, arguments: tuple[str, ...], code: int) -> str:
         hidden = {"PYTHONPATH", "XDG_CACHE_HOME"}
         done = subprocess.run(
@@ -119,16 +116,16 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
     return Installed(wheel, tmp_path_factory.mktemp("away"))
 
 
-def test_five_names_and_no_more(wheel: Path) -> None:
+def test_what_is_installed_and_no_more(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         files = archive.namelist()
     top = {name.split("/")[0] for name in files}
     assert {name for name in top if not name.endswith(".dist-info")} == NAMES
-    for folder in ("scenarios", "sweeps"):
-        shipped = {f"wyner/{folder}/{p.name}" for p in (ROOT / "wyner" / folder).glob("*.toml")}
+    for folder in ("runtime/scenarios", "wyner/sweeps"):
+        shipped = {f"{folder}/{p.name}" for p in (ROOT / folder).glob("*.toml")}
+        assert shipped
         assert shipped <= set(files)
-    data = {Path(f).name for f in files if f.startswith("wyner/studies/data/")}
-    assert data == {p.name for p in (ROOT / "docs" / "data").glob("*.csv")}
+    assert not [name for name in files if name.endswith(".csv")]
 
 
 def test_a_run(installed: Installed) -> None:
@@ -150,14 +147,9 @@ def test_a_sweep(installed: Installed) -> None:
     assert "rows in runs/sweeps/price-quick.csv" in installed.run("sweep", "price", "--quick")
 
 
-def test_figures_go_into_a_folder_of_the_users(installed: Installed) -> None:
-    before = sorted(installed.packages.rglob("*.svg"))
-    out = installed.figures("sets", "distance")
-    assert out.split()[0] == "figures/sets.svg"
-    assert installed.figures("distance", "--output", "mine").split()[0] == "mine/distance.svg"
-    assert (installed.folder / "mine" / "distance.png").stat().st_size > 10_000
-    assert sorted(installed.packages.rglob("*.svg")) == before
-    assert "expected --data FOLDER" in installed.figures("sets", "--measure", code=2)
+def test_a_figure(installed: Installed) -> None:
+    assert installed.run("bound", "packed", "--figure", "mine.svg").endswith("mine.svg\n")
+    assert (installed.folder / "mine.svg").stat().st_size > 10_000
 
 
 def test_benchmarks_stay_in_the_checkout(installed: Installed) -> None:

@@ -21,10 +21,10 @@ from protocol.defence.registry import DEFENCES, make_defence
 from protocol.registry import UnknownError
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
+from studies.attacks.learner import rotation_learner
+from studies.signalling import changed
 from wyner.simulate.engine.attacks import Attacked, Keys, Kind, attack_runs
 from wyner.simulate.engine.loop import SimulationError
-from wyner.studies.attacks.learner import rotation_learner
-from wyner.studies.signalling import changed
 
 pytestmark = pytest.mark.slow
 

@@ -11,11 +11,11 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.statistics import share_over_runs
 from runtime.errors import UsageError
 from tests.support.small_run import law_of
+from wyner.advice.missed_share import expected_missed_share
 from wyner.api import design, run
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.missed import missed_steps
 from wyner.simulate.network import Simulation
-from wyner.studies.missed_share import expected_missed_share
 
 BURSTS = {"loss": 0.05, "loss_bad": 0.9, "to_bad": 0.05, "to_good": 0.3}
 LATE = {"delay": "gamma", "delay_s": 0.05, "jitter_s": 0.04}

@@ -12,13 +12,13 @@ from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import ConvexSet, Scenario
+from studies.signalling import changed
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.fitted_box import KEPT, FittedBox, fitted_widths
 from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.taps import transcript
 from wyner.simulate.single import simulate_plant
-from wyner.studies.signalling import changed
 
 MESSAGE = b"We sail at dawn."
 

@@ -12,6 +12,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer, frame_length
 from runtime.scenario_file import scenario_of
+from studies.secrecy.runs import simulate as study_run
+from studies.secrecy.study import heard_by, knowledge_for, said_about
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother
@@ -21,8 +23,6 @@ from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
-from wyner.studies.secrecy.runs import simulate as study_run
-from wyner.studies.secrecy.study import heard_by, knowledge_for, said_about
 
 RUNS, STEPS = range(20), 500
 D, D_C = (0.1, 0.1), (0.12, 0.12)

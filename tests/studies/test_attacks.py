@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from protocol.statistics import clopper_pearson
+from studies.attacks import study, tables
+from studies.attacks.__main__ import main
+from studies.attacks.study import EYES, Task, distilled, measure, seen_through, tasks
+from studies.attacks.tables import PAGE, rows_of, share, unseen, written
+from studies.signalling import changed
 from tests.house.test_docs import ROOT
-from wyner.studies.attacks import study, tables
-from wyner.studies.attacks.__main__ import main
-from wyner.studies.attacks.study import EYES, Task, distilled, measure, seen_through, tasks
-from wyner.studies.attacks.tables import PAGE, rows_of, share, unseen, written
-from wyner.studies.grid import SweepError
-from wyner.studies.signalling import changed
+from wyner.sweeps.grid import SweepError
 
 RARE = 1e-6
 
@@ -99,7 +99,7 @@ def test_a_row_measured_again_is_the_same(rows: list[tables.Row]) -> None:
 
 def test_the_page_has_the_tables_of_the_data(rows: list[tables.Row]) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert written(text, rows) == text, "run: python -m wyner.studies.attacks"
+    assert written(text, rows) == text, "run: python -m studies.attacks"
     with pytest.raises(ValueError, match="lacks the marks of the table 'matrix'"):
         written("# Attacks", rows)
 

@@ -7,14 +7,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from wyner.studies.capacity.blocks import (
+from studies.capacity.blocks import (
     ChainedCode,
     chained_bits,
     chained_keys,
     finite_keys,
     most_keys,
 )
-from wyner.studies.capacity.two_step import GRIDS, colourings
+from studies.capacity.two_step import GRIDS, colourings
 
 
 def test_the_chained_code_s_sizes() -> None:

@@ -15,14 +15,12 @@ from matplotlib.figure import Figure
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
-from wyner.shipped import DATA, FIGURES_FOLDER
-from wyner.simulate.engine import simulate_runs
-from wyner.studies.figures import FIGURES, FigureError, draw
-from wyner.studies.figures.__main__ import main as figures
-from wyner.studies.figures.loop import FEWEST, alpha_of, start_of, summaries
-from wyner.studies.figures.style import drawing, plain_rows, save
-from wyner.studies.grid import ROOT, Row, load_sweep, points_of
-from wyner.studies.measurements import (
+from studies import DATA, FIGURES_FOLDER
+from studies.figures import FIGURES, FigureError, draw
+from studies.figures.__main__ import main as figures
+from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
+from studies.figures.rows import plain_rows
+from studies.measurements import (
     MEASUREMENTS,
     centre_distances,
     closed_form,
@@ -32,26 +30,22 @@ from wyner.studies.measurements import (
     system,
     write,
 )
-from wyner.studies.results import SUMS, read_rows, read_table
-from wyner.studies.secrecy.tables import PAGE
+from studies.secrecy.tables import PAGE
+from wyner.drawing.style import drawing, save
+from wyner.simulate.engine import simulate_runs
+from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
+from wyner.sweeps.results import SUMS, read_rows, read_table
 
-SIGNALLING = ROOT / "docs" / "signalling.md"
 PAGES = {
     "idea": ROOT / "README.md",
-    "signalling-rates": SIGNALLING,
-    "signalling-price": SIGNALLING,
-    "two-step": SIGNALLING,
-    "block-codes": SIGNALLING,
-    "network": ROOT / "docs" / "networks.md",
-    "noise-bound": ROOT / "docs" / "secrecy.md",
+    "network": ROOT / "docs" / "control.md",
     "key-controls": ROOT / "docs" / "keys.md",
     "undetected": ROOT / "docs" / "attacks.md",
     "dither-price": ROOT / "docs" / "attacks.md",
 }
-"""Where a figure stands that is in neither of the two other documents."""
+"""Where a figure stands that is not among the findings."""
 CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
 """Figures without an estimate: a single step, a search, and a closed form."""
-DOCUMENT = ROOT / "docs" / "experiments.md"
 
 
 @pytest.mark.slow
@@ -69,7 +63,7 @@ def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
-    command = [sys.executable, "-m", "wyner.studies.figures", "distance", "--output", "there"]
+    command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
     svg, png = draw("distance", output=tmp_path / "here")
     assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
@@ -92,8 +86,7 @@ def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
 
 def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
     for name, kind in FIGURES.items():
-        document = PAGES.get(name, PAGE if name.startswith("secrecy-") else DOCUMENT)
-        text = document.read_text(encoding="utf-8")
+        text = PAGES.get(name, PAGE).read_text(encoding="utf-8")
         assert f"figures/{name}.svg" in text
         assert (FIGURES_FOLDER / f"{name}.svg").exists()
         assert (FIGURES_FOLDER / f"{name}.png").exists()
@@ -219,7 +212,7 @@ def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -
 
 def plain_text() -> str:
     """The document with every line break and run of spaces as one space."""
-    return " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+    return " ".join(PAGE.read_text(encoding="utf-8").split())
 
 
 def row_with(text: str, *cells: str) -> str:
@@ -230,7 +223,7 @@ def row_with(text: str, *cells: str) -> str:
 
 
 def test_the_documents_numbers_are_the_datas() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     for s in summaries(DATA, "fig7-paper"):
         if alpha_of(s) in (1.5, 3.0, 8.0):
             cell = "{:.3f} [{:.3f}, {:.3f}]".format(*s.rate)
@@ -268,6 +261,7 @@ def test_the_documents_numbers_are_the_datas() -> None:
         wrong = 100 * s.counts["mistaken"] / s.counts["agreements"]
         assert ("never" if wrong == 0 else f"{wrong:.2g} % of keys") in line
         assert (taps[kind]["nearest_right"] == taps[kind]["agreements"]) == ("always" in line)
+    text = text.partition("# Other plants\n")[2].partition("\n#")[0]
     for s in summaries(DATA, "plants"):
         if alpha_of(s) in (1.5, 8.0):
             name = str(s.first["scenario"]).replace("-", " ")

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from wyner.studies.capacity.blocks import most_keys
-from wyner.studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
-from wyner.studies.grid import ROOT
+from studies.capacity.blocks import most_keys
+from studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
+from wyner.sweeps.grid import ROOT
 
 
 def copies(code: TwoStepCode, shift: tuple[float, float], reach: int = 4) -> np.ndarray:

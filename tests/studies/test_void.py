@@ -9,7 +9,7 @@ from controller_service.sets.terminal import feedback_gain
 from protocol.agreement import INSIDE
 from protocol.scenario import ConvexSet
 from runtime.scenario_file import scenario_of
-from wyner.studies.capacity.void import VoidKeying, public_key
+from studies.capacity.void import VoidKeying, public_key
 
 SIZES = [(1.01, 16), (1.05, 24), (1.1, 64), (1.2, 100)]
 

@@ -11,7 +11,7 @@ from controller_service.sets.packed_design import alphabet_of
 from controller_service.sets.separation import Separation
 from protocol.scenario import ConvexSet
 from runtime.scenario_file import scenario_of
-from wyner.studies.attacks.watermark import (
+from studies.attacks.watermark import (
     gaussian,
     gaussian_passes,
     least,

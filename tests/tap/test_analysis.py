@@ -14,13 +14,13 @@ from runtime import recording
 from runtime.child import Line
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE
+from studies.secrecy.runs import Run, simulate
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
 from tap_service.capture.transcript import Transcript
-from wyner.studies.secrecy.runs import Run, simulate
 
 LOG = logging.getLogger("test")
 NAME = "nearest-centre"

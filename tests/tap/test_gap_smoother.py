@@ -5,12 +5,12 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.messages import Measurement, Offer
+from studies.secrecy.runs import Run, simulate
+from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.law_pieces import UNKNOWN, LawNearby, LawPieces, learn_law
-from wyner.studies.secrecy.runs import Run, simulate
-from wyner.studies.secrecy.study import heard_by
 
 RNG = np.random.default_rng(0)
 

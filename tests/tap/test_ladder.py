@@ -13,6 +13,8 @@ from pydantic_core import from_json
 from protocol.knowledge import Knowledge
 from protocol.secret.bound import Assumption
 from protocol.statistics import confidence_sequence
+from studies.secrecy.runs import Run, simulate, text_of
+from studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import (
@@ -28,8 +30,6 @@ from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.runs.score.replay import COUNTS
 from wyner.runs.score.score import EavesdropperScore, Said, score
-from wyner.studies.secrecy.runs import Run, simulate, text_of
-from wyner.studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
 
 CLEAR = View()
 

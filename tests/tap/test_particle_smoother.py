@@ -8,6 +8,8 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario
+from studies.secrecy.runs import Run, law_of, scenario_at, simulate
+from studies.secrecy.study import heard_by, said_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
@@ -16,8 +18,6 @@ from tap_service.inference.offers_reader import LEAST, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
 from wyner.runs.score.score import EavesdropperScore, Said, score
-from wyner.studies.secrecy.runs import Run, law_of, scenario_at, simulate
-from wyner.studies.secrecy.study import heard_by, said_about
 
 SEEDS = (1,)
 OFFERS = View(view="offers")
@@ -111,7 +111,7 @@ def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
 
 @pytest.mark.slow
 def test_offers_alone_give_most_keys_away() -> None:
-    """Over 20 runs of 1000 steps it is measured: docs/secrecy.md."""
+    """Over 20 runs of 1000 steps it is measured: docs/findings.md."""
     keys = [played(seed)[3].keys_reviewed for seed in SEEDS]
     assert sum(k.of for k in keys) > 60
     assert sum(k.right for k in keys) >= 0.84 * sum(k.of for k in keys)

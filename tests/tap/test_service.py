@@ -30,6 +30,7 @@ from runtime.addresses import Addresses, free_endpoints
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
+from studies.secrecy.runs import Run, simulate
 from tap_service import heavy
 from tap_service import service as tap
 from tap_service.capture.channel import View
@@ -42,7 +43,6 @@ from tap_service.service import TapService
 from tests.support.matched import matched
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
-from wyner.studies.secrecy.runs import Run, simulate
 
 LIGHT = ("set-membership", "nearest-centre")
 

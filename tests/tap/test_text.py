@@ -15,6 +15,10 @@ from protocol.schemes.base import encrypt
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
+from studies.secrecy.runs import SENTENCES as SHORT
+from studies.secrecy.runs import simulate
+from studies.secrecy.sentences import SENTENCES
+from studies.secrecy.study import heard_by, said_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import text
@@ -27,10 +31,6 @@ from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_reader import MessageReader, verdicts_of
 from tap_service.inference.message_search import Found, MessageSearch
 from wyner.runs.score.score import score
-from wyner.studies.secrecy.runs import SENTENCES as SHORT
-from wyner.studies.secrecy.runs import simulate
-from wyner.studies.secrecy.sentences import SENTENCES
-from wyner.studies.secrecy.study import heard_by, said_about
 
 
 def closed(name: str, size: int) -> tuple[StateTable, int]:

@@ -22,7 +22,7 @@ def draw_sets(
     runs: Simulated | None = None,
 ) -> None:
     """Draw some T_i of a plant in the plane, and the trajectories of ``runs`` through them."""
-    from wyner.studies.figures.axes import draw_sets as draw
+    from wyner.drawing.axes import draw_sets as draw
 
     chosen = indices or sorted({0, 1, 2, 4, 8} & set(range(system.horizon + 1)))
     draw(axes, {i: system.corners(i) for i in chosen}, None if runs is None else runs.x)
@@ -34,7 +34,7 @@ def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: 
     By default the first step on which a key symbol was agreed; of plants with more than two states
     the first two.
     """
-    from wyner.studies.figures.axes import draw_agreement as draw
+    from wyner.drawing.axes import draw_agreement as draw
 
     agreed = np.flatnonzero(runs.key[_run(runs, run)] != NO_SYMBOL)
     k = step if step is not None else int(agreed[0]) if len(agreed) else 0
@@ -52,7 +52,7 @@ def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: 
 
 def draw_states(runs: Simulated, axes: "Axes", run: int = 0) -> None:
     """Draw the states of a run over time, with a mark on every step that agreed a key symbol."""
-    from wyner.studies.figures.axes import draw_states as draw
+    from wyner.drawing.axes import draw_states as draw
 
     agreed = np.flatnonzero(runs.key[_run(runs, run)] != NO_SYMBOL)
     draw(axes, runs.x[run], runs.system.scenario.plant.period_s, agreed)
@@ -66,7 +66,7 @@ def _run(runs: Simulated, run: int) -> int:
 
 def draw_rate(runs: Simulated, axes: "Axes", alphas: ArrayLike, label: str | None = None) -> None:
     """Draw the rate against alpha with its 95 % band (the paper's Fig. 7)."""
-    from wyner.studies.figures.axes import draw_rate as draw
+    from wyner.drawing.axes import draw_rate as draw
 
     values = np.atleast_1d(np.asarray(alphas, dtype=float))
     name = label or runs.system.scenario.name

@@ -10,7 +10,7 @@ from wyner.cli.figure_file import save_table
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
-    from wyner.studies.capacity.table import Capacity
+    from wyner.capacity.table import Capacity
 
 ALPHAS: Final = (1.5, 2.0, 2.5, 3.0, 3.01, 4.0, 5.0, 5.01, 6.0, 7.0, 7.01, 8.0, 9.01, 10.0)
 
@@ -21,7 +21,7 @@ TRUE: Final = (
 
 VOID: Final = (
     "for keys that are functions of the applied input: where a key may depend on x(k+1) too, the "
-    "rule allows any number at any alpha above 1, and true are 0 (docs/signalling.md)"
+    "rule allows any number at any alpha above 1, and true are 0 (docs/findings.md)"
 )
 
 
@@ -35,7 +35,7 @@ ABOUT: Final = (
 def show_alphas(scenario: "Scenario", asked: str, *, as_json: bool, figure: str | None) -> int:
     """Show the table; ``asked`` has the alphas, separated by commas, or is empty."""
     from controller_service.sets.design import SynthesisError
-    from wyner.studies.capacity.table import capacity
+    from wyner.capacity.table import capacity
 
     alphas = _alphas(asked, scenario.secrecy.alpha)
     if figure and Path(figure).suffix not in (".svg", ".png"):
@@ -47,7 +47,7 @@ def show_alphas(scenario: "Scenario", asked: str, *, as_json: bool, figure: str 
     result = describe(scenario, table)
     print(json.dumps(result) if as_json else render(result))
     if figure:
-        save_table(figure, "wyner.studies.figures.signalling:draw_table", result)
+        save_table(figure, "wyner.drawing.capacity:draw_table", result)
     return DONE
 
 

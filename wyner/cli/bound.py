@@ -10,7 +10,7 @@ from wyner.cli.figure_file import save_table
 
 if TYPE_CHECKING:
     from protocol.scenario import Scenario
-    from wyner.studies.noise.loop import LinearLoop
+    from wyner.bound.loop import LinearLoop
 
 RATIOS: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Noise over the smallest half-width of D_c, where none is named."""
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the table."""
     from runtime.scenario_file import scenario_of
-    from wyner.studies.noise.loop import BoundError, LinearLoop
+    from wyner.bound.loop import BoundError, LinearLoop
 
     if args.figure and Path(args.figure).suffix not in (".svg", ".png"):
         raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     result = describe(scenario, loop, noises, args, states)
     print(json.dumps(result) if args.json else render(result))
     if args.figure:
-        save_table(args.figure, "wyner.studies.figures.noise:draw_table", result)
+        save_table(args.figure, "wyner.drawing.bound:draw_table", result)
     return DONE
 
 
@@ -124,7 +124,7 @@ def describe(
     import numpy as np
 
     from protocol.statistics import normal
-    from wyner.studies.noise.taps import block_left
+    from wyner.bound.taps import block_left
 
     M = len(loop.offsets)
     active = loop.used > 1

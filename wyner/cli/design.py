@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
     from protocol.statistics import Interval
-    from wyner.studies.why import Why
+    from wyner.advice.why import Why
 
 RUNS, STEPS, SEED = 40, 250, 1
 """The simulation behind the expected rate: 10,000 steps, about a second or less."""
@@ -102,7 +102,7 @@ def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
     """Whether the plant carries keys where some states alone are read."""
     from dataclasses import asdict
 
-    from wyner.studies.outputs import outputs_verdict
+    from wyner.advice.outputs import outputs_verdict
 
     try:
         pairs = [part.split(":") for part in text.split(",")]
@@ -124,8 +124,8 @@ def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
 
 def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
     """Why the rate is what it is; None where the loop leaves its sets meanwhile."""
+    from wyner.advice.why import why
     from wyner.simulate.engine import SimulationError
-    from wyner.studies.why import why
 
     try:
         return why(scenario.model_copy(update={"network": None}), law)
@@ -137,8 +137,8 @@ def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw"
     from wyner.cli.drawing import drawn_to
 
     def draw(figure: "Figure") -> str:
+        from wyner.drawing.design import draw_design
         from wyner.simulate.engine import SimulationError
-        from wyner.studies.figures.design import draw_design
 
         try:
             return draw_design(figure, scenario, design, law)
@@ -242,8 +242,8 @@ def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | No
     over simulated messages, for there each waits for all before it.
     """
     from protocol.statistics import share_over_runs
+    from wyner.advice.missed_share import expected_missed_share
     from wyner.simulate.missed import missed_steps
-    from wyner.studies.missed_share import expected_missed_share
 
     network = scenario.network
     if network is None:

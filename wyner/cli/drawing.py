@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 FILE: Final = "file"
-"""The column of `wyner.studies.grid.FILE`, which takes long to load."""
+"""The column of `wyner.sweeps.grid.FILE`, which takes long to load."""
 
 RATE: Final = "bits_per_second"
 LARGEST_INCHES: Final = 40.0
@@ -109,8 +109,8 @@ def in_words(column: str) -> str:
 
 def ready(path: Path) -> tuple[list[Row], list[str]]:
     """The rows with rates and intervals of a sweep's file, and the fields of its grid."""
-    from wyner.studies.grid import SweepError
-    from wyner.studies.results import fields_in, read_rows, read_table, ready_rows, summarise
+    from wyner.sweeps.grid import SweepError
+    from wyner.sweeps.results import fields_in, read_rows, read_table, ready_rows, summarise
 
     try:
         rows = read_table(path)
@@ -155,7 +155,7 @@ def draw_rows(
     logarithmic: bool,
 ) -> str:
     """A curve for each column and each setting of the other fields; returns the note."""
-    from wyner.studies.figures.style import COLOURS, MARKERS
+    from wyner.drawing.style import COLOURS, MARKERS
 
     others = [name for name in ("scenario", "variant", *fields) if name != x]
     told = [name for name in others if len({row[name] for row in rows}) > 1]
@@ -221,7 +221,7 @@ def drawn_to(
         When the file cannot be written.
     """
     try:
-        from wyner.studies.figures.style import KINDS, drawing, save
+        from wyner.drawing.style import KINDS, drawing, save
     except ImportError:
         raise UsageError(needs(option, "matplotlib")) from None
     path = Path(text)

@@ -25,7 +25,7 @@ def save_table(name: str, drawing_function: str, result: dict[str, Any]) -> None
         Where the file cannot be written.
     """
     try:
-        from wyner.studies.figures.style import drawing, save
+        from wyner.drawing.style import drawing, save
 
         draw = resolve_name(drawing_function)
     except ImportError:

@@ -11,7 +11,7 @@ from runtime.errors import DONE, Failure, UsageError
 from runtime.files import write_atomically
 
 if TYPE_CHECKING:
-    from wyner.studies.fit.fitting import Plan
+    from wyner.fit.fitting import Plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
     from plant_service.adapters.registry import open_plant
     from protocol.scenario import Scenario, ScenarioError
     from runtime.shipped import scenario_file_of
+    from wyner.fit.fitting import fit
+    from wyner.fit.identification import FitError
+    from wyner.fit.toml import as_toml
     from wyner.simulate.engine import SimulationError
-    from wyner.studies.fit.fitting import fit
-    from wyner.studies.fit.identification import FitError
-    from wyner.studies.fit.toml import as_toml
 
     plan = _plan(args)
     path = scenario_file_of(args.scenario)
@@ -113,8 +113,8 @@ def _tables(path: Path) -> dict[str, Any]:
 def _plan(args: argparse.Namespace) -> "Plan":
     """The checked numbers."""
     from runtime.options import at_least
-    from wyner.studies.fit.conformal import rank
-    from wyner.studies.fit.fitting import Plan
+    from wyner.fit.conformal import rank
+    from wyner.fit.fitting import Plan
 
     for name in ("excite_sessions", "excite_steps", "pilot", "calibration", "fresh", "steps"):
         at_least(f"--{name.replace('_', '-')}", getattr(args, name), 1)

@@ -105,7 +105,7 @@ def _run(args: argparse.Namespace) -> int:
         if Path(args.figure).suffix not in (".svg", ".png"):
             raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
         try:
-            from wyner.studies.figures.secrecy import draw_report
+            from wyner.drawing.secrecy import draw_report
 
             draw_report(report, Path(args.figure))
         except ImportError:

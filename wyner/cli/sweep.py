@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
 from wyner.cli.drawing import add_options, draw_sweep
-from wyner.shipped import SWEEPS
+from wyner.sweeps import SWEEPS
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
     from multiprocessing.process import BaseProcess
 
-    from wyner.studies.results import Summary
-    from wyner.studies.sweep import Progress
+    from wyner.sweeps.results import Summary
+    from wyner.sweeps.running import Progress
 
 AHEAD: Final = 256
 """Tasks handed to the workers beyond the one whose rows are written next."""
@@ -75,7 +75,7 @@ def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor
             yield executor
         return
     if jobs == 1:
-        from wyner.studies.sweep import SerialExecutor
+        from wyner.sweeps.running import SerialExecutor
 
         yield SerialExecutor()
         return
@@ -165,9 +165,9 @@ def run(args: argparse.Namespace) -> int:
     from runtime.options import at_least
     from tap_service.command import find_each
     from tap_service.eavesdroppers import named
-    from wyner.studies.grid import SweepError, eavesdroppers_of, load_sweep, points_of
-    from wyner.studies.results import Results, key_of, ready_rows, summarise, write_ready
-    from wyner.studies.sweep import name_of, run_sweep
+    from wyner.sweeps.grid import SweepError, eavesdroppers_of, load_sweep, points_of
+    from wyner.sweeps.results import Results, key_of, ready_rows, summarise, write_ready
+    from wyner.sweeps.running import name_of, run_sweep
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
     at_least("--jobs", jobs, 1)

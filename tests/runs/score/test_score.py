@@ -344,15 +344,15 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("study", ["ladder", "learning", "view"])
 def test_the_page_shows_the_tables_of_its_data(study: str) -> None:
-    from wyner.studies.secrecy.tables import PAGE, in_markdown, read_rows
+    from studies.secrecy.tables import PAGE, in_markdown, read_rows
 
     assert read_rows(study)
     assert in_markdown(study) in PAGE.read_text(encoding="utf-8")
 
 
 def test_a_row_of_the_data_comes_out_again() -> None:
-    from wyner.studies.secrecy.study import measure, tasks
-    from wyner.studies.secrecy.tables import read_rows
+    from studies.secrecy.study import measure, tasks
+    from studies.secrecy.tables import read_rows
 
     rows = {row["task"]: row for study in ("ladder", "alpha") for row in read_rows(study)}
     again = [t for t in tasks(100) if t.id in rows][7:240:40]
@@ -363,8 +363,8 @@ def test_a_row_of_the_data_comes_out_again() -> None:
 
 
 def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
-    from wyner.shipped import DATA
-    from wyner.studies.measurements import MEASUREMENTS
+    from studies import DATA
+    from studies.measurements import MEASUREMENTS
 
     whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
     path = tmp_path / "secrecy-alpha.csv"

@@ -1,0 +1,164 @@
+"""The tables of docs/attacks.md, from the study's rows, and the lines of a defence of one's own."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from protocol.statistics import wilson
+from studies.attacks.study import FILE, SETTLED, Task, attacked
+from wyner.simulate.engine.attacks import ONSET
+from wyner.sweeps.grid import ROOT, SweepError
+
+PAGE: Final = ROOT / "docs" / "attacks.md"
+SHOWN: Final = (1, 2, 3, 5)
+GROUPS: Final = ("limit", "key", "size", "eye", "bus")
+"""Those of one table, in this order; `matrix` and `honest` have one each."""
+
+KEYS: Final = {
+    "nobody": "-",
+    "secret": "secret",
+    "false claim": "false claim, she hears all",
+    "nearest-centre": "the paper's, read by `nearest-centre`",
+    "learnt": "learnt from two steps",
+}
+
+OWN_RUNS: Final = 1000
+OWN_ATTACKS: Final = ("ghost", "ghost who sees exactly", "replay", "stuck", "covert, 0.3")
+
+Row = dict[str, str]
+
+
+def rows_of(path: Path = FILE) -> list[Row]:
+    """The rows of the study.
+
+    Raises
+    ------
+    SweepError
+        When there are none.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except OSError as error:
+        raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
+    if not rows:
+        raise SweepError(f"{path}: has no rows")
+    return rows
+
+
+def unseen(row: Row) -> list[int]:
+    """Runs without an alarm after 0, 1, 2, ... attacked steps."""
+    return [int(n) for n in row["unseen"].split()]
+
+
+def share(count: int, runs: int) -> str:
+    """A share with its interval, as short as it can be said."""
+    found = wilson(count, runs)
+    if count == runs:
+        return f"1 (above {found.low:.4f})"
+    if count == 0:
+        return f"0 (below {found.high:.4f})"
+    return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
+
+
+def main_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Who attacks, what stands against her, who has the key, and what became of it."""
+    lines: list[tuple[str, ...]] = [
+        (
+            "attack",
+            "defence, M",
+            "key",
+            *(f"unseen after {n}" for n in SHOWN),
+            "at the end",
+            "plant away: mean, largest",
+        )
+    ]
+    for group in GROUPS:
+        for row in (r for r in rows if r["group"] == group):
+            runs, left = int(row["runs"]), unseen(row)
+            lines.append(
+                (
+                    row["attack"],
+                    f"{row['defence']}, {row['M']}",
+                    KEYS[row["key"]],
+                    *(share(left[n], runs) for n in SHOWN),
+                    f"{share(left[-1], runs)} at {row['steps']}",
+                    f"{float(row['away']):.2f}, {float(row['away_largest']):.2f}",
+                )
+            )
+    return lines
+
+
+def matrix_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Shares unseen after ten steps: attacks down, defences across, key had and not had."""
+    mine = [r for r in rows if r["group"] == "matrix"]
+    heads = list(dict.fromkeys((r["defence"], r["key"]) for r in mine))
+    has = {"nobody": "", "secret": ", key secret", "false claim": ", she has the key"}
+    lines: list[tuple[str, ...]] = [("attack", *(f"{d}{has[k]}" for d, k in heads))]
+    for attack in dict.fromkeys(r["attack"] for r in mine):
+        cells = []
+        for head in heads:
+            (row,) = (r for r in mine if r["attack"] == attack and (r["defence"], r["key"]) == head)
+            cells.append(share(unseen(row)[10], int(row["runs"])))
+        lines.append((attack, *cells))
+    return lines
+
+
+def honest_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """False alarms by disturbance."""
+    mine = [r for r in rows if r["group"] == "honest"]
+    lines: list[tuple[str, ...]] = [("disturbance", "honest steps", "alarms")]
+    lines += [(r["key"], f"{int(r['honest_steps']):,}", r["false_alarms"]) for r in mine]
+    total = sum(int(r["honest_steps"]) for r in mine)
+    lines.append(("all", f"{total:,}", str(sum(int(r["false_alarms"]) for r in mine))))
+    return lines
+
+
+def in_markdown(table: Sequence[Sequence[str]]) -> str:
+    """A table as the page holds it."""
+    head, *lines = ("| " + " | ".join(line) + " |" for line in table)
+    return "\n".join([head, "|---" * len(table[0]) + "|", *lines])
+
+
+TABLES: Final = {"matrix": matrix_table, "attacks": main_table, "honest": honest_table}
+
+
+def written(text: str, rows: Sequence[Row]) -> str:
+    """The page with its tables between their marks."""
+    for name, make in TABLES.items():
+        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
+        before, mark, rest = text.partition(begin)
+        _, closed, after = rest.partition(end)
+        if not (mark and closed):
+            raise ValueError(f"{PAGE.name}: lacks the marks of the table {name!r}")
+        text = f"{before}{begin}{in_markdown(make(rows))}\n{end}{after}"
+    return text
+
+
+def write() -> None:
+    """Put the tables on the page."""
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), rows_of()), encoding="utf-8")
+
+
+def own(defence: str) -> str:
+    """Shares unseen of every attack under a defence of a user's own, a line each.
+
+    Raises
+    ------
+    UnknownError
+        When there is no such defence.
+    """
+    lines = []
+    for attack in OWN_ATTACKS:
+        for key in ("secret", "false claim"):
+            onset = SETTLED if attack == "replay" else ONSET
+            task = Task("own", attack, (defence,), key, runs=OWN_RUNS, onset=onset)
+            found, _ = attacked(task)
+            left = found.undetected()
+            has = "key secret" if key == "secret" else "she has the key"
+            shown = ", ".join(f"{n}: {share(int(left[n]), OWN_RUNS)}" for n in SHOWN)
+            lines.append(f"{attack}, {has}: unseen after {shown}")
+            if found.false_alarms:
+                lines.append(f"  {found.false_alarms} honest steps alarmed")
+    return "\n".join(lines)

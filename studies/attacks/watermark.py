@@ -1,0 +1,102 @@
+"""What a secret dither must cost, if a fabricator is to be caught (docs/attacks.md, theorem 2).
+
+One input, any D_c, any dither zeta, any test without false alarms. sigma is the longest step along
+the input that D_c explains: the spacing that certainty needs. If one who does not know zeta passes
+with probability at most mu, then Var zeta >= sigma^2 (mu^-2 - 1) / 12.
+"""
+
+import math
+from collections.abc import Iterator
+from statistics import NormalDist
+from typing import Any, Final
+
+import numpy as np
+
+from controller_service.sets.separation import Separation
+from controller_service.sets.terminal import feedback_gain
+from protocol.scenario import Scenario
+from runtime.scenario_file import scenario_of
+from wyner.capacity.table import dither_price
+
+SIZES: Final = (2, 3, 4, 5, 6, 8, 12, 16)
+SCENARIO: Final = "packed"
+COLUMNS: Final = ("scenario", "dither", "M", "pass", "variance", "state_price", "input_price")
+SOURCES: Final = ("studies/attacks/watermark.py", "wyner/capacity/table.py")
+
+
+def least(mu: float) -> float:
+    """(mu^-2 - 1) / 12: no dither of less variance, in sigma^2, is passed so seldom."""
+    return (mu**-2 - 1) / 12
+
+
+def packed(size: int) -> float:
+    """Variance of M points a sigma apart, in sigma^2; each is passed with probability 1/M.
+
+    Points so close may touch, so the project's alphabets stand a millionth farther apart.
+    """
+    return float(np.arange(size).var())
+
+
+def gaussian(mu: float) -> float:
+    """Variance of the normal dither that is passed with probability ``mu``, in sigma^2.
+
+    Of its windows of length sigma the middle one holds the most, 2 Phi(sigma / 2 s) - 1.
+    """
+    return (2 * NormalDist().inv_cdf((1 + mu) / 2)) ** -2
+
+
+def gaussian_passes(variance: float) -> float:
+    """The other way: how often a normal dither of this variance, in sigma^2, is passed."""
+    return 2 * NormalDist().cdf(0.5 / math.sqrt(variance)) - 1
+
+
+def least_by_program(mu: float, cells: int, reach: float) -> float:
+    """The least variance over every distribution on a grid, in sigma^2: a linear program.
+
+    Parameters
+    ----------
+    mu : float
+        Most mass of ``cells`` neighbouring points, which is a window a little shorter than sigma.
+    cells : int
+        Points a sigma.
+    reach : float
+        How far the grid goes, in sigma.
+    """
+    from scipy.optimize import linprog
+
+    count = 2 * round(reach * cells) + 1
+    z = (np.arange(count) - count // 2) / cells
+    ones = np.ones((count, count))
+    windows = np.triu(ones) - np.triu(ones, cells)
+    found = linprog(
+        z**2,
+        A_ub=windows,
+        b_ub=np.full(count, mu),
+        A_eq=np.vstack((np.ones(count), z)),
+        b_eq=[1.0, 0.0],
+        method="highs",
+    )
+    if found.fun is None:
+        raise ValueError(f"mu = {mu:g}: {found.message}")
+    return float(found.fun)
+
+
+def spacing(scenario: Scenario) -> float:
+    """sigma of a scenario with one input."""
+    return Separation.of(scenario.B, scenario.defender.disturbance).sigma()
+
+
+def price_rows() -> Iterator[tuple[Any, ...]]:
+    """What each dither adds to the means of x'x and u'u on the paper's plant, by 1/M."""
+    scenario = scenario_of(SCENARIO)
+    price = dither_price(np.array(scenario.A), np.array(scenario.B), feedback_gain(scenario))
+    unit = spacing(scenario) ** 2
+    for size in SIZES:
+        mu = 1 / size
+        for name, variance in (
+            ("any, proved", least(mu)),
+            ("packed", packed(size)),
+            ("Gaussian", gaussian(mu)),
+        ):
+            cost = variance * unit
+            yield SCENARIO, name, size, mu, variance, price.state[0] * cost, price.input[0] * cost

@@ -1,0 +1,87 @@
+"""The figures of docs/attacks.md."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from protocol.statistics import wilson
+from studies.figures.rows import plain_rows
+from wyner.drawing.style import COLOURS, MARKERS
+
+SHOWN_STEPS = 12
+
+LINES = {
+    ("keyed-coin", "secret"): "key that is secret",
+    ("keyed-coin", "false claim"): "key that the tap has",
+    ("residual", "nobody"): "no key",
+}
+
+
+def draw_undetected(figure: Figure, data: Path) -> str:
+    """Share of attacked runs without an alarm, by steps since the onset."""
+    rows = plain_rows(data / "attacks.csv")
+    axes = figure.subplots()
+    steps = np.arange(1, SHOWN_STEPS + 1)
+    runs = seed = size = 0
+    for place, (which, label) in enumerate(LINES.items()):
+        (row,) = (
+            r
+            for r in rows
+            if r["group"] == "key" and r["attack"] == "ghost" and (r["defence"], r["key"]) == which
+        )
+        left = [int(n) for n in row["unseen"].split()]
+        runs, seed, size = row["runs"], row["seed"], row["M"]
+        found = [wilson(left[n], runs) for n in steps]
+        value = np.array([f.value for f in found])
+        axes.errorbar(
+            steps + 0.15 * max(0, place - 1),
+            np.where(value > 0, value, np.nan),
+            yerr=[
+                [max(0.0, f.value - f.low) for f in found],
+                [max(0.0, f.high - f.value) for f in found],
+            ],
+            fmt=MARKERS[place],
+            color=COLOURS[place],
+            mfc="none",
+            capsize=2,
+            label=label,
+        )
+    axes.plot(steps, float(size) ** -steps, color="0.4", ls="--", lw=1, label="$M^{-n}$")
+    axes.set_yscale("log")
+    axes.set_ylim(2e-5, 2)
+    axes.set_xlabel("attacked steps n")
+    axes.set_ylabel("share of runs without an alarm")
+    axes.legend(loc="center right")
+    return (
+        f"The paper's plant, M = {size}, a ghost at the sensor. {runs} runs a line, seed {seed}; "
+        "95 % Wilson intervals"
+    )
+
+
+def draw_dither(figure: Figure, data: Path) -> str:
+    """What a dither costs against how often one who does not know it passes."""
+    rows = plain_rows(data / "dither-price.csv")
+    axes = figure.subplots()
+    kinds = {"any, proved": ("-", ""), "packed": ("", "o"), "Gaussian": ("--", "^")}
+    for place, (kind, (line, marker)) in enumerate(kinds.items()):
+        mine = [r for r in rows if r["dither"] == kind]
+        axes.loglog(
+            [1 / r["M"] for r in mine],
+            [r["state_price"] for r in mine],
+            ls=line or "none",
+            marker=marker or None,
+            mfc="none",
+            color=COLOURS[place],
+            label={"any, proved": "no dither costs less"}.get(kind, kind),
+        )
+    sizes = sorted({r["M"] for r in rows})
+    axes.set_xticks([1 / m for m in sizes], [f"1/{m}" for m in sizes])
+    axes.minorticks_off()
+    axes.set_yticks(
+        [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], ["0.02", "0.05", "0.1", "0.2", "0.5", "1", "2"]
+    )
+    axes.set_xlabel("probability that a fabricator passes a step")
+    axes.set_ylabel("added to the mean of $x^\\top x$")
+    axes.legend()
+    return f"{rows[0]['scenario']}: u = K x + p, no constraint active; a closed form"

@@ -1,0 +1,47 @@
+"""The figure of docs/keys.md."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from protocol.statistics import wilson
+from studies.figures.rows import plain_rows
+from wyner.drawing.style import COLOURS
+
+
+def draw_controls(figure: Figure, data: Path) -> str:
+    """Blocks that she breaks, with each rule broken and kept."""
+    rows = plain_rows(data / "key-controls.csv")
+    controls = list(dict.fromkeys(r["control"] for r in rows))
+    axes = figure.subplots()
+    for i, (rule, marker) in enumerate((("broken", "s"), ("kept", "o"))):
+        for place, control in enumerate(controls):
+            row = next(r for r in rows if (r["control"], r["rule"]) == (control, rule))
+            share = row["breached"] / row["blocks"]
+            _, low, high = wilson(row["breached"], row["blocks"])
+            axes.errorbar(
+                [share],
+                [place + 0.2 * (i - 0.5)],
+                xerr=[[max(0.0, share - low)], [max(0.0, high - share)]],
+                fmt=marker,
+                color=COLOURS[1 - i],
+                capsize=2,
+                label=f"rule {rule}" if place == 0 else None,
+            )
+            axes.annotate(
+                f"{row['worst_bits']} bit",
+                (share, place + 0.2 * (i - 0.5)),
+                textcoords="offset points",
+                xytext=(8 if share < 0.5 else -8, 4),
+                ha="left" if share < 0.5 else "right",
+                fontsize=6.5,
+            )
+    axes.set_yticks(range(len(controls)), controls)
+    axes.invert_yaxis()
+    axes.set_xlim(-0.05, 1.05)
+    axes.set_xlabel(
+        "share of blocks that she breaks; beside it, the most bits that she holds, or made differ"
+    )
+    axes.legend(loc="center", fontsize=7)
+    blocks, last = rows[0]["blocks"], rows[0]["last_seed"]
+    return f"{blocks} blocks each, one in each of {blocks} runs, seeds 0 to {last}; 95 % intervals"

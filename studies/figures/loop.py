@@ -1,0 +1,366 @@
+"""The figures of docs/findings.md: rates, agreements, disturbances, price, plants, sets."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from protocol.statistics import Interval, normal_mean, wilson
+from studies.figures.rows import FigureError, plain_rows
+from wyner.drawing.style import COLOURS, MARKERS
+from wyner.sweeps.grid import SweepError
+from wyner.sweeps.results import Summary, read_rows, summarise
+
+FEWEST: Final = 20
+"""Transitions below which a bin of the figure ``distance`` is left out."""
+
+
+def summaries(data: Path, name: str) -> list[Summary]:
+    """The points of a sweep's data file."""
+    try:
+        return summarise(read_rows(data / f"{name}.csv"))
+    except SweepError as error:
+        raise FigureError(str(error)) from None
+
+
+def alpha_of(s: Summary) -> float:
+    """The point's alpha."""
+    return float(s.first["secrecy.alpha"])
+
+
+def start_of(s: Summary) -> str:
+    """The point's initial state."""
+    x = json.loads(s.first["plant.initial_state"])
+    return "x(0) = (" + ", ".join(f"{v:g}" for v in x) + ")"
+
+
+def by(points: Iterable[Summary], key: Callable[[Summary], str]) -> dict[str, list[Summary]]:
+    """The points grouped, in order of first appearance."""
+    found: dict[str, list[Summary]] = {}
+    for s in points:
+        found.setdefault(key(s), []).append(s)
+    return found
+
+
+def note_of(points: Sequence[Summary], text: str = "bars and bands") -> str:
+    """Runs, steps, seed and interval of a sweep's points."""
+    runs = sorted({s.runs for s in points})
+    steps = sorted({int(s.first["steps"]) for s in points})
+    seeds = sorted({int(s.first["seed"]) for s in points})
+
+    def shown(values: list[int]) -> str:
+        return str(values[0]) if len(values) == 1 else f"{values[0]} to {values[-1]}"
+
+    return (
+        f"{shown(runs)} runs of {shown(steps)} steps a point, seed {shown(seeds)}; {text}: 95 % "
+        "bootstrap intervals over runs"
+    )
+
+
+def curve(
+    axes: Axes, points: Sequence[Summary], label: str, place: int, *, bars: bool = False
+) -> None:
+    """Rate against alpha with its interval."""
+    alphas = [alpha_of(s) for s in points]
+    rates = [s.rate for s in points]
+    value = [r.value for r in rates]
+    colour, marker = COLOURS[place], MARKERS[place]
+    if bars:
+        errors = [[r.value - r.low for r in rates], [r.high - r.value for r in rates]]
+        axes.errorbar(
+            alphas,
+            value,
+            yerr=errors,
+            fmt=marker,
+            color=colour,
+            mfc="none",
+            capsize=2,
+            label=label,
+            lw=0.8,
+        )
+        return
+    axes.fill_between(
+        alphas, [r.low for r in rates], [r.high for r in rates], color=colour, alpha=0.2, lw=0
+    )
+    axes.plot(alphas, value, color=colour, label=label, lw=1.4)
+
+
+def draw_paper(figure: Figure, data: Path) -> str:
+    """Fig. 7: the rate under the paper's law."""
+    many, printed = summaries(data, "fig7-paper"), summaries(data, "fig7-paper-20")
+    axes = figure.subplots()
+    for place, (start, points) in enumerate(by(many, start_of).items()):
+        curve(axes, points, f"{start}, {points[0].runs} runs", place)
+    for place, (start, points) in enumerate(by(printed, start_of).items()):
+        curve(axes, points, f"{start}, {points[0].runs} runs", place, bars=True)
+    axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
+    axes.set_ylabel("message rate (bit/s)")
+    axes.set_title("Law paper: rate against alpha (the paper's Fig. 7)")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="upper left")
+    return note_of([*many, *printed])
+
+
+def draw_sustained(figure: Figure, data: Path) -> str:
+    """The rate under the law that keeps talking, with both ceilings."""
+    short, long = summaries(data, "fig7-sustained"), summaries(data, "sustained-long")
+    axes = figure.subplots()
+    for place, (start, points) in enumerate(by(short, start_of).items()):
+        curve(axes, points, f"{start}, {points[0].first['steps']} steps", place)
+    curve(axes, long, f"{long[0].first['steps']} steps", 3, bars=True)
+    alphas, ceiling = [], []
+    for s in long:
+        p = s.counts["agreements"] / s.counts["tested"]
+        alphas.append(alpha_of(s))
+        ceiling.append(p / (1 + p) / s.first["period_s"])
+    axes.plot(
+        alphas, ceiling, "k:", lw=1, label="p / (1 + p) a step, p as measured over the long runs"
+    )
+    half = 0.5 / long[0].first["period_s"]
+    axes.axhline(half, color="k", ls="--", lw=1, label="1/2 bit a step, the scheme's ceiling")
+    axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
+    axes.set_ylabel("message rate (bit/s)")
+    axes.set_title("Law sustained: rate against alpha")
+    axes.set_ylim(0, half * 1.25)
+    axes.legend(loc="upper left", ncols=2, fontsize=7)
+    return note_of([*short, *long])
+
+
+def draw_distance(figure: Figure, data: Path) -> str:
+    """Probability of Diff against the candidates' distance, closed form beside simulation."""
+    rows = [r for r in plain_rows(data / "distance.csv") if r["transitions"] >= FEWEST]
+    axes = figure.subplots()
+    for place, alpha in enumerate(sorted({r["alpha"] for r in rows})):
+        mine = [r for r in rows if r["alpha"] == alpha]
+        x = [r["distance"] for r in mine]
+        shares = [wilson(r["in_diff"], r["transitions"]) for r in mine]
+        errors = [[s.value - s.low for s in shares], [s.high - s.value for s in shares]]
+        colour = COLOURS[place]
+        axes.plot(
+            x,
+            [r["expected"] for r in mine],
+            color=colour,
+            lw=1.2,
+            label=f"closed form, α = {alpha:g}",
+        )
+        axes.errorbar(
+            *(x, [s.value for s in shares]),
+            yerr=errors,
+            fmt=MARKERS[place],
+            color=colour,
+            mfc="none",
+            lw=0.8,
+        )
+    axes.set_xlabel("distance of the two centres, g(c₀ − c₁), in units of D_c")
+    axes.set_ylabel("probability that x(k+1) is in Diff")
+    axes.set_title("When agreements happen (law sustained)")
+    axes.set_ylim(0, 1.05)
+    axes.legend(loc="center right")
+    first = rows[0]
+    return (
+        f"{first['runs']} runs of {first['steps']} steps, seed {first['seed']}; bars: 95 % Wilson "
+        f"intervals of each bin of at least {FEWEST} steps, taken as independent"
+    )
+
+
+def draw_disturbances(figure: Figure, data: Path) -> str:
+    """Rate, wrongly decoded coins, and what the taps get, by kind of disturbance."""
+    points = summaries(data, "disturbances")
+    taps = {r["variant"]: r for r in plain_rows(data / "taps.csv")}
+    kinds = by(points, lambda s: str(s.first["variant"]))
+    left, middle, right = figure.subplots(1, 3, sharey=True)
+    y = list(range(len(kinds)))
+    for place, alpha in enumerate(sorted({alpha_of(s) for s in points})):
+        rates = [next(s.rate for s in group if alpha_of(s) == alpha) for group in kinds.values()]
+        _bars(left, y, rates, place, f"α = {alpha:g}")
+        wrong = []
+        for group in kinds.values():
+            s = next(s for s in group if alpha_of(s) == alpha)
+            wrong.append(_share(s.counts["mistaken"], s.counts["agreements"], s.runs))
+        _bars(middle, y, wrong, place, f"α = {alpha:g}")
+    nearest = [
+        _share(taps[k]["nearest_right"], taps[k]["agreements"], taps[k]["runs"]) for k in kinds
+    ]
+    _bars(right, y, nearest, 0, "key symbols, nearest-centre")
+    sent = [(i, taps[k]) for i, k in enumerate(kinds) if taps[k]["delivered"]]
+    read = [_share(r["read_by_list_decoder"], r["delivered"], r["runs"]) for _, r in sent]
+    _bars(right, [i for i, _ in sent], read, 1, "messages, list-decoder")
+    left.set_yticks(y, list(kinds))
+    left.invert_yaxis()
+    left.set_xlabel("rate (bit/s)")
+    middle.set_xlabel("keys other than the coin (%)")
+    right.set_xlabel("the taps get (%)")
+    right.set_xlim(-5, 108)
+    left.legend(fontsize=7)
+    right.legend(fontsize=7, loc="center left")
+    figure.suptitle("Other disturbances (law sustained)")
+    first = next(iter(taps.values()))
+    return note_of(points) + (
+        ".\nKeys and taps: 95 % Wilson intervals with runs as trials, since the steps of one "
+        f"depend; taps: {first['runs']} runs of {first['steps']} steps, "
+        f"α = {first['alpha']:g}, seed {first['seed']}; where no message is shown, none was "
+        "whole by then"
+    )
+
+
+def _share(right: int, of: int, runs: int) -> Interval:
+    """A share in per cent of sums over runs, with Wilson's interval for so many runs.
+
+    How runs differ is not in the data; at most they are all or nothing, and then a run is a trial.
+    """
+    return wilson(right / of * min(runs, of), min(runs, of)).scaled(100)
+
+
+def _bars(axes: Axes, y: Sequence[int], values: Sequence[Interval], place: int, label: str) -> None:
+    """Points with intervals, lying; each series a little lower than the one before."""
+    errors = [[v.value - v.low for v in values], [v.high - v.value for v in values]]
+    axes.errorbar(
+        [v.value for v in values],
+        [v + 0.2 * (place - 1) for v in y],
+        xerr=errors,
+        fmt=MARKERS[place],
+        color=COLOURS[place],
+        mfc="none",
+        lw=0.9,
+        capsize=2,
+        label=label,
+    )
+
+
+def draw_price(figure: Figure, data: Path) -> str:
+    """State cost and input effort of each law."""
+    points = summaries(data, "price")
+    kinds = by(points, lambda s: str(s.first["variant"]))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, name in ((left, "state_cost"), (right, "input_effort")):
+        for place, (kind, group) in enumerate(kinds.items()):
+            s = group[-1]
+            cost = normal_mean(s.sums[name], s.sums[f"{name}_squares"], s.runs)
+            for one in group:
+                rate = one.rate
+                axes.errorbar(
+                    cost.value,
+                    rate.value,
+                    xerr=[[cost.value - cost.low], [cost.high - cost.value]],
+                    yerr=[[rate.value - rate.low], [rate.high - rate.value]],
+                    fmt=MARKERS[place],
+                    color=COLOURS[place],
+                    mfc="none",
+                    lw=0.9,
+                    label=kind if one is s else None,
+                )
+                if rate.value > 0 and axes is left:
+                    axes.annotate(f" α = {alpha_of(one):g}", (cost.value, rate.value), fontsize=7)
+    left.set_xlabel(r"state cost, mean $|x(k+1)|^2$ a step")
+    right.set_xlabel(r"input effort, mean $|u(k)|^2$ a step")
+    left.set_ylabel("message rate (bit/s)")
+    left.margins(x=0.15)
+    right.legend(fontsize=7)
+    figure.suptitle("The price of the channel, from the origin")
+    return note_of(points) + "; of costs: normal intervals"
+
+
+def draw_plants(figure: Figure, data: Path) -> str:
+    """The channel of other plants, and how far apart their candidates are."""
+    points = summaries(data, "plants")
+    widths = plain_rows(data / "widths.csv")
+    left, right = figure.subplots(1, 2)
+    for place, (name, group) in enumerate(by(points, lambda s: str(s.first["scenario"])).items()):
+        steps = [s.rate.scaled(s.first["period_s"]) for s in group]
+        alphas = [alpha_of(s) for s in group]
+        colour = COLOURS[place]
+        left.fill_between(
+            alphas, [r.low for r in steps], [r.high for r in steps], color=colour, alpha=0.2, lw=0
+        )
+        left.plot(
+            alphas,
+            [r.value for r in steps],
+            color=colour,
+            label=name,
+            marker=MARKERS[place],
+            mfc="none",
+        )
+        mine = [r for r in widths if r["scenario"] == name]
+        right.plot(
+            [r["distance"] for r in mine], [r["quantile"] for r in mine], color=colour, label=name
+        )
+    left.axhline(0.5, color="k", ls="--", lw=1)
+    left.set_ylim(0, 0.55)
+    left.set_xlabel(r"$\alpha$")
+    left.set_ylabel("message rate (bit a step)")
+    right.set_xscale("symlog", linthresh=1)
+    right.set_xlabel("distance of the centres, in units of D_c")
+    right.set_ylabel("share of steps below")
+    right.axvline(2, color="k", ls=":", lw=1)
+    right.legend(fontsize=7, loc="lower right")
+    figure.suptitle("Other plants (law sustained)")
+    first = widths[0]
+    return note_of(points) + (
+        f".\nRight: {first['runs']} runs of {first['steps']} steps, seed {first['seed']}; dashed: "
+        "the ceiling; dotted: from distance 2 on the defender always tells the candidates apart"
+    )
+
+
+def draw_sets(figure: Figure, data: Path) -> str:
+    """Some T_i with trajectories through them; Fig. 4 for one step."""
+    rows = plain_rows(data / "sets.csv")
+    left, right = figure.subplots(1, 2)
+    names = {r["name"]: None for r in rows if r["kind"] == "set"}
+    for name in names:
+        ring = [r for r in rows if r["kind"] == "set" and r["name"] == name]
+        x = [r["x_1"] for r in (*ring, ring[0])]
+        y = [r["x_2"] for r in (*ring, ring[0])]
+        left.plot(x, y, color="0.6", lw=0.8)
+        top = max(ring, key=lambda r: r["x_2"])
+        left.annotate(f"${name}$", (top["x_1"], top["x_2"]), fontsize=7, color="0.3", clip_on=True)
+    tracks = {r["name"]: None for r in rows if r["kind"] == "trajectory"}
+    for place, name in enumerate(tracks):
+        track = [r for r in rows if r["kind"] == "trajectory" and r["name"] == name]
+        x, y = [r["x_1"] for r in track], [r["x_2"] for r in track]
+        law = name.split()[0]
+        left.plot(
+            x,
+            y,
+            color=COLOURS[place],
+            marker=".",
+            ms=3,
+            lw=0.8,
+            label=f"law {law}, x₁(0) = {x[0]:g}",
+        )
+    left.set_xlabel("$x_1$")
+    left.set_ylabel("$x_2$")
+    left.set_xlim(-3, 7)
+    left.set_ylim(-11, 9)
+    left.legend(fontsize=7, loc="upper right")
+    step = {r["name"]: r for r in rows if r["kind"] == "step"}
+    w = step["D_c"]["x_1"], step["D_c"]["x_2"]
+    for place, name in enumerate(("c_0", "c_1")):
+        c = step[name]["x_1"], step[name]["x_2"]
+        right.plot(*c, marker="+", ms=8, color=COLOURS[place], ls="none")
+        right.annotate(f" ${name}$", c, color=COLOURS[place])
+        for scale, style in ((1.0, "-"), (3.0, "--")):
+            x = [c[0] + s * scale * w[0] for s in (-1, 1, 1, -1, -1)]
+            y = [c[1] + s * scale * w[1] for s in (-1, -1, 1, 1, -1)]
+            who = f"Reach$^{'c' if scale == 1 else 'e'}(x, u_{place})$"
+            label = who if scale == 1 else f"{who}, α = 3"
+            right.plot(x, y, style, color=COLOURS[place], lw=1, label=label)
+    right.plot(step["x(k+1)"]["x_1"], step["x(k+1)"]["x_2"], "k*", ms=9, label="x(k+1), in Diff")
+    right.set_xlabel("$x_1$")
+    right.set_ylabel("$x_2$")
+    centres = [step["c_0"], step["c_1"]]
+    low = min(c["x_2"] for c in centres) - 3.4 * w[1]
+    high = max(c["x_2"] for c in centres) + 5.0 * w[1]
+    middle = sum(c["x_1"] for c in centres) / 2
+    right.set_ylim(low, high)
+    right.set_xlim(middle - (high - low) / 2, middle + (high - low) / 2)
+    right.set_aspect("equal")
+    right.legend(fontsize=6.5, loc="upper center", ncols=3, columnspacing=1, handlelength=1.5)
+    figure.suptitle(
+        "Sets with trajectories through them, and one step of them (the paper's Fig. 4)"
+    )
+    return (
+        f"one run each, seed {rows[0]['seed']}; right: step {step['c_0']['index']} of law sustained"
+    )

@@ -1,0 +1,52 @@
+"""The figure of what a network costs: control cost and message rate, by fallback."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from studies.figures.rows import plain_rows
+from wyner.drawing.style import COLOURS, MARKERS
+
+SHOWN = (
+    ("loss", "loss of a message, each way"),
+    ("delay", "mean round trip in periods"),
+)
+
+
+def draw_network(figure: Figure, data: Path) -> str:
+    """Cost above, rate below; losses on the left, delays on the right."""
+    rows = plain_rows(data / "network.csv")
+    axes = figure.subplots(2, 2, sharex="col", sharey="row")
+    for column, (part, label) in enumerate(SHOWN):
+        for row, (name, unit) in enumerate(
+            (("cost", "control cost a step"), ("bits_per_second", "message rate (bit/s)"))
+        ):
+            plot = axes[row][column]
+            for place, fallback in enumerate(dict.fromkeys(r["fallback"] for r in rows)):
+                own = [r for r in rows if r["part"] == part and r["fallback"] == fallback]
+                plot.errorbar(
+                    [r["value"] for r in own],
+                    [r[name] for r in own],
+                    yerr=[
+                        [r[name] - r[f"{name}_low"] for r in own],
+                        [r[f"{name}_high"] - r[name] for r in own],
+                    ],
+                    fmt=f"{MARKERS[place]}-",
+                    color=COLOURS[place],
+                    mfc="none",
+                    capsize=2,
+                    lw=1,
+                    label=fallback,
+                )
+            if column == 0:
+                plot.set_ylabel(unit)
+        axes[0][column].set_yscale("log")
+        axes[1][column].set_ylim(bottom=0)
+        axes[1][column].set_xlabel(label)
+    axes[0][0].legend(title="fallback", fontsize=7)
+    figure.suptitle("What a network costs the loop `sustained`")
+    first = rows[0]
+    return (
+        f"{first['runs']} runs of {first['steps']} steps a point, seed {first['seed']}; bars: 95 % "
+        "Student intervals over runs"
+    )

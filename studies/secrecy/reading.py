@@ -1,0 +1,178 @@
+"""The reading study: whole messages, read by one who hears badly, and how sure she was.
+
+``python -m studies.secrecy.reading`` adds to ``docs/data/secrecy-reading.csv`` the runs that
+it lacks, each as it is made; a run that is there already is not made again.
+"""
+
+import argparse
+import hashlib
+import multiprocessing
+import random
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from studies import DATA
+from studies.secrecy.runs import simulate, text_of
+from studies.secrecy.sentences import SENTENCES
+from studies.secrecy.study import SOURCES, append_rows, heard_by, offline, said_about
+from tap_service.capture.channel import View
+from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers.base import Eavesdropper
+from tap_service.eavesdroppers.text import Text
+from tap_service.inference.english import AnyBytes
+from wyner.runs.score.score import score
+from wyner.sweeps.grid import code_version
+
+FILE: Final = DATA / "secrecy-reading.csv"
+
+RUNS: Final = 30
+"""Seeds of a condition of `packed`."""
+
+FEW: Final = 20
+"""Seeds of a condition of `sustained`."""
+
+FIRST_SEED: Final = 1000
+
+RANDOM_BYTES: Final = 24
+"""Bytes of a message that is no text."""
+
+ANY_BYTES: Final = "text, any bytes"
+"""`text`, who expects no language: beside her on messages that have none."""
+
+COLUMNS: Final = (
+    "task", "version", "condition", "tap", "seed", "steps", "keys", "keys_right", "bits",
+    "bits_right", "messages", "messages_exact", "probability", "likeliest_exact", "bits_left",
+    "message_bits", "cpu_s",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One run before one eavesdropper."""
+
+    condition: str
+    tap: str
+    seed: int
+    scenario: str = "packed"
+    steps: int = 320
+    view: View = field(default_factory=View)
+    payload: str = "sentence"
+
+    @property
+    def id(self) -> str:
+        """A hash of what is measured and how."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+
+
+PACKED: Final[dict[str, dict[str, Any]]] = {
+    "packed, loss 30 %": {"loss": 0.3},
+    "packed, offers only": {"view": "offers"},
+    "packed, noise 0.05": {"noise": 0.05},
+    "packed, loss 50 %": {"loss": 0.5},
+    "packed, measurements only": {"view": "measurements"},
+}
+
+SUSTAINED: Final[dict[str, dict[str, Any]]] = {
+    "sustained, loss 10 %": {"loss": 0.1},
+    "sustained, loss 30 %": {"loss": 0.3},
+}
+
+LONG: Final[dict[str, dict[str, Any]]] = {
+    "packed, 600 steps, loss 10 %": {"loss": 0.1},
+    "packed, 600 steps, loss 30 %": {"loss": 0.3},
+    "packed, 600 steps, noise 0.05": {"noise": 0.05},
+}
+"""The rows of docs/findings.md."""
+
+OTHERS: Final = ("packed-double-integrator", "packed-quadruple-tank", "packed-batch-reactor")
+
+
+def readings(taps: Sequence[str] = ("text", "smoother")) -> Iterator[Reading]:
+    """The whole study, the same captures before every tap."""
+    for tap in taps:
+        for i in range(RUNS):
+            seed = FIRST_SEED + i
+            for condition, knobs in PACKED.items():
+                yield Reading(condition, tap, seed, view=View(seed=seed, **knobs))
+            if i < FEW:
+                for condition, knobs in SUSTAINED.items():
+                    view = View(seed=seed, **knobs)
+                    yield Reading(condition, tap, seed, "sustained", 1000, view, "short")
+            if i < FEW // 2:
+                view = View(seed=seed, loss=0.3)
+                name = "packed, random bytes, loss 30 %"
+                yield Reading(name, tap, seed, view=view, payload="bytes")
+                if tap == Text.name:
+                    yield Reading(name, ANY_BYTES, seed, view=view, payload="bytes")
+                for condition, knobs in LONG.items():
+                    view = View(seed=seed, **knobs)
+                    yield Reading(condition, tap, seed, steps=600, view=view)
+            for name in OTHERS if i < FEW // 4 else ():
+                view = View(seed=seed, loss=0.3)
+                yield Reading(f"{name}, loss 30 %", tap, seed, name, view=view)
+
+
+def payload_of(reading: Reading) -> bytes:
+    """Its message, by its seed."""
+    rng = random.Random(f"reading {reading.scenario} {reading.payload} {reading.seed}")
+    if reading.payload == "bytes":
+        return rng.randbytes(RANDOM_BYTES)
+    if reading.payload == "short":
+        return text_of(rng)
+    return SENTENCES[(reading.seed - FIRST_SEED) % len(SENTENCES)].encode("ascii")
+
+
+def measure(reading: Reading) -> dict[str, object]:
+    """One row."""
+    payload = payload_of(reading)
+    run = simulate(reading.steps, reading.seed, name=reading.scenario, payloads=[payload])
+    knowledge = reading.view.told(run.scenario.knowledge())
+    begun = time.process_time()
+    if reading.tap == ANY_BYTES:
+        tap: Eavesdropper = Text(knowledge, AnyBytes(), live=False)
+    else:
+        tap = offline(named(reading.tap), knowledge)
+    said = said_about(tap, heard_by(run, reading.view))
+    scored = score(run.truth, said)
+    belief = said.belief
+    return {
+        "task": reading.id,
+        "version": code_version(*SOURCES),
+        "condition": reading.condition,
+        "tap": reading.tap,
+        "seed": reading.seed,
+        "steps": reading.steps,
+        "keys": scored.keys.of,
+        "keys_right": f"{scored.keys_reviewed.right:g}",
+        "bits": scored.bits.of,
+        "bits_right": f"{scored.bits.right:g}",
+        "messages": scored.messages.of,
+        "messages_exact": int(scored.messages.right),
+        "probability": f"{belief.confidence:.6g}",
+        "likeliest_exact": int(belief.message == payload),
+        "bits_left": ""
+        if belief.bits_left is None
+        else f"{min(belief.bits_left, 8 * len(payload)):.3f}",  # no message leaves more
+        "message_bits": 8 * len(payload),
+        "cpu_s": f"{time.process_time() - begun:.2f}",
+    }
+
+
+def add_rows(path: Path = FILE, jobs: int = 1, only: str = "") -> None:
+    """Measure what the file lacks, of the conditions and taps that contain ``only``."""
+    wanted = (r for r in readings() if only in f"{r.tap}: {r.condition}")
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(jobs, maxtasksperchild=20) as pool:
+        append_rows(path, COLUMNS, wanted, lambda todo: pool.imap_unordered(measure, todo))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Measure the reading study.")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
+    parser.add_argument("--only", default="", help="part of 'TAP: CONDITION' (default: all)")
+    parser.add_argument("--output", type=Path, default=FILE, help="file (default: the shipped one)")
+    args = parser.parse_args()
+    add_rows(args.output, args.jobs, args.only)

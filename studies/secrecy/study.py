@@ -1,0 +1,251 @@
+"""The secrecy study: which eavesdropper is measured under which condition, and a row for each run.
+
+``python -m studies.figures --measure NAME`` adds to a figure's data the rows that they lack,
+for one run costs seconds to minutes here: a run that is in its file already is not measured again.
+"""
+
+import csv
+import hashlib
+import random
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from protocol.knowledge import Knowledge
+from studies.secrecy.runs import Run, simulate, text_of
+from tap_service.capture.channel import View, WiretapChannel
+from tap_service.capture.transcript import Transcript, Transition
+from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers.base import Belief, Eavesdropper
+from tap_service.eavesdroppers.list_decoder import ListDecoder
+from tap_service.eavesdroppers.text import Text
+from wyner.runs.score.score import Said, score
+from wyner.sweeps.grid import code_version
+
+RUNS: Final = 100
+"""Seeds of a condition with a stated target; the others have a fifth of them."""
+
+SOURCES: Final = (
+    "tap_service/capture/*.py",
+    "tap_service/eavesdroppers/*.py",
+    "tap_service/inference/*.py",
+    "studies/secrecy/reading.py",
+    "studies/secrecy/runs.py",
+    "studies/secrecy/sentences.py",
+    "studies/secrecy/study.py",
+)
+"""Where the numbers come from, besides the loop."""
+
+HEARD: Final = ("view", "loss", "noise", "quantise", "delay", "model_error", "seed")
+"""What of her view a task varies."""
+
+STUDIES: Final = ("ladder", "alpha", "learning", "view")
+
+ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
+"""The paper's."""
+
+COLUMNS: Final = (
+    "task", "version", "study", "condition", "tap", "seed", "steps", "keys", "keys_right",
+    "keys_right_reviewed", "early_keys", "early_right", "bits", "bits_right", "messages",
+    "messages_exact", "whole_claimed", "list_peak", "candidates_left", "solved_k", "plant_k",
+)  # fmt: skip
+EARLY: Final = 200
+"""Steps after which a learner is expected to read nearly every separable step."""
+
+
+class Identified(Protocol):
+    """What is measured, with an id of its own."""
+
+    @property
+    def id(self) -> str:
+        """A hash of what is measured and how."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One run of one eavesdropper under one condition."""
+
+    study: str
+    condition: str
+    tap: str
+    seed: int
+    steps: int = 1000
+    alpha: float = 8.0
+    view: View = field(default_factory=View)
+    raw: bool = False
+
+    @property
+    def id(self) -> str:
+        """A hash of what is measured and how."""
+        heard = ", ".join(f"{name}={getattr(self.view, name)!r}" for name in HEARD)
+        text = f"Task(study={self.study!r}, condition={self.condition!r}, tap={self.tap!r}"
+        text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
+        text += f", view=View({heard}), raw={self.raw!r})"
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def tasks(runs: int = RUNS) -> Iterator[Task]:
+    """The whole study, with ``runs`` seeds where a target is stated and a fifth elsewhere."""
+    few = max(runs // 5, 1)
+    for seed in range(runs):
+        for tap in ("set-membership", "nearest-centre", "list-decoder", "oracle"):
+            yield Task("ladder", "framed, 1000 steps", tap, seed)
+        yield Task("ladder", "raw English, 1000 steps", "list-decoder", seed, raw=True)
+    for alpha in ALPHAS:
+        for seed in range(few):
+            for tap in ("set-membership", "nearest-centre", "list-decoder"):
+                yield Task("alpha", f"{alpha:g}", tap, seed, alpha=alpha)
+    for error in (0.0, 0.1, 0.3, 0.5):
+        for seed in range(runs):
+            condition = f"model wrong by {error:.0%}" if error else "from nothing"
+            view = View(model_error=error, seed=seed)
+            yield Task("learning", condition, "learning", seed, steps=2000, view=view)
+            early = f"{condition}, {EARLY} steps"
+            yield Task("learning", early, "learning", seed, steps=EARLY, view=view)
+    views: dict[str, dict[str, Any]] = {
+        "clear": {},
+        "loss 10 %": {"loss": 0.1},
+        "loss 30 %": {"loss": 0.3},
+        "loss 50 %": {"loss": 0.5},
+        "measurements only": {"view": "measurements"},
+        "offers only": {"view": "offers"},
+        "noise 0.002": {"noise": 0.002},
+        "noise 0.01": {"noise": 0.01},
+        "noise 0.05": {"noise": 0.05},
+        "quantised 0.01": {"quantise": 0.01},
+        "quantised 0.1": {"quantise": 0.1},
+    }
+    for condition, knobs in views.items():
+        for seed in range(few):
+            for tap in ("list-decoder", "smoother", "text"):
+                yield Task("view", condition, tap, seed, view=View(seed=seed, **knobs))
+
+
+def heard_by(run: Run, view: View) -> list[Transition]:
+    """The transitions that a tap with this view puts together."""
+    channel, transcript = WiretapChannel(view), Transcript()
+    out: list[Transition] = []
+    for message in run.messages:
+        for _, seen in channel.hear(0, message):
+            out += transcript.hear(seen)
+    for _, seen in channel.rest():
+        out += transcript.hear(seen)
+    return out + transcript.flush()
+
+
+def knowledge_for(run: Run, kind: type[Eavesdropper], view: View) -> Knowledge:
+    """What an eavesdropper of the study is told."""
+    if kind.name == "oracle":
+        return run.scenario.oracle_knowledge()
+    if kind.name == "learning":  # never D_e, also where she is told a wrong model
+        nothing = {"disturbance_H": None, "disturbance_h": None, "policy": None}
+        return view.told(run.scenario.knowledge(), model=kind.told_model).model_copy(update=nothing)
+    return view.told(run.scenario.knowledge(), model=kind.told_model)
+
+
+def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
+    """An eavesdropper for a whole capture: `text` reads it once, at the end."""
+    return Text(knowledge, live=False) if kind is Text else kind(knowledge)
+
+
+def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
+    """Feed an eavesdropper and collect what she says."""
+    session = transitions[0].session if transitions else ""
+    live = {(t.session, t.k): tap.observe(t).best for t in transitions}
+    reviewed = {(session, g.k): g.best for g in (*tap.final_guesses, *tap.review())}
+    return Said(tap.name, session, live, reviewed, tap.belief())
+
+
+def measure(task: Task) -> dict[str, object]:
+    """One row."""
+    payloads = None
+    if task.raw:
+        rng = random.Random(f"raw text {task.seed}")
+        payloads = [text_of(rng) for _ in range(3)]
+    run = simulate(task.steps, task.seed, alpha=task.alpha, payloads=payloads, raw=task.raw)
+    kind = named(task.tap)
+    knowledge = knowledge_for(run, kind, task.view)
+    tap = ListDecoder(knowledge, framed=False) if task.raw else offline(kind, knowledge)
+    said = said_about(tap, heard_by(run, task.view))
+    if not said.session:  # she heard nothing at all
+        session = next(iter(run.truth.symbols))[0]
+        said = Said(tap.name, session, {}, {}, Belief())
+    scored = score(run.truth, said)
+    early = score(run.truth.between(None, EARLY - 1), said).keys_reviewed
+    exact, messages = scored.messages.right, scored.messages.of
+    if task.raw:
+        text = b" ".join(run.payloads)[: len(run.stream) // 8]
+        exact, messages = float(said.belief.message == text), 1
+    decoding = getattr(tap, "decoding", None)
+    return {
+        "task": task.id,
+        "version": code_version(*SOURCES),
+        "study": task.study,
+        "condition": task.condition,
+        "tap": task.tap,
+        "seed": task.seed,
+        "steps": task.steps,
+        "keys": scored.keys.of,
+        "keys_right": f"{scored.keys.right:g}",
+        "keys_right_reviewed": f"{scored.keys_reviewed.right:g}",
+        "early_keys": early.of,
+        "early_right": f"{early.right:g}",
+        "bits": scored.bits.of,
+        "bits_right": scored.bits.right,
+        "messages": messages,
+        "messages_exact": int(exact),
+        "whole_claimed": len(said.belief.whole),
+        "list_peak": "" if decoding is None else decoding.peak,
+        "candidates_left": said.belief.candidates_left,
+        "solved_k": said.belief.solved_k,
+        "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
+    }
+
+
+def append_rows(
+    path: Path,
+    columns: Sequence[str],
+    tasks: Iterable[Identified],
+    measure_all: Callable[[list[Any]], Iterable[dict[str, object]]],
+) -> None:
+    """Add the rows that a file lacks, each as it is made; a run that is there is not made again.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV file; a last line that a kill has torn is dropped.
+    columns : sequence of str
+        ``task`` holds the task's ``id``.
+    tasks : iterable
+    measure_all : callable
+        The rows of a list of tasks, in any order.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+", encoding="utf-8", newline="") as file:
+        file.seek(0)
+        lines = file.read().splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith("\n")]
+        if len(whole) < len(lines):
+            file.truncate(len("".join(whole).encode()))
+        done = {row["task"] for row in csv.DictReader(whole)}
+        todo = [t for t in tasks if t.id not in done]
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        if not whole:
+            writer.writeheader()
+        for number, row in enumerate(measure_all(todo), 1):
+            writer.writerow(row)
+            file.flush()
+            print(f"\r{number} of {len(todo)} runs", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+
+
+def measure_study(study: str) -> Callable[[Path], None]:
+    """The measurement of one study: it adds the rows that its file lacks, each as it is made."""
+
+    def add_rows(path: Path) -> None:
+        mine = (t for t in tasks() if t.study == study)
+        append_rows(path, COLUMNS, mine, lambda todo: map(measure, todo))
+
+    return add_rows

@@ -1,0 +1,327 @@
+"""What any tap leaves who watches through noise: closed forms, enumeration, taps, and pitfalls."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from runtime.scenario_file import scenario_of
+from studies.signalling import changed
+from tests.support.toeplitz import toeplitz
+from wyner.bound.coins import Coin, coin_bits, hashed, largest_gain
+from wyner.bound.loop import BoundError, LinearLoop
+from wyner.bound.taps import block_left, response, smoother_left
+from wyner.cli.main import main
+
+HALF_WIDTH = 0.12
+D = np.array([0.1, 0.1])
+
+
+@pytest.fixture(scope="module")
+def four() -> LinearLoop:
+    return LinearLoop.of(scenario_of("packed"))
+
+
+@pytest.fixture(scope="module")
+def two() -> LinearLoop:
+    return LinearLoop.of(changed("packed", secrecy={"alpha": 3.01, "candidates": 2}))
+
+
+# --- one coin ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("a", [0.1, 0.5, 1.07, 2.0, 4.0])
+def test_one_coin_of_two_is_the_binary_gaussian_channel(a: float) -> None:
+    coin = Coin(np.array([[-a], [a]]), 1.0)
+    assert coin.guess == pytest.approx(norm.cdf(a), rel=1e-12)
+    y = np.linspace(-a - 12, a + 12, 200_001)
+    density = norm.pdf(y - a)
+    expected = np.trapezoid(density * np.log2(1 + np.exp(-2 * a * y)), y)
+    assert coin.bits == pytest.approx(float(expected), abs=1e-9)
+    # s = 2 by hand
+    both = 0.5 * np.stack([norm.pdf(y - a), norm.pdf(y + a)])
+    collision = -2 * math.log2(np.trapezoid(np.sqrt((both**2).sum(axis=0)), y))
+    assert coin.renyi(2.0) == pytest.approx(collision, abs=1e-9)
+
+
+def test_entropies_are_in_order_and_tend_to_both_ends() -> None:
+    offsets = np.linspace(-1, 1, 4)[:, None]
+    for deviation in (0.05, 0.3, 1.0, 5.0):
+        coin = Coin(offsets, deviation)
+        orders = [coin.renyi(s) for s in (1.001, 1.2, 1.5, 2.0)]
+        assert coin.bits >= orders[0] - 1e-9
+        assert orders == sorted(orders, reverse=True)
+        assert orders[-1] >= -math.log2(coin.guess) - 1e-9  # below it is the min-entropy
+    assert Coin(offsets, 1000.0).bits == pytest.approx(2.0, abs=1e-4)
+    assert Coin(offsets, 1e-12).bits == 0
+    assert Coin(offsets, 0.0).guess == 1
+
+
+def test_two_inputs_of_a_grid_are_two_coins() -> None:
+    line = np.array([-0.5, 0.5])
+    grid = np.array(list(itertools.product(line, repeat=2)))
+    one, both = Coin(line[:, None], 0.6), Coin(grid, 0.6)
+    assert both.bits == pytest.approx(2 * one.bits, abs=1e-6)
+    assert both.renyi(1.5) == pytest.approx(2 * one.renyi(1.5), abs=1e-6)
+    assert both.guess == pytest.approx(one.guess**2, abs=1e-3)
+
+
+# --- the loop ------------------------------------------------------------------------------------
+
+
+def test_the_gain_of_one_state_in_closed_form() -> None:
+    for pole in (0.9, -0.5, 0.0):
+        gain = largest_gain(np.array([[pole]]), np.array([[2.0]]), np.array([[3.0]]))
+        assert gain == pytest.approx(6 / (1 - abs(pole)), rel=1e-7)
+        assert gain >= 6 / (1 - abs(pole))
+
+
+def test_the_gain_is_above_a_narrow_peak_that_a_grid_misses() -> None:
+    r, angle = 1 - 1e-6, 1.2345
+    F = r * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    B, C = np.array([[1.0], [0.0]]), np.eye(2)
+    at = np.exp(1j * angle)
+    peak = float(np.linalg.norm(C @ np.linalg.solve(at * np.eye(2) - F, B), 2))
+    assert peak > 1e5
+    assert largest_gain(F, B, C) >= peak * (1 - 1e-9)
+
+
+def test_the_response_of_any_block_is_below_the_gain(four: LinearLoop) -> None:
+    """S'S <= g^2: the step on which the theorem stands, on blocks of 1 to 200 coins."""
+    F = four.A + four.B @ four.K
+    gain = largest_gain(F, four.B, np.eye(2))
+    norms = [np.linalg.norm(response(F, four.B, n + 50, n), 2) for n in (1, 2, 10, 50, 200)]
+    assert norms == sorted(norms)
+    assert norms[-1] <= gain
+    assert norms[-1] > 0.99 * gain
+
+
+@pytest.mark.parametrize(
+    ("weight", "gain"),
+    [(0.001, 4.28), (0.005, 4.35), (0.02, 4.59), (0.1, 5.57), (0.5, 8.52), (2.0, 14.3)],
+)
+def test_a_tight_loop_forgets_at_once(weight: float, gain: float) -> None:
+    regulator = {"next_state": [1.0, 1.0], "input": [weight]}
+    loop = LinearLoop.of(changed("packed", control={"regulator": regulator}))
+    assert 1 / loop.coin(HALF_WIDTH).deviation == pytest.approx(gain, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "bits", "key"),
+    [
+        (0.5, 0.09, 0), (0.75, 0.41, 206), (1, 0.71, 475), (1.5, 1.12, 875), (2, 1.37, 1130),
+        (3, 1.65, 1427), (4, 1.78, 1585),
+    ],
+)  # fmt: skip
+def test_true_bits_a_step_and_keys_of_a_thousand_coins(
+    four: LinearLoop, ratio: float, bits: float, key: int
+) -> None:
+    coin = four.coin(ratio * HALF_WIDTH)
+    assert coin.bits == pytest.approx(bits, abs=0.005)
+    assert coin.key_bits(1000, 1e-12) == key
+
+
+# --- no tap is below it --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("noise", "whole", "most", "bits", "least"),
+    [(0.12, 0.2799, 0.2932, 3.861, 3.752), (0.24, 0.0580, 0.0602, 6.586, 6.549)],
+)
+def test_all_sequences_of_eight_coins_weighed_by_one_who_knows_d(
+    two: LinearLoop, noise: float, whole: float, most: float, bits: float, least: float
+) -> None:
+    left = block_left(two, D, noise, 8, 20_000, 1, told=True)
+    coin = two.coin(noise)
+    assert coin.guess**8 == pytest.approx(most, abs=5e-5)
+    assert 8 * coin.bits == pytest.approx(least, abs=5e-4)
+    assert left.whole == pytest.approx(whole, abs=4 * left.whole_error + 5e-4)
+    assert 8 * left.bits == pytest.approx(bits, abs=8 * 4 * left.bits_error)
+    assert left.whole + 3 * left.whole_error <= coin.guess**8
+    assert left.bits - 3 * left.bits_error >= coin.bits
+    # and the bound is no idle one
+    assert left.bits < 1.05 * coin.bits
+
+
+@pytest.mark.parametrize("noise", [0.06, 0.12, 0.36])
+def test_one_who_knows_the_law_of_d_leaves_more(four: LinearLoop, noise: float) -> None:
+    told = block_left(four, D, noise, 4, 2000, 3, told=True)
+    law = block_left(four, D, noise, 4, 2000, 3, told=False)
+    assert four.coin(noise).bits <= told.bits + 4 * told.bits_error
+    assert told.bits < law.bits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.03, 0.12])
+def test_smoother_with_measurements_alone_is_above_the_bound(
+    four: LinearLoop, noise: float
+) -> None:
+    left = smoother_left(scenario_of("packed"), four, noise, 200, 3, 1)
+    assert left.bits >= four.coin(noise).bits
+    assert left.whole <= four.coin(noise).guess
+
+
+# --- keys ----------------------------------------------------------------------------------------
+
+
+def test_a_key_of_the_loop_s_own_coins_is_the_same_at_both_ends(four: LinearLoop) -> None:
+    """The receiver has every coin from x(k+1), certain; no input leaves U; and the hash is one."""
+    rng = np.random.default_rng(5)
+    coins, x = rng.integers(0, 4, 1000), np.zeros(2)
+    read = []
+    for b in coins:
+        u = four.K @ x + four.offsets[b]
+        assert abs(u[0]) <= 6.0
+        x_next = four.A @ x + four.B @ u + rng.uniform(-0.12, 0.12, 2)
+        centres = four.A @ x + (four.K @ x + four.offsets) @ four.B.T
+        gauge = np.abs(x_next - centres).max(axis=1) / 0.12
+        (inside,) = np.flatnonzero(gauge <= 1 + 1e-9)
+        read.append(int(inside))
+        x = x_next
+    length = four.coin(2 * HALF_WIDTH).key_bits(1000, 1e-12)
+    seed = rng.integers(0, 2, 2 * 1000 + length - 1, dtype=np.uint8)
+    keys = [hashed(coin_bits(np.array(c), 4), seed, length) for c in (coins, read)]
+    assert len(keys[0]) == length == 1130
+    assert (keys[0] == keys[1]).all()
+    assert (keys[0] == toeplitz(coin_bits(coins, 4), seed, length)).all()  # an independent one
+    read[17] ^= 1
+    assert (hashed(coin_bits(np.array(read), 4), seed, length) != keys[0]).any()
+
+
+def test_the_hash_collides_with_two_inputs_as_often_as_it_may() -> None:
+    """All seeds of a small one: 2^-length exactly, whatever the two inputs."""
+    n, length = 4, 3
+    seeds = [np.array(s, np.uint8) for s in itertools.product((0, 1), repeat=n + length - 1)]
+    inputs = [np.array(v, np.uint8) for v in itertools.product((0, 1), repeat=n)]
+    for one, other in itertools.combinations(inputs, 2):
+        equal = sum((hashed(one, s, length) == hashed(other, s, length)).all() for s in seeds)
+        assert equal * 2**length == len(seeds)
+
+
+def test_a_short_hash_is_as_near_to_uniform_as_the_lemma_says() -> None:
+    """Every seed, every coin, a grid of what she saw: the distance itself beside its bound."""
+    coin = Coin(np.array([[-1.0], [1.0]]), 1.3)
+    n, y = 4, np.linspace(-6, 6, 7)
+    p = np.exp(-0.5 * ((y - coin.offsets) / coin.deviation) ** 2)
+    p /= p.sum(axis=1, keepdims=True)
+    words = np.array(list(itertools.product((0, 1), repeat=n)))
+    seen = np.array(list(itertools.product(range(len(y)), repeat=n)))
+    joint = np.prod(p[words[:, None], seen[None]], axis=2) / len(words)  # P(word, what she saw)
+    for length in (1, 2):
+        seeds = itertools.product((0, 1), repeat=n + length - 1)
+        total, count = 0.0, 0
+        for s in seeds:
+            seed = np.array(s, np.uint8)
+            place = [
+                int("".join(map(str, hashed(w.astype(np.uint8), seed, length))), 2) for w in words
+            ]
+            hashes = np.zeros((2**length, len(seen)))
+            np.add.at(hashes, place, joint)
+            total += np.abs(hashes - joint.sum(axis=0) / 2**length).sum()
+            count += 1
+        for order in (1.2, 1.5, 2.0):
+            norm_s = (joint**order).sum(axis=0) ** (1 / order)
+            assert (
+                total / count
+                <= 2 ** (2 / order - 1) * 2 ** (length * (1 - 1 / order)) * norm_s.sum()
+            )
+
+
+# --- where it says nothing -----------------------------------------------------------------------
+
+
+def test_offers_in_clear_leave_nothing_and_noisy_ones_little(
+    four: LinearLoop, two: LinearLoop
+) -> None:
+    assert four.coin(HALF_WIDTH, "clear").bits == 0
+    assert four.coin(HALF_WIDTH, "clear").key_bits(10**6, 1e-6) == 0
+    noisy = two.coin(HALF_WIDTH, "noisy")
+    assert 1 / noisy.deviation == pytest.approx(9.7, abs=0.05)
+    assert 1 / noisy.bits == pytest.approx(30, abs=3)
+
+
+def test_who_sees_less_leaves_more(four: LinearLoop) -> None:
+    everything = four.coin(HALF_WIDTH)
+    for states in ((0,), (1,)):
+        assert four.coin(HALF_WIDTH, states=states).bits >= everything.bits - 1e-12
+    assert four.coin(HALF_WIDTH, states=(1,)).bits > everything.bits
+
+
+def test_a_constraint_that_may_be_active_leaves_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """K x + p may need 1.55 times U on the double integrator."""
+    assert LinearLoop.of(scenario_of("packed-double-integrator")).used > 1
+    assert main(["bound", "packed-double-integrator", "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert "control.inputs" in table["nothing_because"]
+    assert {row["bits_per_coin"] for row in table["rows"]} == {0.0}
+    assert {row["key_bits"] for row in table["rows"]} == {0}
+
+
+def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: LinearLoop) -> None:
+    """A greedy adversary over 400 steps comes to it, and not beyond."""
+    F, row, reach = four.A + four.B @ four.K, four.K[0] / 6.0, 0.0
+    push = float(np.abs(four.offsets).max())
+    for _ in range(400):
+        reach += 0.12 * np.abs(row).sum() + push * abs(float(row @ four.B[:, 0]))
+        row = row @ F
+    assert four.used == pytest.approx(reach + push / 6.0, rel=1e-6)
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_the_table_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bound", "packed", "--noise", "0.12"]) == 0
+    out = capsys.readouterr().out
+    assert "never proved" in out
+    assert "not for the programs" in out
+    (row,) = [line.split() for line in out.splitlines() if line.startswith("     0.12")]
+    assert row == ["0.12", "1", "4.351", "0.7867", "0.709", "475"]
+
+
+def test_the_measured_tap_and_the_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bound.svg"
+    argv = ["bound", "packed", "--noise", "0.12,0.24", "--measure", "--json", "--figure", str(path)]
+    assert main(argv) == 0
+    table = json.loads(capsys.readouterr().out.splitlines()[0])
+    for row in table["rows"]:
+        assert row["bits_per_coin"] < row["measured"]["interval_95"][0]
+        assert row["measured"]["interval_95"][1] < table["claimed_bits"]
+    assert path.read_text().startswith("<?xml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["packed", "--noise", "-1"], "--noise: got '-1', expected numbers of 0 or more"),
+        (["packed", "--watch", "3"], "--watch: got '3', expected states from 1 to 2"),
+        (["packed", "--coins", "0"], "--coins: got 0, expected 1 to"),
+        (["packed", "--eps", "2"], "--eps: got 2, expected between 0 and 1"),
+        (["packed", "--figure", "a.pdf"], "--figure: got 'a.pdf'"),
+        (["packed", "--measure", "--offers", "noisy"], "--measure: expected all states"),
+        (["sustained"], "control.law: got 'sustained', expected 'packed'"),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bound", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert line in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_a_plant_of_one_s_own_code_is_refused() -> None:
+    scenario = scenario_of("packed")
+    plant = scenario.plant.model_copy(update={"kind": "function"})
+    with pytest.raises(BoundError, match=r"plant\.kind: got 'function'"):
+        LinearLoop.of(scenario.model_copy(update={"plant": plant}))

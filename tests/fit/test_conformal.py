@@ -1,0 +1,103 @@
+"""Certificates: their formulas, and that they hold as often as they say."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wyner.fit.conformal import (
+    conformal_scale,
+    rank,
+    session_score,
+    sessions_needed,
+    template,
+    violation_bound,
+)
+
+
+@pytest.mark.parametrize(
+    ("violation", "confidence", "sessions"),
+    [
+        (0.01, 1 - 1e-3, 688),
+        (0.001, 1 - 1e-3, 6905),
+        (0.01, 1 - 1e-6, 1375),
+        (1e-4, 1 - 1e-6, 138149),
+    ],
+)
+def test_sessions_without_an_exit(violation: float, confidence: float, sessions: int) -> None:
+    assert sessions_needed(violation, confidence) == sessions
+    assert violation_bound(sessions, 0, confidence) <= violation
+    assert violation_bound(sessions - 1, 0, confidence) > violation
+
+
+@given(st.integers(1, 400), st.data(), st.floats(0.5, 0.999999))
+def test_the_bound_is_where_the_binomial_tail_is_the_risk(
+    sessions: int, data: st.DataObject, confidence: float
+) -> None:
+    exceeded = data.draw(st.integers(0, sessions - 1))
+    p = violation_bound(sessions, exceeded, confidence)
+    tail = sum(
+        math.comb(sessions, i) * p**i * (1 - p) ** (sessions - i) for i in range(exceeded + 1)
+    )
+    assert tail == pytest.approx(1 - confidence, rel=1e-6, abs=1e-12)
+    assert exceeded / sessions <= p
+
+
+def test_all_exceeded_bounds_nothing_and_nonsense_is_refused() -> None:
+    assert violation_bound(5, 5, 0.9) == 1.0
+    for sessions, exceeded in ((0, 0), (5, 6), (5, -1)):
+        with pytest.raises(ValueError, match=f"got {exceeded} of {sessions} sessions"):
+            violation_bound(sessions, exceeded, 0.9)
+
+
+def training_conditional(sessions: int, k: int, violation: float) -> float:
+    """How probable it is that *this* calibration promises too much.
+
+    P[the k-th smallest of N scores is exceeded with probability > violation] is at most
+    sum_{i=0}^{N-k} C(N, i) violation^i (1 - violation)^(N - i) (Vovk 2012, proposition 2a).
+    """
+    from scipy.stats import binom
+
+    return float(binom.cdf(sessions - k, sessions, violation))
+
+
+def test_ranks_of_a_hundred_sessions() -> None:
+    assert [rank(100, e) for e in (0.109, 0.06, 0.01)] == [90, 95, 100]
+    with pytest.raises(ValueError, match="got 100 sessions, expected at least 999"):
+        rank(100, 0.001)
+    assert training_conditional(688, 688, 0.01) <= 1e-3 < training_conditional(687, 687, 0.01)
+
+
+def test_template_and_score() -> None:
+    residuals = [[0.1, -2.0], [-0.3, 1.0]]
+    assert template(residuals).tolist() == [0.3, 2.0]
+    assert session_score(residuals, [0.1, 4.0]) == pytest.approx(3.0)
+
+
+def test_coverage_is_what_split_conformal_promises() -> None:
+    """Over 400 calibrations of 40 sessions (seed 1): mean and spread of coverage are a beta law's.
+
+    The chance that the next score is below the k-th of N follows Beta(k, N - k + 1) exactly where
+    scores are continuous: here uniform, so that the score is its own probability.
+    """
+    rng = np.random.default_rng(1)
+    N, violation = 40, 0.1
+    k = rank(N, violation)
+    coverage = np.array([conformal_scale(rng.random(N).tolist(), violation) for _ in range(400)])
+    mean = k / (N + 1)
+    deviation = math.sqrt(k * (N - k + 1) / ((N + 1) ** 2 * (N + 2)))
+    assert abs(coverage.mean() - mean) < 4 * deviation / math.sqrt(400)
+    assert coverage.std() == pytest.approx(deviation, rel=0.15)
+    short = float((coverage < 1 - violation).mean())
+    bound = training_conditional(N, k, violation)
+    assert short <= bound + 4 * math.sqrt(bound * (1 - bound) / 400)
+
+
+def test_certificates_hold_at_their_confidence() -> None:
+    """Of 2000 certificates (seed 2; 50 sessions, true violation 0.05) at most 10 % are too low."""
+    rng = np.random.default_rng(2)
+    exceeded = rng.binomial(50, 0.05, 2000)
+    wrong = sum(violation_bound(50, int(e), 0.9) < 0.05 for e in exceeded) / 2000
+    assert wrong <= 0.1 + 4 * math.sqrt(0.1 * 0.9 / 2000)

@@ -1,0 +1,226 @@
+"""A fit from readings alone: the model, the certificate, what the scheme makes of it."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_service.laws.registry import make_law, synthesise
+from plant_service.adapters import Operated
+from plant_service.adapters.registry import open_plant
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from tests.adapters.plants import build_fmu
+from wyner.api import design, run, vary
+from wyner.cli.main import main
+from wyner.fit.conformal import session_score, violation_bound
+from wyner.fit.fitting import Fit, Plan, fit
+from wyner.fit.identification import FitError
+from wyner.fit.sessions import residuals_under
+from wyner.fit.toml import as_toml
+
+CART: dict[str, Any] = {
+    "name": "cart",
+    "plant": {
+        "kind": "ode",
+        "object": "cart.py:dynamics",
+        "period_s": 0.1,
+        "initial_state": [0.0, 0.0],
+        "disturbance": {"half_widths": [0.002, 0.01]},
+    },
+    "control": {
+        "law": "packed",
+        "horizon": 5,
+        "gain": [[-1.0, -1.5]],
+        "inputs": {"half_widths": [2.0]},
+    },
+    "secrecy": {"alpha": 8.0, "candidates": 2},
+}
+DYNAMICS = """
+def dynamics(t, x, u):
+    return x[1], 2.0 * u[0] - 0.8 * x[1] * abs(x[1]) - 0.2 * x[1]
+"""
+PLAN = Plan(
+    excite_sessions=4, excite_steps=100, pilot=5, calibration=40, fresh=40, steps=60, seed=2
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cart")
+    (path / "cart.py").write_text(DYNAMICS)
+    (path / "cart.toml").write_text(as_toml(CART, "A cart with air drag."))
+    return path
+
+
+def opened(folder: Path) -> Any:
+    def open_(scenario: Scenario) -> Operated:
+        return open_plant(scenario, folder)
+
+    return open_
+
+
+def law(scenario: Scenario) -> Any:
+    return make_law(scenario, synthesise(scenario))
+
+
+@pytest.fixture(scope="module")
+def cart(folder: Path) -> Fit:
+    return fit(CART, "cart.toml", opened(folder), law, PLAN)
+
+
+def test_the_model_is_the_plants_about_its_range(cart: Fit) -> None:
+    assert cart.model is not None
+    assert pytest.approx(np.array([[1.0, 0.1], [0.0, 0.96]]), abs=0.06) == cart.model.A
+    assert pytest.approx(np.array([[0.01], [0.2]]), abs=0.02) == cart.model.B
+
+
+def test_the_certificate_is_what_was_counted(cart: Fit) -> None:
+    c = cart.scenario.defender.calibration
+    assert c is not None
+    assert (c.sessions, c.steps, c.exceeded) == (40, 60, cart.exceeded)
+    assert c.violation == violation_bound(40, cart.exceeded, 0.999)
+    assert c.law_fingerprint == cart.scenario.law_fingerprint()
+
+
+@pytest.mark.slow
+def test_the_certificate_holds_on_sessions_that_nobody_fitted(cart: Fit, folder: Path) -> None:
+    """300 sessions of seed 77: fewer leave D_c than the certificate allows."""
+    widths = cart.scenario.defender.disturbance.half_widths
+    assert widths is not None
+    residuals = residuals_under(
+        cart.scenario, law(cart.scenario), opened(folder), runs=range(300), steps=60, seed=77
+    )
+    left = sum(session_score(r, widths) > 1 for r in residuals)
+    c = cart.scenario.defender.calibration
+    assert c is not None
+    assert left <= 300 * c.violation
+    assert left < 300 * 0.12  # the calibration asked for 0.05, from 40 sessions
+    # and it is not D_c blown up: the noise alone takes four fifths of it
+    assert max(session_score(r, widths) for r in residuals) > 0.8
+
+
+def test_a_law_swap_makes_it_stale(cart: Fit) -> None:
+    tables = {**cart.tables, "control": {**cart.tables["control"], "gain": [[-1.1, -1.5]]}}
+    with pytest.raises(ScenarioError, match="the certificate is stale"):
+        parse_scenario(tables, "cart.toml")
+    with pytest.raises(ScenarioError, match="the certificate is stale"):
+        vary(cart.scenario, {"secrecy.alpha": 9.0})  # a packed alphabet depends on alpha
+
+
+def test_the_file_is_the_scenario(cart: Fit) -> None:
+    text = as_toml(cart.tables, "Two\nlines.")
+    assert text.startswith("# Two\n# lines.\n")
+    assert parse_scenario(tomllib.loads(text), "again.toml") == cart.scenario
+
+
+def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "fitted.toml"
+    plan = ["--excite-sessions=4", "--pilot=3", "--calibration=20", "--fresh=20", "--steps=30"]
+    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *plan]) == 0
+    told = capsys.readouterr()
+    assert "of 20 fresh sessions did" in told.out
+    assert f"wrote {out}" in told.out
+    assert "identified A and B from 400 steps" in told.err
+    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), "--json", *plan]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert sorted(found) == ["calibration", "half_widths", "output", "seed"]
+    assert (found["output"], found["calibration"]["sessions"]) == (str(out), 20)
+    assert main(["design", str(out)]) == 0
+    assert (
+        "D_c: a session of 30 steps leaves it with probability at most" in capsys.readouterr().out
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--violation=0.01"], "--calibration: got 100 sessions, expected at least 99"),
+        (["--violation=0.001"], "--calibration: got 100 sessions, expected at least 999"),
+        (["--steps=0"], "--steps: got 0, expected at least 1"),
+        (["--amplitude=2"], "--amplitude: got 2, expected between 0 and 1"),
+    ],
+)
+def test_wrong_numbers_are_named(
+    folder: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if arguments == ["--violation=0.01"]:
+        arguments = [*arguments, "--calibration=98"]
+        says = says.replace("got 100", "got 98")
+    out = folder / "no.toml"
+    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *arguments]) == 2
+    assert capsys.readouterr().err.startswith(f"wyner: {says}")
+    assert not out.exists()
+
+
+def test_what_cannot_be_fitted_says_why(folder: Path) -> None:
+    def without(*path: str) -> dict[str, Any]:
+        tables = {k: dict(v) if isinstance(v, dict) else v for k, v in CART.items()}
+        place = tables
+        for name in path[:-1]:
+            place = place[name]
+        del place[path[-1]]
+        return tables
+
+    with pytest.raises(ScenarioError, match=r"plant.operating_point.state and control.inputs: exp"):
+        fit(without("plant", "initial_state"), "cart.toml", opened(folder), law, PLAN)
+    still = Plan(excite_sessions=1, excite_steps=2)
+    with pytest.raises(FitError, match="got 2 transitions, expected more than 3"):
+        fit(CART, "cart.toml", opened(folder), law, still)
+
+
+# --- the tank -------------------------------------------------------------------------------------
+
+
+TANK: dict[str, Any] = {
+    "name": "fmu-tank",
+    "plant": {
+        "kind": "fmu",
+        "inputs": ["v1", "v2"],
+        "outputs": ["h1", "h2", "h3", "h4"],
+        "settle_s": 1000.0,
+        "seed": "seed",
+        "period_s": 5.0,
+        "disturbance": {"enters": "none"},
+        "operating_point": {"input": [3.0, 3.0]},
+    },
+    "control": {
+        "law": "packed",
+        "horizon": 3,
+        "regulator": {"next_state": [1.0] * 4, "input": [1.0, 1.0]},
+        "inputs": {"half_widths": [3.0, 3.0]},
+        "states": {"half_widths": [6.0, 6.0, 1.5, 1.3]},
+    },
+    "secrecy": {"alpha": 8.0, "candidates": 4},
+    "link": {"fallback": "zero"},
+}
+
+
+@pytest.mark.slow
+def test_an_fmu_of_a_tank_is_identified_from_its_own_data_and_every_step_agrees(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("fmpy")
+    path, sha256 = build_fmu("tank_fmi2", tmp_path)
+    tables = {**TANK, "plant": {**TANK["plant"], "file": path.name, "sha256": sha256}}
+    plan = Plan(
+        excite_sessions=2,
+        excite_steps=150,
+        amplitude=0.1,
+        pilot=3,
+        calibration=20,
+        fresh=20,
+        steps=60,
+    )
+    found = fit(tables, "tank.toml", opened(tmp_path), law, plan)
+    assert found.model is not None
+    assert found.model.A[0, 0] == pytest.approx(0.923, abs=0.01)
+    assert found.model.B[0, 0] == pytest.approx(0.400, abs=0.01)
+    system = design(found.scenario)
+    runs = run(system, steps=400, seed=9, message=b"tank", folder=tmp_path)
+    tested = (runs.message_symbol < 0).sum()
+    assert (runs.key >= 0).sum() == tested
+    assert (runs.key[runs.key >= 0] == runs.coin[runs.key >= 0]).all()
+    assert runs.rate.value == pytest.approx(2 * 0.5 / 5.0)

@@ -1,0 +1,326 @@
+"""The guides are true: their programs run as they stand."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller_service.laws.registry import make_law, synthesise
+from plant_service.adapters.base import stepped
+from protocol.messages import Measurement
+from protocol.registry import module_at
+from protocol.scenario import ScenarioError
+from protocol.schemes.base import Scheme
+from protocol.schemes.registry import SCHEMES
+from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.addresses import free_endpoints
+from runtime.recording import MARKS
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+from runtime.zenoh_bus import ZenohBus
+from studies.secrecy.runs import simulate
+from tap_service.capture.transcript import Transcript
+from tap_service.eavesdroppers import named
+from tests.support.small_run import SmallRun
+from wyner.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+GUIDES = (ROOT / "docs" / "guides.md").read_text(encoding="utf-8")
+EXAMPLES = ROOT / "examples"
+
+
+def guide(title: str) -> str:
+    """The part of the page under one of its headings."""
+    _, found, rest = GUIDES.partition(f"\n## {title}\n")
+    assert found, title
+    return rest.partition("\n## ")[0]
+
+
+def table(title: str, folder: Path, name: str) -> Path:
+    """The guide's table of a scenario, written to a file."""
+    found = re.search(r"^```toml\n(.*?)^```$", guide(title), re.DOTALL | re.MULTILINE)
+    assert found is not None
+    path = folder / name
+    path.write_text(found[1])
+    return path
+
+
+def program(title: str, folder: Path, name: str) -> Path:
+    """The program that the guide names, beside the run."""
+    assert f"examples/own/{name}" in guide(title)
+    return Path(shutil.copy(EXAMPLES / "own" / name, folder))
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_the_attack_of_the_page_runs_live(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = program("Attacks", tmp_path, "frozen.py")
+    run = tmp_path / "run"
+    said = ["up", "--scenario", "packed", "--attack", f"{name}:Frozen@30", "--steps", "60"]
+    assert main([*said, "--pace", "fast", "--json", "--run-dir", str(run)]) == 0
+    attack = json.loads(capsys.readouterr().out)["attack"]
+    assert (attack["kind"], attack["at"], attack["onset"]) == (f"{name}:Frozen", "sensor", 30)
+    assert attack["failed"] == ""
+    assert attack["away"] == attack["away_most"] > 0.01
+    assert main(["check", str(run)]) == 0
+    assert main(["report", str(run)]) == 0
+    assert "x1 in truth" in (run / "report.html").read_text()
+
+
+def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
+    stated = table("Attacks", tmp_path, "table.toml").read_text()
+    path = tmp_path / "attacked.toml"
+    path.write_text((SCENARIOS / "keys.toml").read_text() + stated)
+    found = load_scenario(path)
+    plain = load_scenario(SCENARIOS / "keys.toml")
+    assert found.attack is not None
+    assert found.attack.options == {"push": 0.9}
+    # nobody but the plant is told
+    assert found.fingerprint() == plain.fingerprint()
+    assert found.loop_fingerprint() == plain.loop_fingerprint()
+
+
+def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
+    name = f"{program('A scheme of your own', tmp_path, 'pairs.py')}:Pairs"
+    scheme = SCHEMES[name](2)
+    assert isinstance(scheme, Scheme)
+    state, pads = scheme.initial, []
+    for verdict in (1, -1, 0, 1, 1, 0):
+        assert scheme.advance(state, verdict)[1].pad == scheme.pad(state)
+        state, carry = scheme.advance(state, verdict)
+        pads.append(carry.pad)
+    assert pads == [-1, -1, -1, 1, 0, -1]
+    run = SmallRun(
+        tmp_path / "run",
+        (b"two by two",),
+        changes=(("[secrecy]\n", f'[secrecy]\nscheme = "{name}"\n'),),
+    )
+    run.until_received(1)
+    run.close()
+    assert main(["check", str(tmp_path / "run")]) == 0
+
+
+def law_scenario(folder: Path, law: str) -> Path:
+    """The shipped scenario under the page's law."""
+    text = (SCENARIOS / "sustained.toml").read_text()
+    text = text.replace("horizon = 250", "horizon = 60")
+    text = text.replace("initial_state = [4.0, -2.0]", "initial_state = [0.5, -0.2]")
+    stated = (folder / "law.toml").read_text().removeprefix("[control]\n")
+    text = text.replace('law = "sustained"\n', stated.replace("examples/own/nearer.py:Nearer", law))
+    path = folder / "own.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path: Path) -> None:
+    program("A control law of your own", tmp_path, "nearer.py")
+    table("A control law of your own", tmp_path, "law.toml")
+    law_scenario(tmp_path, "nearer.py:Nearer")
+
+    def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "wyner.cli.main", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+
+    designed = wyner("design", "own.toml", "--json")
+    assert designed.returncode == 0, designed.stderr
+    assert json.loads(designed.stdout)["law"] == "nearer.py:Nearer"
+    up = wyner(
+        "up",
+        "--scenario",
+        "own.toml",
+        "--pace",
+        "fast",
+        "--headless",
+        "--run-dir",
+        "run",
+        "--message",
+        "Hi",
+        "--until-delivered",
+    )
+    assert up.returncode == 0, up.stdout + up.stderr
+    check = wyner("check", "run")
+    assert check.returncode == 0, check.stdout
+    assert "PASS  admissible" in check.stdout
+
+
+def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
+    tmp_path: Path,
+) -> None:
+    table("A control law of your own", tmp_path, "law.toml")
+    file = program("A control law of your own", tmp_path, "nearer.py")
+    scenario = load_scenario(law_scenario(tmp_path, f"{file}:Nearer"))
+    law = make_law(scenario, synthesise(scenario))
+    X = np.random.default_rng(1).uniform(-0.3, 0.3, (40, 2))
+    many = law.candidates_many(X)
+    assert [law.candidates(x.tolist()) for x in X] == [
+        tuple(tuple(u) for u in rows) for rows in many.tolist()
+    ]
+    usual = scenario.model_copy(
+        update={"control": scenario.control.model_copy(update={"law": "sustained"})}
+    )
+    wide = make_law(usual, synthesise(usual)).candidates_many(X)
+    assert np.allclose(np.ptp(many, axis=1), 0.9 * np.ptp(wide, axis=1))
+    (tmp_path / "changed").mkdir()
+    changed = tmp_path / "changed" / "nearer.py"
+    changed.write_text(file.read_text() + "\n# another synthesis\n")
+    other = load_scenario(law_scenario(tmp_path, f"{changed}:Nearer"))
+    assert other.design_fingerprint() != scenario.design_fingerprint()
+    assert other.law_fingerprint() != scenario.law_fingerprint()
+    assert other.fingerprint() == scenario.fingerprint()  # the plant applies what it is offered
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "expected a class Nearer that extends controller_service.laws.base.ProgramLaw"),
+        ("1 / 0", "cannot be loaded: ZeroDivisionError: division by zero"),
+        ("class Nearer:\n  synthesise = print\n  table = 3", "expected its table to be a class"),
+    ],
+)
+def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
+    tmp_path: Path, text: str, expected: str
+) -> None:
+    table("A control law of your own", tmp_path, "law.toml")
+    (tmp_path / "bad.py").write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(law_scenario(tmp_path, f"{tmp_path}/bad.py:Nearer"))
+    (line,) = error.value.problems
+    assert "own.toml: control.law: " in line
+    assert expected in line
+
+
+def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
+    name = f"{program('Eavesdroppers', tmp_path, 'near.py')}:Near"
+    run = simulate(1200, 5)
+    tap, transcript = named(name)(run.scenario.knowledge()), Transcript()
+    right = 0
+    for transition in (t for m in run.messages for t in transcript.hear(m)):
+        guess = tap.observe(transition)
+        right += run.truth.keys.get((transition.session, transition.k)) == guess.best
+    assert right == len(run.truth.keys) > 100
+    assert len(tap.belief().symbols) > 50
+
+
+def test_the_plant_of_the_page_moves() -> None:
+    room = stepped(module_at("room.py", EXAMPLES / "room")[0].Room(), "room.py:Room")
+    assert room.reset(None) == (20.0,)
+    assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
+
+
+def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_path: Path) -> None:
+    path = shutil.copytree(EXAMPLES / "room", tmp_path / "room") / "room.toml"
+    assert main(["design", str(path)]) == 0
+    scenario = load_scenario(path)
+    point = scenario.plant.operating_point
+    assert point is not None
+    assert point.state is not None
+    assert point.input is not None
+    (at,), (rest,) = point.state, point.input
+    room = stepped(module_at("room.py", path.parent)[0].Room(), "room.py:Room")
+    x = room.reset(None)[0] - at
+    for u in (0.3, -0.3, 0.1):
+        (t,) = room.step((rest + u,), scenario.plant.period_s)
+        x = scenario.A[0][0] * x + scenario.B[0][0] * u
+        assert t - at == pytest.approx(x)
+
+
+def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) -> None:
+    shutil.copytree(EXAMPLES / "logger_service", tmp_path / "logger_service")
+    (end,) = free_endpoints(1)
+    measurement = Measurement(
+        session="0" * 16, k=3, x=(1.0,), applied_k=2, x_after=(1.0,), copy_number=0
+    )
+    with (
+        ZenohBus(listen=[end]) as field,
+        subprocess.Popen(
+            [sys.executable, "-m", "logger_service", "--connect", f"field={end}"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
+        publisher = field.publisher(key_of(Measurement, DEFAULT_LOOP))
+        assert process.stdout is not None
+        lines: list[str] = []
+        read = process.stdout.readline
+        ready = threading.Thread(target=lambda: lines.append(read()), daemon=True)
+        ready.start()
+        while ready.is_alive():
+            assert process.poll() is None
+            publisher.put(measurement.wire())
+            ready.join(0.1)
+        assert json.loads(lines[0])["k"] == 3
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
+
+
+def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = shutil.copytree(EXAMPLES / "room", tmp_path / "room") / "room.toml"
+    path.write_text(path.read_text().replace("period_s", "initial_state = [-1.0]\nperiod_s"))
+    assert main(["design", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "plant.initial_state: got [-1.0], expected none: a plant of this kind begins" in told
+
+
+def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
+    tmp_path: Path,
+) -> None:
+    page = guide("A run's folder")
+    told = {
+        name: row
+        for row in page.splitlines()
+        if row.startswith("| `")
+        for name in re.findall(r"`(\w+)`", row.split("|")[1])
+    }
+    run = SmallRun(tmp_path / "run", (b"two by two",))
+    run.until_received(1)
+    run.close()
+    for mark in ("continued", "end", "lines", "sha256", "next"):
+        assert f"`{mark}`" in page
+    events = [
+        json.loads(line)
+        for side in ("plant", "controller")
+        for line in (tmp_path / "run" / side / "trace.jsonl").read_text().splitlines()
+    ]
+    seen = {event["event"] for event in events}
+    assert {"transition", "session", "sent", "recovered", "end"} <= seen
+    for event in events:
+        if event["event"] not in MARKS:
+            for field in set(event) - {"event"}:
+                assert f"`{field}`" in told[event["event"]], (event["event"], field)
+    code = (ROOT / "protocol" / "link").rglob("*.py")
+    named = {name for f in code for name in re.findall(r'"event": "(\w+)"', f.read_text())}
+    assert len(named) > 8
+    assert named <= set(told)
+
+
+def test_the_guides_name_what_is_there() -> None:
+    found = re.findall(
+        r"`((?:protocol|controller_service|plant_service|tap_service|attacker_service|wyner|tests)/[\w/]*\.?\w+/?)`",
+        GUIDES,
+    )
+    assert len(found) > 10
+    for target in found:
+        assert (ROOT / target).exists(), target

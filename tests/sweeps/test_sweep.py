@@ -1,0 +1,720 @@
+"""Sweeps: the grid, additive rows, the stopping rule, resuming, and every executor alike."""
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from studies.measurements import TAP_SOURCES
+from wyner.cli.main import main
+from wyner.sweeps.grid import (
+    SOURCES,
+    Sweep,
+    SweepError,
+    code_version,
+    groups_of,
+    load_sweep,
+    points_of,
+)
+from wyner.sweeps.results import Results, histogram_of, read_rows, summarise
+from wyner.sweeps.running import SerialExecutor, looks, run_sweep, run_task
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = """
+name = "small"
+scenario = "sustained"
+runs = 30
+steps = 40
+seed = 3
+batch = 10
+
+[grid]
+"plant.initial_state" = [[1.0, -0.5], [4.0, -2.0]]
+"secrecy.alpha" = [1.0, 3.0, 8.0]
+"""
+
+
+def small(tmp_path: Path, extra: str = "", text: str = TEXT) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(text + extra, encoding="utf-8")
+    return path
+
+
+def rows_of(
+    path: Path, output: Path, executor: Executor | None = None, resume: bool = False
+) -> Any:
+    sweep = load_sweep(path)
+    points = points_of(sweep, path.parent)
+    results = Results(output, sweep.columns, resume)
+    try:
+        failures = run_sweep(sweep, points, results, executor or SerialExecutor(), ahead=5)
+    finally:
+        results.close()
+    assert failures == []
+    return read_rows(output)
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "wyner.cli.main", "sweep", *arguments]
+
+
+# --- the file and the grid -----------------------------------------------------------------------
+
+
+def test_the_grid_is_the_product_and_alpha_shares_trajectories(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    points = points_of(load_sweep(path), tmp_path)
+    assert [(p.fields["plant.initial_state"][0], p.scenario.secrecy.alpha) for p in points] == [
+        (x, a) for x in (1.0, 4.0) for a in (1.0, 3.0, 8.0)
+    ]
+    assert len({p.task for p in points}) == 6
+    assert [len(g.points) for g in groups_of(points)] == [3, 3]
+
+
+def test_variants_set_fields_together_and_paths_reach_into_lists(tmp_path: Path) -> None:
+    extra = """
+[[variant]]
+label = "quiet"
+set = { "control.costs.1" = { next_state = 1.0 } }
+[[variant]]
+label = "loud"
+set = { "control.law" = "paper", "plant.disturbance.kind" = "corners" }
+"""
+    points = points_of(load_sweep(small(tmp_path, extra)), tmp_path)
+    quiet, loud = points[0].scenario, points[-1].scenario
+    assert quiet.control.costs[0] == quiet.control.costs[1]
+    assert (loud.control.law, loud.plant.disturbance.kind) == ("paper", "corners")
+    assert len(groups_of(points)) == 4
+
+
+def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path: Path) -> None:
+    def task(text: str) -> str:
+        return points_of(load_sweep(small(tmp_path, text=text)), tmp_path)[0].task
+
+    first = task(TEXT)
+    assert task(TEXT.replace('"small"', '"other"')) == first
+    assert task(TEXT.replace("runs = 30", "runs = 50")) == first
+    for change in (("steps = 40", "steps = 41"), ("seed = 3", "seed = 4"), ("[1.0,", "[1.25,")):
+        assert task(TEXT.replace(*change)) != first, change
+
+
+def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: Path) -> None:
+    text = (
+        'name = "k"\nscenario = "keys"\nruns = 1\nsteps = 40\nseed = 3\n'
+        'eavesdroppers = ["key-solver"]\n[grid]\n"tap.loss" = [0.0, 0.3]\n'
+    )
+    points = points_of(load_sweep(small(tmp_path, text=text)), tmp_path)
+    assert len({point.task for point in points}) == len(groups_of(points)) == 2
+    with pytest.raises(SweepError, match=r"tap\.loss: changes none of the numbers"):
+        load_sweep(small(tmp_path, text=text.replace("key-solver", "oracle")))
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("runs = 30", "runs = 0"), "runs: got 0, input should be greater than or equal to 1"),
+        (("runs = 30", "rums = 30"), "rums: got 30, no such field"),
+        (("[1.0, 3.0, 8.0]", "[0.5]"), "secrecy.alpha: got 0.5, input should be greater than"),
+        (("[1.0, 3.0, 8.0]", "[]"), "grid.secrecy.alpha"),
+        (("[1.0, 3.0, 8.0]", "[3, 3.0]"), "stands there twice"),
+        (('"secrecy.alpha"', '"secrecy.beta"'), "secrecy.beta: got 1.0, no such field"),
+        (('"secrecy.alpha"', '"control.law.x"'), "law.x: expected the path of a scenario's field"),
+        (('"secrecy.alpha"', '"link.repeats_per_period"'), "repeats_per_period: changes none of"),
+        (('"secrecy.alpha"', '"name"'), "grid: name: changes none of the numbers"),
+        (('"sustained"', "[]"), "scenario: got none, expected at least one"),
+        (('"sustained"', '"nowhere"'), "nowhere: cannot be read"),
+        (("[grid]", "[grid"), "not TOML"),
+    ],
+)
+def test_a_bad_file_gets_one_line_a_field_and_exit_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], line: str
+) -> None:
+    path = small(tmp_path, text=TEXT.replace(*change))
+    assert main(["sweep", str(path), "--output", str(tmp_path / "x.csv")]) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert all(text.startswith("wyner: ") for text in error.splitlines())
+    assert not (tmp_path / "x.csv").exists()
+
+
+def test_one_scenario_in_two_spellings_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = ROOT / "runtime" / "scenarios" / "sustained.toml"
+    text = TEXT.replace('"sustained"', f'["sustained", "{other}"]')
+    text = text.replace("[1.0, 3.0, 8.0]", "[3.0]").replace(", [4.0, -2.0]]", "]")
+    assert main(["sweep", str(small(tmp_path, text=text)), "--output", str(tmp_path / "x")]) == 2
+    fields = '{"plant.initial_state":[1.0,-0.5],"secrecy.alpha":3.0}'
+    first = f"small: sustained: {fields}"
+    assert capsys.readouterr().err == (
+        f"wyner: small: {other}: {fields}: stands there twice, first as {first}\n"
+    )
+
+
+def test_every_shipped_sweep_can_be_read() -> None:
+    paths = sorted((ROOT / "wyner" / "sweeps").glob("*.toml"))
+    assert paths
+    for path in paths:
+        sweep = load_sweep(path)
+        assert sweep.name == path.stem
+        assert points_of(sweep, path.parent)
+
+
+# --- rows ----------------------------------------------------------------------------------------
+
+
+def test_rows_add_up_to_the_same_whatever_the_batch(tmp_path: Path) -> None:
+    one = summarise(
+        rows_of(small(tmp_path, text=TEXT.replace("batch = 10", "batch = 30")), tmp_path / "a.csv")
+    )
+    three = summarise(rows_of(small(tmp_path), tmp_path / "b.csv"))
+    for a, b in zip(one, three, strict=True):
+        assert (a.runs, a.counts, a.histogram) == (30, b.counts, b.histogram)
+        assert a.rate == b.rate
+        for name in a.sums:
+            assert a.sums[name] == pytest.approx(b.sums[name], rel=1e-12)
+
+
+def test_a_run_that_stands_there_twice_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    rows = rows_of(path, output)
+    with pytest.raises(SweepError, match=r"^sustained, \w+: run 0 stands there twice$"):
+        summarise([*rows, rows[0]])
+    with pytest.raises(SweepError, match="run 5 stands there twice"):
+        summarise([*rows, rows[0] | {"first_run": 5, "runs": 1}])
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join([*lines, lines[1]]))
+    before = output.read_bytes()
+    assert main(["sweep", str(path), "--resume", "--output", str(output)]) == 2
+    assert f"{output}: sustained, " in capsys.readouterr().err
+    assert output.read_bytes() == before
+
+
+def test_counts_of_a_row_fit_together(tmp_path: Path) -> None:
+    rows = rows_of(small(tmp_path), tmp_path / "a.csv")
+    assert len(rows) == 18
+    for row in rows:
+        assert row["version"] == code_version()
+        assert row["tested"] + row["message_symbols"] == row["runs"] * row["steps"]
+        assert row["message_symbols"] <= row["agreements"] <= row["message_symbols"] + row["runs"]
+        histogram = histogram_of(row["runs_by_symbols"])
+        assert sum(histogram.values()) == row["runs"]
+        assert sum(k * v for k, v in histogram.items()) == row["message_symbols"]
+        assert row["mistaken"] == 0
+        assert (row["agreements"] > 0) == (row["secrecy.alpha"] != "1.0")
+
+
+def test_the_rate_is_bits_over_plant_time(tmp_path: Path) -> None:
+    summary = summarise(rows_of(small(tmp_path), tmp_path / "a.csv"))[2]
+    symbols = summary.counts["message_symbols"]
+    assert summary.rate.value == pytest.approx(symbols / (30 * 40 * 0.1))
+    assert summary.rate.low < summary.rate.value < summary.rate.high
+
+
+def test_the_same_bytes_twice_and_from_threads(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    rows_of(path, tmp_path / "a.csv")
+    with ThreadPoolExecutor(3) as executor:
+        rows_of(path, tmp_path / "b.csv", executor)
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_the_same_rows_from_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = small(tmp_path)
+    rows_of(path, tmp_path / "a.csv")
+    assert main(["sweep", str(path), "--jobs", "2", "--output", str(tmp_path / "b.csv")]) == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert "18 rows in" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_same_rows_from_two_dask_workers(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    path = small(tmp_path)
+    rows_of(path, tmp_path / "a.csv")
+    output = tmp_path / "b.csv"
+    done = subprocess.run(
+        command(str(path), "--executor", "dask", "--jobs", "2", "--output", str(output), "--json"),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["new_rows"] == 18
+    assert (tmp_path / "a.csv").read_bytes() == output.read_bytes()
+
+
+def test_a_point_that_cannot_be_simulated_is_told_and_the_others_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = small(tmp_path, text=TEXT.replace("[[1.0, -0.5], ", "[[1e9, 0.0], "))
+    output = tmp_path / "a.csv"
+    assert main(["sweep", str(path), "--jobs", "1", "--output", str(output), "--json"]) == 1
+    out, error = capsys.readouterr()
+    assert json.loads(out)["new_rows"] == 9
+    assert error.count("\n") == 1
+    assert "[1000000000.0,0.0]" in error
+    assert "outside T_250" in error
+
+
+def of_another_version(*arguments: Any) -> Any:
+    return "0.0.9+cafecafe", run_task(*arguments)[1]
+
+
+def test_a_worker_with_other_code_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("wyner.sweeps.running.run_task", of_another_version)
+    output = tmp_path / "a.csv"
+    assert main(["sweep", str(small(tmp_path)), "--jobs", "1", "--output", str(output)]) == 1
+    assert capsys.readouterr().err == (
+        f"wyner: a worker has code version 0.0.9+cafecafe, this is {code_version()}\n"
+    )
+    assert output.read_bytes().count(b"\n") == 1, "the header alone"
+
+
+def imported(statement: str) -> set[Path]:
+    code = f"import sys; {statement}; print(*(getattr(m, '__file__', '') for m in " + (
+        "list(sys.modules.values())), sep='\\n')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    packages = (
+        "wyner",
+        "controller_service",
+        "plant_service",
+        "protocol",
+        "runtime",
+        "tap_service",
+    )
+    return {
+        path
+        for line in done.stdout.splitlines()
+        if (path := Path(line)).is_relative_to(ROOT)
+        and path.relative_to(ROOT).parts[0] in packages
+        and path.name != "__init__.py"
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("statement", "sources", "others"),
+    [
+        ("import wyner.sweeps.running", SOURCES, {"protocol/knowledge.py"}),
+        (
+            "import wyner.simulate.engine.taps, tap_service.eavesdroppers as e; "
+            "e.named('nearest-centre'), e.named('list-decoder')",
+            (*SOURCES, *TAP_SOURCES),
+            {  # they hold a user's eavesdropper; the shipped ones answer themselves
+                "runtime/sandbox.py",
+                "runtime/errors.py",
+                "runtime/processor_time.py",
+                "protocol/text.py",
+                "tap_service/sandboxed.py",
+            },
+        ),
+    ],
+)
+def test_the_version_covers_what_the_numbers_come_from(
+    statement: str, sources: tuple[str, ...], others: set[str]
+) -> None:
+    # These say which runs there are and what they add up to; a task does not use them.
+    others = others | {
+        "runtime/files.py",  # where a law's tables are cached
+        # how a scenario's file is found and opened; what it says is read by protocol/scenario
+        *(f"runtime/{name}.py" for name in ("errors", "options", "pace", "run_folder")),
+        "runtime/scenario_file.py",
+        "protocol/brief.py",  # how objects look in a notebook
+        "runtime/shipped.py",
+        "protocol/statistics.py",
+        # types that the session's module names: the engine sends no message and keeps no record
+        "protocol/link/records.py",
+        *(f"protocol/messages/{path.name}" for path in (ROOT / "protocol/messages").glob("*.py")),
+        "protocol/defence/alarm_rule.py",  # what is made of failed tests, after them
+        "runtime/child.py",  # starts the process of a user's eavesdropper
+        *(f"protocol/secret/{path.name}" for path in (ROOT / "protocol/secret").glob("*.py")),
+        *(f"wyner/sweeps/{name}.py" for name in ("grid", "results")),
+    }
+    covered = {path for pattern in sources for path in ROOT.glob(pattern)}
+    assert imported(statement) - covered <= {ROOT / name for name in others}
+    assert all(list(ROOT.glob(pattern)) for pattern in sources)
+
+
+# --- the stopping rule ---------------------------------------------------------------------------
+
+
+def test_looks_double_up_to_the_limit() -> None:
+    base = {"name": "a", "scenario": "sustained", "runs": 20, "steps": 5, "seed": 1, "batch": 10}
+    assert list(looks(Sweep.model_validate(base))) == [20]
+    stop = {"stop": {"relative_width": 0.1, "max_runs": 105}}
+    assert list(looks(Sweep.model_validate(base | stop))) == [20, 40, 80, 105]
+
+
+def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:
+    extra = "\n[stop]\nrelative_width = 0.25\nmax_runs = 75\n"
+    text = TEXT.replace('"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy.alpha" = [8.0]')
+    text = text.replace("runs = 30", "runs = 10")
+    narrow = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
+    for summary in narrow:
+        assert summary.runs in (10, 20, 40, 75)
+        assert summary.runs == 75 or summary.rate_at_every_look.relative_width <= 0.25
+    assert min(summary.runs for summary in narrow) < 75
+    # A rate of zero never has a narrow interval: the limit ends it, with the last batch cut short.
+    never = text.replace("[8.0]", "[1.0]")
+    assert {
+        s.runs for s in summarise(rows_of(small(tmp_path, extra, never), tmp_path / "b.csv"))
+    } == {75}
+
+
+def test_the_first_look_is_after_the_runs_whatever_the_batch(tmp_path: Path) -> None:
+    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 2000\n"
+    text = TEXT.replace("batch = 10\n", "").replace("[1.0, 3.0, 8.0]", "[8.0]")
+    summaries = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
+    assert [s.runs for s in summaries] == [30, 30]
+    assert max(s.rate.relative_width for s in summaries) <= 0.5
+
+
+def test_an_interval_without_a_width_stops_nothing(tmp_path: Path) -> None:
+    # From (1, -0.5) under the law paper nearly every run carries one symbol.
+    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 60\n"
+    text = TEXT.replace('"sustained"', '"paper"').replace("[1.0, 3.0, 8.0]", "[8.0]")
+    text = text.replace(", [4.0, -2.0]]", "]").replace("runs = 30", "runs = 3")
+    rows = rows_of(small(tmp_path, extra, text), tmp_path / "a.csv")
+    assert histogram_of(rows[0]["runs_by_symbols"]) == {1: 3}
+    (summary,) = summarise(rows)
+    assert summary.runs == 60 or len(summary.histogram) > 1
+    assert summary.runs > 3
+
+
+# --- stopping and going on -----------------------------------------------------------------------
+
+
+def test_resuming_adds_what_is_missing_and_nothing_twice(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    rows_of(path, tmp_path / "whole.csv")
+    whole = (tmp_path / "whole.csv").read_bytes()
+    lines = whole.splitlines(keepends=True)
+    for cut in (0, 20, len(lines[0]), len(lines[0]) + 5, sum(map(len, lines[:6])) + 30):
+        output = tmp_path / f"cut{cut}.csv"
+        output.write_bytes(whole[:cut])
+        rows_of(path, output, resume=True)
+        assert output.read_bytes() == whole
+        rows_of(path, output, resume=True)
+        assert output.read_bytes() == whole
+
+
+def test_more_runs_are_added_to_those_that_are_there(tmp_path: Path) -> None:
+    output = tmp_path / "a.csv"
+    rows_of(small(tmp_path), output)
+    more = rows_of(
+        small(tmp_path, text=TEXT.replace("runs = 30", "runs = 50")), output, resume=True
+    )
+    assert {s.runs for s in summarise(more)} == {50}
+    fresh = rows_of(
+        small(tmp_path, text=TEXT.replace("runs = 30", "runs = 50")), tmp_path / "b.csv"
+    )
+    assert sorted(map(str, more)) == sorted(map(str, fresh))
+
+
+@pytest.mark.parametrize(("before", "after", "batch"), [(25, 50, "batch = 10\n"), (100, 500, "")])
+def test_a_short_batch_is_completed(tmp_path: Path, before: int, after: int, batch: str) -> None:
+    text = TEXT.replace("batch = 10\n", batch)
+
+    def rows(runs: int, name: str, resume: bool = False) -> Any:
+        path = small(tmp_path, text=text.replace("runs = 30", f"runs = {runs}"))
+        return rows_of(path, tmp_path / name, resume=resume)
+
+    few = rows(before, "a.csv")
+    more = summarise(rows(after, "a.csv", resume=True))
+    assert {s.runs for s in summarise(few)} == {before}
+    for s, whole in zip(more, summarise(rows(after, "b.csv")), strict=True):
+        assert s.runs == whole.runs == after
+        assert (s.counts, s.histogram, s.rate) == (whole.counts, whole.histogram, whole.rate)
+        for name in s.sums:
+            assert s.sums[name] == pytest.approx(whole.sums[name], rel=1e-12)
+    kept = (tmp_path / "a.csv").read_bytes()
+    rows(after, "a.csv", resume=True)
+    assert (tmp_path / "a.csv").read_bytes() == kept
+
+
+def test_what_was_lost_from_the_middle_is_run_again(tmp_path: Path) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    whole = rows_of(path, output)
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join(lines[:4] + lines[6:]))
+    again = rows_of(path, output, resume=True)
+    assert sorted(map(str, again)) == sorted(map(str, whole))
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"my notes, without a line's end", "its columns are not this sweep's"),
+        (b"a,b\n1,2\n3", "its columns are not this sweep's"),
+        (b"\x89PNG\xff\xfe", "its columns are not this sweep's"),
+        (b"HEADER\n\xff\xfe\n", "is not CSV text"),
+        (b"HEADER\na,b\ntorn", "line 2: expected as many cells as the header has"),
+    ],
+)
+def test_a_file_that_is_no_sweeps_is_left_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, line: str
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    rows_of(path, output)
+    header = output.read_bytes().splitlines()[0]
+    output.write_bytes(content.replace(b"HEADER", header))
+    assert main(["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output)]) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"wyner: {output}: {line}")
+    assert output.read_bytes() == content.replace(b"HEADER", header)
+
+
+def test_one_process_writes_a_file_at_a_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = small(tmp_path), tmp_path / "a.csv"
+    sweep = load_sweep(path)
+    results = Results(output, sweep.columns, resume=False)
+    before = output.read_bytes()
+    arguments = ["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output)]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == f"wyner: {output}: another process is writing it\n"
+    assert output.read_bytes() == before
+    results.close()
+    assert main(arguments) == 0
+
+
+def test_a_file_in_the_way_is_never_spoilt(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    output = tmp_path / "a.csv"
+    rows_of(path, output)
+    before = output.read_bytes()
+    with pytest.raises(SweepError, match="exists; --resume"):
+        rows_of(path, output)
+    other = small(
+        tmp_path,
+        text=TEXT.replace('"plant.initial_state"', '"control.law"').replace(
+            "[[1.0, -0.5], [4.0, -2.0]]", '["paper"]'
+        ),
+    )
+    with pytest.raises(SweepError, match="columns are not this sweep's"):
+        rows_of(other, output, resume=True)
+    output.write_bytes(before.replace(code_version().encode(), b"0.0.9+cafecafe"))
+    with pytest.raises(SweepError, match=r"rows of code version 0\.0\.9\+cafecafe"):
+        rows_of(small(tmp_path), output, resume=True)
+    torn = before.replace(code_version().encode(), b"0.0.9+cafecafe") + b"torn"
+    output.write_bytes(torn)
+    with pytest.raises(SweepError, match="rows of code version"):
+        rows_of(small(tmp_path), output, resume=True)
+    assert output.read_bytes() == torn
+
+
+LONG = (
+    TEXT.replace("runs = 30", "runs = 400000")
+    .replace("steps = 40", "steps = 200")
+    .replace("batch = 10", "batch = 500")
+)
+
+
+def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[bytes]:
+    path = small(tmp_path, text=LONG)
+    process = subprocess.Popen(
+        command(str(path), *options, "--output", str(output)),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None:
+        if output.exists() and output.read_bytes().count(b"\n") > 6:
+            return process
+        time.sleep(0.02)
+    process.kill()
+    _, error = process.communicate()
+    raise AssertionError(f"no rows came: {error.decode()}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--jobs", "1"),
+        ("--jobs", "2"),
+        ("--jobs", "2", "--executor", "dask"),
+    ],
+)
+def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple[str, ...]) -> None:
+    output = tmp_path / "a.csv"
+    process = started(tmp_path, output, *options)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers hear it too
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    rows = read_rows(output)
+    said = [line for line in error.decode().splitlines() if line.startswith("wyner: ")]
+    assert said == [f"wyner: stopped: {len(rows)} rows kept in {output}; --resume goes on"]
+    assert b"Traceback" not in error
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_without_a_row_twice(tmp_path: Path) -> None:
+    output = tmp_path / "a.csv"
+    process = started(tmp_path, output, "--jobs", "1")
+    process.kill()
+    process.communicate(timeout=30)
+    kept = output.read_bytes()
+    rows = [line for line in kept.split(b"\n") if line]
+    shorter = LONG.replace("runs = 400000", "runs = 2000")
+    after = rows_of(small(tmp_path, text=shorter), output, resume=True)
+    keys = [(r["task"], r["first_run"]) for r in after]
+    assert len(keys) == len(set(keys))
+    assert len(after) >= max(24, len(rows) - 2)
+    assert output.read_bytes().startswith(kept[: kept.rfind(b"\n") + 1])
+
+
+def living(session: int) -> list[str]:
+    """The processes of a session, but for those that have ended and wait to be collected."""
+    lines = subprocess.check_output(["ps", "-A", "-o", "sid=,pid=,stat="], text=True).splitlines()
+    found = (line.split() for line in lines)
+    return [pid for sid, pid, state in found if sid == str(session) and state[0] != "Z"]
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
+    process = started(tmp_path, tmp_path / "a.csv", "--jobs", "2")
+    assert len(living(process.pid)) >= 3
+    process.kill()
+    process.wait(timeout=30)
+    deadline = time.monotonic() + 30
+    while (left := living(process.pid)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    for pid in left:
+        os.kill(int(pid), signal.SIGKILL)
+    process.communicate(timeout=30)
+    assert not left
+
+
+# --- what a user sees ----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_progress_is_drawn_on_a_terminal_only(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    done = subprocess.run(
+        command(str(path), "--jobs", "1", "--output", str(tmp_path / "a.csv")),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stderr == ""
+    lines = done.stdout.splitlines()
+    assert lines[0].split()[:3] == ["scenario", "plant.initial_state", "secrecy.alpha"]
+    assert len(lines) == 9
+    master, slave = pty.openpty()
+    try:
+        process = subprocess.Popen(
+            command(str(path), "--jobs", "1", "--output", str(tmp_path / "b.csv")),
+            stdout=subprocess.DEVNULL,
+            stderr=slave,
+            env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
+        )
+        seen = b""
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            ready, _, _ = select.select([master], [], [], 0.2)
+            if ready:
+                seen += os.read(master, 65536)
+            elif process.poll() is not None:
+                break
+        assert process.wait(timeout=10) == 0
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert b"small" in seen
+    assert b"runs" in seen
+
+
+def test_quick_runs_few_of_each_into_a_file_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    extra = "\n[quick]\nruns = 4\nsteps = 12\n"
+    assert main(["sweep", str(small(tmp_path, extra)), "--quick", "--jobs", "1", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["output"] == "runs/sweeps/small-quick.csv"
+    assert {p["runs"] for p in result["points"]} == {4}
+    assert {r["steps"] for r in read_rows(tmp_path / result["output"])} == {12}
+
+
+def test_a_whole_table_on_the_grid_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TEXT.replace(
+        '"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy" = [{ alpha = 3.0 }, { alpha = 8.0 }]'
+    )
+    output = str(tmp_path / "a.csv")
+    path = str(small(tmp_path, text=text))
+    assert main(["sweep", path, "--jobs", "1", "--output", output, "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)["points"]
+    assert [p["fields"] for p in points[:2]] == [
+        {"plant.initial_state": [1.0, -0.5], "secrecy": {"alpha": alpha}} for alpha in (3.0, 8.0)
+    ]
+
+
+def test_only_the_sweeps_own_points_are_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "a.csv"
+    rows_of(small(tmp_path), output)
+    path = small(tmp_path, text=TEXT.replace("seed = 3", "seed = 4"))
+    arguments = ["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output), "--json"]
+    assert main(arguments) == 0
+    result = json.loads(capsys.readouterr().out)
+    ours = {p.task for p in points_of(load_sweep(path), tmp_path)}
+    assert {p["task"] for p in result["points"]} == ours
+    assert (len(result["points"]), result["new_rows"]) == (6, 18)
+
+
+def test_wrong_options_are_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(small(tmp_path))
+    assert main(["sweep", path, "--jobs", "0"]) == 2
+    assert main(["sweep", path, "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "wyner: --jobs: got 0, expected at least 1",
+        "wyner: --scheduler: expected together with --executor dask",
+    ]
+
+
+@pytest.mark.slow
+def test_a_law_that_knows_alpha_is_simulated_at_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "packed-alphas.toml"
+    path.write_text(
+        'name = "packed-alphas"\nscenario = "packed"\nruns = 4\nsteps = 40\nseed = 7\n'
+        '[[variant]]\nlabel = "short"\nset = { "control.horizon" = 10 }\n'
+        '[grid]\n"secrecy.alpha" = [7.5, 8.0]\n'
+    )
+    points = points_of(load_sweep(path), tmp_path)
+    assert len(groups_of(points)) == 2
+    out = tmp_path / "rows.csv"
+    assert main(["sweep", str(path), "--output", str(out)]) == 0
+    capsys.readouterr()
+    rows = read_rows(out)
+    assert [row["agreements"] for row in rows] == [row["tested"] for row in rows]
+    assert len(rows) == 2

@@ -1,0 +1,236 @@
+"""Bits that any tap leaves of the coins, if she watches the machine through noise and no more.
+
+The loop is x+ = A x + B (K x + p_b) + d: linear, its coins b drawn fairly and apart from all else.
+She sees Y = S p + (what is known to her) + N, where N holds white Gaussian noise of covariance S_n
+a step, and S is the loop's response to the offsets. With g = || S_n^(-1/2) C (zI - A - BK)^(-1) B
+|| (the largest gain over frequencies) S'S <= g^2, so that Y is a degraded version of
+p + N(0, I / g^2): each coin seen once, by itself, through one Gaussian channel. Whatever she
+computes, knowing d, its law, the model and the control law, is then bounded by that channel: the
+theorem of docs/findings.md.
+
+Its proof: in units of S_n, S'S <= g^2 I, for S is a block of a Toeplitz operator of norm g. The
+sufficient S'Y has the law of S'S q plus independent Gaussian noise of covariance
+S'S - (S'S)^2 / g^2 >= 0, for q = p + N(0, I / g^2), in which the coins are apart. Data processing
+does the rest.
+
+That of the key's length: Riesz and Thorin between l_1 (norm at most 2) and l_2 (at most 1, as two
+inputs collide with probability 2^-length), for the hash less its mean; then Hoelder.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.arrays import Array
+
+Bits = NDArray[np.uint8]
+
+FINE: Final = 64
+"""Points of the grid in a standard deviation of the channel's noise, one input."""
+COARSE: Final = 12
+"""The same on each axis of the plane, two inputs."""
+TAILS: Final = 9.0
+"""Standard deviations beyond the outermost offsets that the grid reaches; 1e-18 lies beyond."""
+
+CLOSE: Final = 1e-9
+"""Relative error of the largest gain; it is rounded up by it."""
+
+ORDERS: Final = tuple(1 + 2.0 ** (-k / 4) for k in range(40, -1, -1))
+"""Orders s of the Renyi entropy that are tried, from just above 1 to 2."""
+
+PLAIN: Final = 40.0
+"""From this distance of neighbouring offsets over the deviation on, nothing is left of a coin."""
+
+
+def largest_gain(F: Array, B: Array, C: Array) -> float:
+    """|| C (zI - F)^(-1) B ||, the largest singular value over the unit circle, rounded up.
+
+    A grid of frequencies gives a value from below; the symplectic pencil says whether a candidate
+    is above every frequency's (no eigenvalue on the circle), and else where to look on.
+
+    Parameters
+    ----------
+    F : array, shape (n, n)
+        Stable.
+    B, C : array, shapes (n, m) and (p, n)
+    """
+    n = len(F)
+
+    def at(angles: Array) -> float:
+        z = np.exp(1j * angles)[:, None, None] * np.eye(n)
+        gains = np.linalg.norm(C @ np.linalg.solve(z - F, B + 0j), ord=2, axis=(1, 2))
+        return float(gains.max())
+
+    gain = at(np.linspace(0, np.pi, 2001))
+    for _ in range(60):
+        tried = gain * (1 + CLOSE)
+        angles = _crossings(F, B, C, tried)
+        if len(angles) == 0:
+            return tried
+        ordered = np.sort(angles)
+        middles = 0.5 * (ordered + np.roll(ordered, -1))
+        middles[-1] = 0.5 * (ordered[-1] + ordered[0] + 2 * np.pi)
+        gain = max(at(np.concatenate([ordered, middles])), tried)
+    return gain * (1 + 1e-6)
+
+
+def _crossings(F: Array, B: Array, C: Array, gain: float) -> Array:
+    """Angles at which a singular value of the response equals ``gain``."""
+    from scipy.linalg import eigvals
+
+    n = len(F)
+    eye, zero = np.eye(n), np.zeros((n, n))
+    M = np.block([[F, zero], [-C.T @ C, eye]])
+    L = np.block([[eye, -(B @ B.T) / gain**2], [zero, F.T]])
+    z = eigvals(M, L)
+    z = z[np.isfinite(z)]
+    out: Array = np.angle(z[np.abs(np.abs(z) - 1) < 1e-7])
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Coin:
+    """One coin seen once: p_b + N(0, deviation^2 I), b uniform over the offsets.
+
+    Parameters
+    ----------
+    offsets : array, shape (M, m)
+        Candidates less their common part; one or two inputs.
+    deviation : float
+        1 / g, in the unit of an input; 0 where she sees the coin itself.
+    """
+
+    offsets: Array
+    deviation: float
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether she simply has it: what is left, below 1e-80 bits, is told as 0."""
+        apart = np.linalg.norm(self.offsets[:, None] - self.offsets[None], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        return bool(apart.min() >= PLAIN * self.deviation)
+
+    @property
+    def size(self) -> int:
+        """M."""
+        return len(self.offsets)
+
+    @cached_property
+    def _densities(self) -> tuple[Array, float]:
+        """P(b, y) on a grid of y, shape (M, points), and the volume of a grid point."""
+        P = self.offsets / self.deviation
+        m = P.shape[1]
+        step = 1 / (FINE if m == 1 else COARSE)
+        axes = [
+            np.arange(math.floor((c.min() - TAILS) / step), math.ceil((c.max() + TAILS) / step) + 1)
+            * step
+            for c in P.T
+        ]
+        # a Gaussian of the plane is one of each axis, multiplied
+        along = [
+            np.exp(-0.5 * (axis[None] - column[:, None]) ** 2) / math.sqrt(2 * math.pi)
+            for axis, column in zip(axes, P.T, strict=True)
+        ]
+        joint = (
+            along[0] if m == 1 else (along[0][:, :, None] * along[1][:, None]).reshape(len(P), -1)
+        )
+        return joint / len(P), step**m
+
+    @cached_property
+    def guess(self) -> float:
+        """P_g: the probability that the best guess of the coin is right."""
+        if self.plain:
+            return 1.0
+        if self.offsets.shape[1] == 1:
+            from scipy.special import ndtr
+
+            sorted_ = np.sort(self.offsets[:, 0])
+            edges = np.concatenate([[-np.inf], 0.5 * (sorted_[1:] + sorted_[:-1]), [np.inf]])
+            low, high = ((e - sorted_) / self.deviation for e in (edges[:-1], edges[1:]))
+            return float((ndtr(high) - ndtr(low)).mean())
+        joint, cell = self._densities
+        return min(1.0, float(joint.max(axis=0).sum()) * cell)
+
+    @cached_property
+    def bits(self) -> float:
+        """H(B | Y), bits a coin that she does not have."""
+        if self.plain:
+            return 0.0
+        joint, cell = self._densities
+        total = joint.sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            surprise = np.where(joint > 0, -joint * np.log2(joint / total), 0.0)
+        return max(0.0, float(surprise.sum()) * cell)
+
+    def renyi(self, order: float) -> float:
+        """H_s(B | Y) of Arimoto: s / (1 - s) log2 of the integral of (sum_b P(b, y)^s)^(1/s)."""
+        if self.plain:
+            return 0.0
+        joint, cell = self._densities
+        norm = float(((joint**order).sum(axis=0) ** (1 / order)).sum()) * cell
+        return max(0.0, order / (1 - order) * math.log2(norm))
+
+    def key_bits(self, coins: int, eps: float) -> int:
+        """Length of a key that :func:`hashed` makes of so many coins.
+
+        It is within ``eps`` of uniform and apart from all that she has, in the sum of absolute
+        differences: twice the statistical distance.
+
+        Raises
+        ------
+        ValueError
+            When ``coins`` is below 1 or ``eps`` not between 0 and 1.
+        """
+        if coins < 1 or not 0 < eps < 1:
+            raise ValueError(
+                f"coins and eps: got {coins} and {eps:g}, expected 1 or more, and 0 to 1"
+            )
+
+        def length(s: float) -> float:
+            return coins * self.renyi(s) - s / (s - 1) * (math.log2(1 / eps) + 2 / s - 1)
+
+        best = max(range(len(ORDERS)), key=lambda i: length(ORDERS[i]))
+        low, high = ORDERS[max(0, best - 1)], ORDERS[min(best + 1, len(ORDERS) - 1)]
+        finer = np.linspace(low, high, 33).tolist()
+        return max(0, math.floor(max(map(length, finer)) - 1e-6))
+
+
+def hashed(bits: Bits, seed: Bits, length: int) -> Bits:
+    """T x over GF(2), T[i, j] = seed[i - j + n - 1]: a random Toeplitz matrix.
+
+    For a seed drawn fairly, and public from when the last coin has fallen, two different inputs
+    have the same hash with probability 2^-length exactly.
+
+    Parameters
+    ----------
+    bits : array of 0 and 1, shape (n,)
+    seed : array of 0 and 1, shape (n + length - 1,)
+    length : int
+
+    Returns
+    -------
+    array of 0 and 1, shape (length,)
+
+    Raises
+    ------
+    ValueError
+        When the seed has another length.
+    """
+    n = len(bits)
+    if len(seed) != n + length - 1:
+        raise ValueError(f"seed: got {len(seed)} bits, expected {n + length - 1}")
+    if length == 0:
+        return np.zeros(0, np.uint8)
+    sums = np.convolve(bits.astype(np.int64), seed.astype(np.int64))[n - 1 : n - 1 + length]
+    return np.asarray(sums & 1, np.uint8)
+
+
+def coin_bits(coins: NDArray[np.integer], size: int) -> Bits:
+    """Coins as bits, each with as many as M symbols need, the most significant first."""
+    width = max(1, (size - 1).bit_length())
+    places = np.arange(width - 1, -1, -1)
+    return np.asarray((np.asarray(coins)[:, None] >> places) & 1, np.uint8).reshape(-1)

@@ -1,0 +1,1 @@
+"""Figures that commands and the library draw, in one style, the same bytes twice."""

@@ -1,1 +1,0 @@
-"""Experiments: sweeps, the secrecy study, and the figures."""

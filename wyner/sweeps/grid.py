@@ -1,0 +1,375 @@
+"""A sweep's file and its points: a grid over scenario fields.
+
+A point is a scenario with its fields set, a number of steps and a seed. It is named by the hash of
+everything that its numbers depend on.
+"""
+
+import hashlib
+import itertools
+import json
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+ALPHA: Final = "secrecy.alpha"
+FILE: Final = "file"
+"""A column of a sweep over several scenarios: as the sweep names each. Two may have one name."""
+
+NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
+"""Fields of a scenario that the numbers do not depend on, but for ``tap.loss`` where keys are gone
+for."""
+
+Row = dict[str, Any]
+
+
+class SweepError(Exception):
+    """A sweep that cannot be run; ``problems`` holds one line for each wrong field."""
+
+    def __init__(self, problems: Sequence[str] | str) -> None:
+        self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Stop(_Part):
+    """When a point has enough runs: its rate's interval is this narrow, or the limit is reached."""
+
+    relative_width: Annotated[float, Field(gt=0)]
+    max_runs: Annotated[int, Field(ge=1)]
+
+
+class Variant(_Part):
+    """Fields that are set together, under one name."""
+
+    label: str
+    set: dict[str, Any] = {}
+
+
+class Quick(_Part):
+    """What ``--quick`` replaces."""
+
+    runs: Annotated[int, Field(ge=1)] = 20
+    steps: Annotated[int, Field(ge=2)] | None = None
+
+
+class Sweep(_Part):
+    """A sweep file.
+
+    Parameters
+    ----------
+    name : str
+        Names the results.
+    scenario : str or list of str
+        Shipped names, or paths relative to the file.
+    runs : int
+        Runs of each point; with a stopping rule, runs of the first look.
+    batch : int
+        Runs of one task at most.
+    steps, seed : int
+    grid : dict
+        Dotted path of a scenario field, and the values that it takes.
+    variant : list of Variant
+        Settings of several fields, each a further axis value.
+    eavesdroppers : list of str
+        Who listens to every run, as ``wyner tap --eavesdropper`` takes them; each run then sends
+        ``message`` again and again. Paths are relative to the file.
+    message : str
+    stop : Stop, optional
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+    description: str = ""
+    scenario: str | tuple[str, ...]
+    runs: Annotated[int, Field(ge=1)]
+    steps: Annotated[int, Field(ge=2)]
+    seed: Annotated[int, Field(ge=0)]
+    batch: Annotated[int, Field(ge=1)] = 1000
+    grid: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = {}
+    variant: tuple[Variant, ...] = (Variant(label=""),)
+    eavesdroppers: tuple[str, ...] = ()
+    message: Annotated[str, Field(min_length=1, max_length=1000)] = "At nine."
+    stop: Stop | None = None
+    quick: Quick = Quick()
+
+    @model_validator(mode="after")
+    def _points_can_be_told_apart(self) -> Self:
+        if not self.scenario:
+            raise ValueError("scenario: got none, expected at least one")
+        labels = [v.label for v in self.variant]
+        if not labels or len(set(labels)) != len(labels):
+            raise ValueError(f"variant: got labels {labels}, expected different ones")
+        for path in self.grid:
+            table = path.split(".")[0]
+            if table == "link":  # counts with a network, which any of the scenarios may have
+                continue
+            if table in NEUTRAL and not (table == "tap" and _for_keys(self)):
+                raise ValueError(f"grid: {path}: changes none of the numbers")
+        return self
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What tells its points apart: the grid's fields, and of several scenarios the file."""
+        several = not isinstance(self.scenario, str) and len(self.scenario) > 1
+        return (FILE, *self.grid) if several else tuple(self.grid)
+
+    @property
+    def limit(self) -> int:
+        """Runs that no point needs more than."""
+        return max(self.runs, self.stop.max_runs if self.stop else 0)
+
+    def quickly(self) -> "Sweep":
+        """The same grid with few runs and no stopping rule."""
+        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps, "stop": None}
+        return self.model_copy(update=changes)
+
+
+def load_sweep(path: Path) -> Sweep:
+    """Read a sweep file.
+
+    Raises
+    ------
+    SweepError
+        With one line for each wrong field.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SweepError(f"{path}: not TOML: {error}") from None
+    try:
+        return Sweep.model_validate(data)
+    except ValidationError as error:
+        raise SweepError(describe_errors(error, str(path))) from None
+
+
+# --- points ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the grid.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    variant : str
+    fields : dict
+        The grid's fields and their values; of several scenarios also which, as `FILE`.
+    task : str
+        Hash of all that its numbers depend on: scenario, steps, seed and batch.
+    """
+
+    scenario: Scenario
+    variant: str
+    fields: dict[str, Any]
+    task: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What its rows are known by: scenario, variant and task."""
+        return self.scenario.name, self.variant, self.task
+
+
+def canonical(value: object) -> str:
+    """The value as JSON in one spelling: what is hashed and what stands in a cell."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+def _substance(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
+    neutral = NEUTRAL if scenario.network is None else NEUTRAL - {"link"}
+    return scenario.model_dump(
+        mode="json", exclude=set(neutral), exclude_none=True, exclude_defaults=True
+    )
+
+
+def _hash(value: object) -> str:
+    return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
+
+
+def _for_keys(sweep: Sweep) -> bool:
+    """Whether somebody goes for keys."""
+    from tap_service.eavesdroppers import KEY_SOLVER
+
+    return KEY_SOLVER in sweep.eavesdroppers
+
+
+def _heard(sweep: Sweep, scenario: Scenario) -> dict[str, Any]:
+    """What of a point's name the eavesdroppers are; nothing where nobody listens."""
+    if not sweep.eavesdroppers:
+        return {}
+    files = [name.rpartition(":")[0] for name in sweep.eavesdroppers if ":" in name]
+    own = [_hash(Path(name).read_text(encoding="utf-8", errors="replace")) for name in files]
+    misses = {"tap.loss": scenario.tap.loss} if _for_keys(sweep) else {}
+    return {
+        **misses,
+        "eavesdroppers": [name.rpartition("/")[2] for name in sweep.eavesdroppers],
+        "message": sweep.message,
+        "version": code_version(*TAP_SOURCES),
+        "files": own,
+    }
+
+
+def eavesdroppers_of(sweep: Sweep, folder: Path) -> list[str]:
+    """The eavesdroppers, files beside the sweep with their whole path."""
+    return [
+        str((folder / name).resolve()) if name.rpartition(":")[0].endswith(".py") else name
+        for name in sweep.eavesdroppers
+    ]
+
+
+def points_of(sweep: Sweep, folder: Path) -> list[Point]:
+    """Every point of the grid, in order; ``folder`` is the sweep file's.
+
+    Raises
+    ------
+    SweepError
+        When a scenario cannot be read, a value does not fit its field, or a point stands there
+        twice.
+    """
+    names = (sweep.scenario,) if isinstance(sweep.scenario, str) else sweep.scenario
+    problems: list[str] = []
+    known: dict[tuple[str, str, str], str] = {}
+    points = []
+    for name in names:
+        path = folder / name
+        shipped = SCENARIOS / f"{name}.toml"
+        try:
+            base = load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
+        except ScenarioError as error:
+            raise SweepError(error.problems) from None
+        for variant in sweep.variant:
+            for values in itertools.product(*sweep.grid.values()):
+                fields = dict(zip(sweep.grid, values, strict=True))
+                data = base.model_dump(mode="json", exclude_none=True)
+                settings = variant.set | fields
+                where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
+                for field_path, value in settings.items():
+                    try:
+                        set_field(data, field_path, value)
+                    except ScenarioError as error:
+                        raise SweepError(f"{where}: {error}") from None
+                try:
+                    scenario = parse_scenario(data, where)
+                except ScenarioError as error:
+                    problems += [p for p in error.problems if p not in problems]
+                    continue
+                task = _hash(
+                    {
+                        "scenario": _substance(scenario),
+                        "steps": sweep.steps,
+                        "seed": sweep.seed,
+                        "batch": sweep.batch,
+                        **_heard(sweep, scenario),
+                    }
+                )
+                shown = f"{where}: {canonical(fields)}" if fields else where
+                if scenario.network is None:
+                    idle = [p for p in sweep.grid if p.startswith("link.")]
+                    problems += [f"{where}: grid: {p}: changes none of the numbers" for p in idle]
+                if FILE in sweep.columns:
+                    fields = {FILE: name, **fields}
+                point = Point(scenario, variant.label, fields, task)
+                if point.key in known:
+                    problems.append(f"{shown}: stands there twice, first as {known[point.key]}")
+                known.setdefault(point.key, shown)
+                points.append(point)
+    if problems:
+        raise SweepError(problems)
+    return points
+
+
+@dataclass
+class Group:
+    """Points that differ in alpha only, and share their trajectories.
+
+    ``done`` has the rows of each task's batches, by number.
+    """
+
+    points: list[Point]
+    done: dict[tuple[str, int], list[Row]] = field(default_factory=dict)
+    failure: str = ""
+
+
+def groups_of(points: Iterable[Point]) -> list[Group]:
+    """The points by trajectory, in order of first appearance."""
+    found: dict[str, Group] = {}
+    for point in points:
+        substance = _substance(point.scenario)
+        if not point.scenario.control.knows_alpha:
+            del substance["secrecy"]["alpha"]
+        misses = point.scenario.tap.loss
+        key = canonical([point.scenario.name, point.variant, substance, misses])
+        found.setdefault(key, Group([])).points.append(point)
+    return list(found.values())
+
+
+SOURCES: Final = (
+    "wyner/simulate/engine/*.py",
+    "wyner/sweeps/running.py",
+    "controller_service/**/*.py",
+    "plant_service/disturbance.py",
+    "wyner/simulate/missed.py",
+    "runtime/network.py",
+    "protocol/fates.py",
+    "protocol/gilbert_elliott.py",
+    "protocol/losses.py",
+    "protocol/link/channel.py",
+    "protocol/link/fallback.py",
+    "protocol/link/session.py",
+    "protocol/agreement.py",
+    "protocol/schemes/*.py",
+    "protocol/streams.py",
+    "protocol/registry.py",
+    "protocol/scenario/*.py",
+    "protocol/arrays.py",
+    "protocol/convex.py",
+    "protocol/vectors.py",
+)
+"""Where the numbers come from."""
+
+TAP_SOURCES: Final = ("wyner/simulate/engine/*.py", "tap_service/**/*.py", "protocol/knowledge.py")
+"""Where the numbers of eavesdroppers come from besides."""
+
+SHELLS: Final = ("service.py", "__main__.py", "design_cache.py", "diagrams.py")
+
+
+@cache
+def code_version(*more: str) -> str:
+    """The package's version and a hash of the sources that the numbers come from.
+
+    ``more`` are patterns of sources besides those of the loop.
+    """
+    from importlib.metadata import version
+
+    digest = hashlib.blake2b(digest_size=4)
+    for pattern in (*SOURCES, *more):
+        for path in sorted(ROOT.glob(pattern)):
+            if path.name not in SHELLS:
+                digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return f"{version('wyner')}+{digest.hexdigest()}"
+
+
+def describe(point: Point) -> str:
+    """The point without its alpha, in a few words."""
+    fields: Mapping[str, Any] = {k: v for k, v in point.fields.items() if k not in (ALPHA, FILE)}
+    parts = [point.scenario.name, *([point.variant] if point.variant else [])]
+    parts += [f"{name} = {canonical(value)}" for name, value in fields.items()]
+    return ", ".join(parts)

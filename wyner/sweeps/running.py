@@ -1,0 +1,300 @@
+"""Running a sweep: tasks for any executor, additive rows, a stopping rule.
+
+A point's runs come in batches. A task simulates one batch, and gives one row of counts for each
+alpha that shares its trajectories. Rows of one point add up, and they are written in one order; so
+a sweep that was stopped goes on where it ended, and it is the same rows whichever way it is run.
+Where more runs are asked for later, a batch that was cut short gets a further row with the rest.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+from operator import itemgetter
+from typing import Any
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.online import ProgramError
+from controller_service.laws.registry import cached_design, make_law
+from controller_service.sets.design import SynthesisError
+from protocol.scenario import Scenario
+from protocol.schemes.framing import frame_length
+from wyner.simulate.engine import Runs, SimulationError, follow, simulate_runs, transfer
+from wyner.sweeps.grid import (
+    Group,
+    Point,
+    Row,
+    Sweep,
+    SweepError,
+    code_version,
+    describe,
+    groups_of,
+)
+from wyner.sweeps.results import (
+    BY_RUN,
+    COUNTS,
+    Results,
+    key_of,
+    pairs_text,
+    summarise,
+    tap_columns,
+)
+
+
+@lru_cache(maxsize=64)
+def _law(substance: str) -> CandidateLaw:
+    scenario = Scenario.model_validate_json(substance)
+    return make_law(scenario, cached_design(scenario))
+
+
+def run_task(
+    scenario: str,
+    alphas: Sequence[float],
+    seed: int,
+    first: int,
+    runs: int,
+    steps: int,
+    eavesdroppers: Sequence[str] = (),
+    message: str = "",
+) -> tuple[str, list[Row] | str]:
+    """Simulate one batch; the code's version, and the measured columns for each alpha.
+
+    Instead of the columns one line where it cannot be simulated.
+
+    Parameters
+    ----------
+    scenario : str
+        As JSON: it travels to other processes and machines.
+    alphas : sequence of float
+    seed, first, runs, steps : int
+        Runs ``first`` to ``first + runs - 1``.
+    eavesdroppers : sequence of str
+        Who listens, each by name or as ``FILE.py:CLASS``.
+    message : str
+        What every run sends while they do.
+    """
+    one = Scenario.model_validate_json(scenario)
+    neutral = one
+    if not one.control.knows_alpha:
+        neutral = one.model_copy(update={"secrecy": one.secrecy.model_copy(update={"alpha": 1.0})})
+    try:
+        law = _law(neutral.model_dump_json(exclude={"description", "source"}))
+        simulated = simulate_runs(
+            one,
+            law,
+            seed=seed,
+            runs=range(first, first + runs),
+            steps=steps,
+            record=bool(eavesdroppers),
+        )
+    except (SynthesisError, ProgramError, SimulationError) as error:
+        return code_version(), str(error)
+    link = follow(simulated, alphas)
+    x2, u2 = simulated.state_cost / steps, simulated.input_effort / steps
+    common = {
+        "period_s": one.plant.period_s,
+        "candidates": one.secrecy.candidates,
+        "steps": steps,
+        "seed": seed,
+        "first_run": first,
+        "runs": runs,
+    }
+    sums = {
+        "state_cost": float(x2.sum()),
+        "state_cost_squares": float((x2 * x2).sum()),
+        "input_effort": float(u2.sum()),
+        "input_effort_squares": float((u2 * u2).sum()),
+    }
+    rows = []
+    for i in range(len(alphas)):
+        counts = {name: int(getattr(link, name)[i].sum()) for name in COUNTS}
+        histogram = Counter(link.message_symbols[i].tolist())
+        text = " ".join(f"{v}:{runs}" for v, runs in sorted(histogram.items()))
+        heard = _heard(simulated, alphas[i], eavesdroppers, message) if eavesdroppers else {}
+        agreed = zip(link.agreements[i].tolist(), link.tested[i].tolist(), strict=True)
+        by_run = {"runs_by_symbols": text, BY_RUN: pairs_text(agreed)}
+        rows.append(common | counts | sums | by_run | heard)
+    return code_version(), rows
+
+
+def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str) -> Row:
+    """What each eavesdropper got of these runs at one alpha."""
+    from wyner.simulate.engine.taps import listen
+
+    secrecy = runs.scenario.secrecy.model_copy(update={"alpha": alpha})
+    runs = replace(runs, scenario=runs.scenario.model_copy(update={"secrecy": secrecy}))
+    payload = message.encode()
+    size = frame_length(len(payload), secrecy.candidates)
+    link = transfer(runs, payloads=[payload] * (1 + runs.steps // size))
+    of_runs = [listen(runs, link, eavesdroppers, place) for place in range(len(runs.runs))]
+    row: Row = {}
+    for i, eavesdropper in enumerate(eavesdroppers):
+        mine = [of_run[i] for of_run in of_runs]
+        sums = [sum(column) for column in zip(*map(astuple, mine), strict=True)]
+        by_run = [
+            pairs_text((got.right, got.agreements) for got in mine),
+            pairs_text((got.read, got.delivered) for got in mine),
+        ]
+        row |= zip(tap_columns([name_of(eavesdropper)]), (*sums, *by_run), strict=True)
+    return row
+
+
+def name_of(eavesdropper: str) -> str:
+    """What her columns are called: her name, as on every screen.
+
+    Raises
+    ------
+    KnowledgeError
+        When there is no such eavesdropper.
+    """
+    from tap_service.sandboxed import guarded
+
+    return guarded(eavesdropper).name
+
+
+class SerialExecutor(Executor):
+    """Runs each call at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run ``fn`` now."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+Progress = Callable[[int, int], None]
+
+
+def looks(sweep: Sweep) -> Iterator[int]:
+    """Numbers of runs after which a point is looked at: doubling, up to the run limit."""
+    runs = sweep.runs
+    while runs < sweep.limit:
+        yield runs
+        runs *= 2
+    yield sweep.limit
+
+
+def _enough(sweep: Sweep, group: Group, runs: int) -> bool:
+    """Whether the first ``runs`` of every point of the group meet the stopping rule.
+
+    Whoever stops at the first narrow interval must have one that holds at every look. While all
+    runs of a point carried the same it has no limits and says nothing.
+    """
+    if sweep.stop is None:
+        return True
+    limit = sweep.stop.relative_width
+    rows = [row for done in group.done.values() for row in done if row["first_run"] < runs]
+    return all(s.rate_at_every_look.relative_width <= limit for s in summarise(rows))
+
+
+def run_sweep(
+    sweep: Sweep,
+    points: Sequence[Point],
+    results: Results,
+    executor: Executor,
+    progress: Progress | None = None,
+    ahead: int = 1,
+) -> list[str]:
+    """Run what is missing; rows are written in one order, whatever the executor.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the runs that are done and the runs that are foreseen.
+    ahead : int
+        Tasks that the executor is given before the oldest of them is waited for.
+
+    Returns
+    -------
+    list of str
+        One line for each group of points that could not be simulated.
+
+    Raises
+    ------
+    SweepError
+        When a worker has another version of the code.
+    """
+    groups = groups_of(points)
+    known: dict[tuple[str, str, str], list[Row]] = {}
+    for r in results.rows:
+        known.setdefault(key_of(r), []).append(r)
+    for group in groups:
+        for p in group.points:
+            for r in known.get(p.key, ()):
+                group.done.setdefault((p.task, r["first_run"] // sweep.batch), []).append(r)
+    waiting = list(groups)
+    finished = foreseen = 0
+    for runs in looks(sweep):
+        tasks = [
+            task
+            for group in waiting
+            for number in range(-(-runs // sweep.batch))
+            for task in _missing(group, number, sweep.batch, runs)
+        ]
+        foreseen += sum(task.runs for task in tasks)
+        under_way: deque[tuple[_Task, Future[Any]]] = deque()
+        for task in (*tasks, None):
+            if task is not None:
+                under_way.append((task, executor.submit(run_task, *task.arguments(sweep))))
+            while under_way and (task is None or len(under_way) >= ahead):
+                oldest, future = under_way.popleft()
+                _take(oldest, future, results, sweep.batch)
+                finished += oldest.runs
+                if progress is not None:
+                    progress(finished, foreseen)
+        waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, runs)]
+    return [f"{describe(g.points[0])}: {g.failure}" for g in groups if g.failure]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Runs of one batch of a group, for the points that lack them."""
+
+    group: Group
+    points: list[Point]
+    first: int
+    runs: int
+
+    def arguments(self, sweep: Sweep) -> tuple[Any, ...]:
+        """What :func:`run_task` takes."""
+        text = self.points[0].scenario.model_dump_json()
+        alphas = [p.scenario.secrecy.alpha for p in self.points]
+        loop = (text, alphas, sweep.seed, self.first, self.runs, sweep.steps)
+        return (*loop, list(sweep.eavesdroppers), sweep.message) if sweep.eavesdroppers else loop
+
+
+def _missing(group: Group, number: int, batch: int, runs: int) -> list[_Task]:
+    """What of a batch the rows of each point leave out, up to run ``runs - 1``."""
+    end = min((number + 1) * batch, runs)
+    lacking: dict[tuple[int, int], list[Point]] = {}
+    for p in group.points:
+        at = number * batch
+        for row in sorted(group.done.get((p.task, number), ()), key=itemgetter("first_run")):
+            until = min(row["first_run"], end)
+            if at < until:
+                lacking.setdefault((at, until), []).append(p)
+            at = row["first_run"] + row["runs"]
+        if at < end:
+            lacking.setdefault((at, end), []).append(p)
+    return [_Task(group, them, at, until - at) for (at, until), them in lacking.items()]
+
+
+def _take(task: _Task, future: "Future[Any]", results: Results, batch: int) -> None:
+    """Write a task's rows, unless its group has failed before."""
+    group = task.group
+    if group.failure:
+        future.cancel()
+        return
+    version, answer = future.result()
+    if version != code_version():
+        raise SweepError(f"a worker has code version {version}, this is {code_version()}")
+    if isinstance(answer, str):
+        group.failure = answer
+        return
+    for point, measured in zip(task.points, answer, strict=True):
+        done = group.done.setdefault((point.task, task.first // batch), [])
+        done.append(results.add(point, measured))
