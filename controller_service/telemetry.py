@@ -7,6 +7,7 @@ from controller_service.laws.online import OnlineLaw
 from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import OfferedCoins
 from protocol.link.events import Alarm
+from protocol.link.guarded import Guarded
 from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
@@ -40,12 +41,13 @@ class MessageQueue(Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase`` and ``detail`` are the core's to set.
+    ``phase`` and ``detail`` are the core's to set, ``guard`` is whoever's guards the messages.
     """
 
     def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
+        self.guard: Guarded | None = None
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None
         self._keys_refused = keys_refused
@@ -104,12 +106,13 @@ class ControllerTelemetry:
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self._unexplained,
-            defence="keyed-coin" if rules.keyed else "residual",
+            defence=rules.defence,
             watched=self._watched,
             unwatched=self._unwatched,
             coin_keys=coins.left,
             alarms=self._alarms,
             **self._last_alarm(),
+            **({} if self.guard is None else self.guard.told().fields()),
             **keying.told(self._keys_refused),
         )
 

@@ -8,6 +8,7 @@ from math import inf, isfinite
 from typing import Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
+from protocol.link.guarded import Guarded
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S
 from protocol.link.records import ReceiverRecord
@@ -39,8 +40,8 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class PlantTelemetry:
     """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``attack``, ``last_message`` and ``message_k`` are set from
-    outside; ``model`` is what does not change, as it travels.
+    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message`` and ``message_k`` are
+    set from outside; ``model`` is what does not change, as it travels.
 
     Parameters
     ----------
@@ -68,6 +69,7 @@ class PlantTelemetry:
         self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_refused = ""
         self.attack = ""
+        self.guard: Guarded | None = None
         self.model = _model(scenario, pace, seeded=seeded).wire()
         self._old = self._new = 0
         self._partial = Shown()
@@ -162,6 +164,7 @@ class PlantTelemetry:
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
             **keying.told(self.keys_refused),
+            **({} if self.guard is None else self.guard.told().fields()),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=pictured.x if pictured else (),

@@ -6,6 +6,7 @@ default, so that one that only looks at the transition has one method.
 """
 
 from abc import ABC
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -79,7 +80,7 @@ class Defence(ABC):
 
     @property
     def key_bits(self) -> float:
-        """Bits of key that a step costs: of its measurement, and of its offer where that is tagged."""
+        """Bits of key that a step costs: its measurement's, and its offer's if that is tagged."""
         return float(WORD_BITS * self.step_words * (1 + self.tags))
 
     def session_key(self, draw: np.random.Generator, runs: tuple[int, ...]) -> Words:
@@ -128,3 +129,8 @@ class Defence(ABC):
         ndarray of bool
         """
         return np.zeros(gauges.shape[:-1], bool)
+
+    def fails(self, gauges: Sequence[float]) -> bool:
+        """:meth:`alarm` of one transition, of a test that takes no key."""
+        none = np.zeros(0, np.uint32)
+        return bool(self.alarm(none, none, np.asarray(gauges)))

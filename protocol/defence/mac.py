@@ -56,6 +56,7 @@ class Field(NamedTuple):
 TAGS: Final = Field(WORD_BITS, 0x1_0000_008D)
 """x^32 + x^7 + x^3 + x^2 + 1."""
 
+
 def forging(words: int, field: Field = TAGS) -> float:
     """The most that one try at a message of so many words can succeed with."""
     return float((words + 1) / 2**field.bits)

@@ -135,7 +135,7 @@ class Forged(NamedTuple):
 
     def sentence(self) -> str:
         """As a line of the log."""
-        return f"ALARM at step {self.k}: a {self.message} was refused: {self.why}"
+        return f"ALARM at step {self.k}: {self.message} refused: {self.why}"
 
 
 class Timing(NamedTuple):

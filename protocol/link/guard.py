@@ -6,9 +6,10 @@ slot, and says the same (rules 1 and 2), but for its copy number and nonce, whic
 step that is missed leaves its slot unused for ever.
 
 On the wire a guarded message is the plain one with fields at its end: the batch and slot
-(``guard``), the step up to which its sender goes on so (``until``), and its tag (``mac``), or, where
-the measurement is coded, what opens it (``after``, ``rest``). Where no batch covers the step the
-message goes out plain. Who hears a plain message of a step that was promised as guarded refuses it.
+(``guard``), and its tag (``mac``), or, where the measurement is coded, what opens it (``after``,
+``rest``). Where no batch covers the step the message goes out plain; where messages are tagged and
+one has served, with its batch's *farewell*: a tag under a word kept for that. A bare message after
+the first guarded one is refused, so that who strips the tags is seen.
 """
 
 import re
@@ -24,44 +25,43 @@ from protocol.secret.tasks import Batch
 ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a message that is sent again has anew: no tag covers it."""
 
-_TAIL: Final = re.compile(rb',"guard":"(\d{1,9})/(\d{1,9})","until":(\d{1,18})(.*)\}$', re.DOTALL)
+_TAIL: Final = re.compile(rb',"guard":"(\d{1,9})/(\d{0,9})"(.*)\}$', re.DOTALL)
 _MAC: Final = re.compile(rb',"mac":"([0-9a-f]{8})"')
 
 
 class Opened(NamedTuple):
     """What comes of a message that was heard.
 
-    ``plain`` is what the end is told; None where it is not heard. ``until`` is the step up to which
-    its sender goes on to guard them, -1 where it was plain; ``needs`` the oldest batch that is still
-    needed. ``lacking``: it names a batch that is not held (yet). ``why`` it is refused as a forgery.
+    ``plain`` is what the end is told; None where it is not heard. ``number`` is the batch that it
+    is under, -1 where it was bare, and ``slot`` its place there, -1 for a farewell; ``needs`` the
+    oldest batch that is still needed. ``lacking``: it names a batch that is not held (yet). ``why``
+    it is refused as a forgery.
     """
 
     plain: bytes | None
-    until: int = -1
-    needs: int = 0
+    number: int = -1
+    slot: int = -1
+    needs: int = -1
     lacking: int = -1
     why: str = ""
 
 
 class Promise(NamedTuple):
-    """Steps whose messages their sender guards, by its own word: those after ``first`` to ``last``.
+    """What the partner's tags have shown: from after step ``first`` on no message is bare.
 
-    What comes plain of them is a forgery. That of ``first`` itself may have left plain before.
+    ``newest`` is the newest batch that one was under; -1: none yet.
     """
 
     first: int = -1
-    last: int = -1
+    newest: int = -1
 
-    def has(self, k: int) -> bool:
-        """Whether step ``k`` was promised."""
-        return self.first < k <= self.last
+    def refuses(self, k: int) -> bool:
+        """Whether a bare message of step ``k`` is a forgery."""
+        return self.newest >= 0 and k > self.first
 
-    def extended(self, k: int, until: int) -> "Promise":
-        """The promise after a guarded message of step ``k``."""
-        first = self.first if self.first <= k <= self.last + 1 else k
-        if k < self.first:  # an older message
-            return self
-        return Promise(first, max(until, self.last) if first == self.first else until)
+    def extended(self, k: int, number: int) -> "Promise":
+        """The promise after a message of step ``k`` under a batch."""
+        return Promise(k if self.newest < 0 else self.first, max(number, self.newest))
 
 
 class Guard:
@@ -151,17 +151,32 @@ class Guard:
         """
         number = self.covers(k)
         if number < 0:
-            return plain
+            return self._farewell(k, plain)
         slot = k - self._batches[number][0]
         key = self._key(number, slot)
         assert key is not None
         body, more = plain[:-1], b""
         if self.codes:
             body, more = self._coded(k, plain, key, after_k)
-        body += b',"guard":"%d/%d","until":%d' % (number, slot, self.until(k)) + more
+        body += b',"guard":"%d/%d"' % (number, slot) + more
         if self.tags:
             body += b',"mac":"%08x"' % self._tag(body, key)
         return body + b"}"
+
+    def _farewell(self, k: int, plain: bytes) -> bytes:
+        """A message that no batch covers, with the farewell of the last one that did."""
+        served = [n for n, (_, end, _) in self._batches.items() if end <= k]
+        if not self.tags or not served:
+            return plain
+        tag = self._last_tag(max(served))
+        return plain[:-1] + b',"guard":"%d/","mac":"%08x"}' % (max(served), tag)
+
+    def _last_tag(self, number: int) -> int:
+        """The farewell's tag: of the batch's number, under its last word."""
+        first, end, _ = self._batches[number]
+        key = self._key(number, end - first)
+        assert key is not None
+        return self._tag(b"farewell %d" % number, key)
 
     def _coded(
         self, k: int, plain: bytes, key: tuple[Words, Words], after_k: int
@@ -169,7 +184,7 @@ class Guard:
         """A measurement whose states are coded, and the fields that open it.
 
         ``x_after`` is under the key of its own step, as it was when it left as ``x``: under this
-        one's it would give away the other. Decoding rounds; ``rest`` has the bits that it gets wrong.
+        one's it would give away the other. Decoding rounds; ``rest`` has the bits that it misses.
         """
         said = from_json(plain)
         said["x"], rest = self._turned(k, said["x"], key)
@@ -208,38 +223,49 @@ class Guard:
         """What comes of a message of step ``k`` that was heard, after such a promise."""
         tail = _TAIL.search(wire)
         if tail is None:
-            return self._plain(k, wire, promise)
-        number, slot, until = int(tail[1]), int(tail[2]), int(tail[3])
+            return self._bare(k, wire, promise)
+        number, more = int(tail[1]), tail[3]
+        slot = int(tail[2]) if tail[2] else self._last(number)
         key = self._key(number, slot)
         if key is None:
             # of a batch that has served: it is late, and says nothing new
             return Opened(None, lacking=-1 if number < self.oldest else number)
-        more = tail[4]
+        farewell = slot == self._last(number)
         if self.tags:
             mac = _MAC.search(more)
-            if mac is None or int(mac[1], 16) != self._tag(wire[: tail.start(4) + mac.start()], key):
+            said = b"" if mac is None else wire[: tail.start(3) + mac.start()]
+            said = b"farewell %d" % number if farewell else said
+            if mac is None or int(mac[1], 16) != self._tag(said, key):
                 return Opened(None, why="its tag is wrong")
             more = more[: mac.start()]
+        elif farewell:
+            return Opened(None, why="it does not open")
         body = wire[: tail.start()] + b"}"
+        if farewell:  # of an older batch than the newest: late, and says nothing new
+            return Opened(body if number >= promise.newest else None, number, needs=number)
         if not self.codes:
-            return Opened(body, until, number)
+            return Opened(body, number, slot, number)
         decoded, needs = self._decoded(k, body, more, key)
         if decoded is None:
             return Opened(None, why="it does not open")
-        return Opened(decoded, until, number if needs < 0 else needs)
+        return Opened(decoded, number, slot, number if needs < 0 else needs)
 
     def without(self, k: int, wire: bytes, promise: Promise) -> Opened:
-        """The same of a message whose batch is nowhere to be had: it counts as a plain one."""
+        """The same of a message whose batch is nowhere to be had: it counts as a bare one."""
         tail = _TAIL.search(wire)
         if self.codes or tail is None:
-            return Opened(None, why="it cannot be opened" if promise.has(k) else "")
-        return self._plain(k, wire[: tail.start()] + b"}", promise)
+            return Opened(None)
+        return self._bare(k, wire[: tail.start()] + b"}", promise)
 
-    @staticmethod
-    def _plain(k: int, wire: bytes, promise: Promise) -> Opened:
-        if promise.has(k):
-            return Opened(None, why="it is not guarded, and was to be")
+    def _bare(self, k: int, wire: bytes, promise: Promise) -> Opened:
+        if self.tags and promise.refuses(k):
+            return Opened(None, why="it has no tag")
         return Opened(wire)
+
+    def _last(self, number: int) -> int:
+        """The slot that is kept for the farewell."""
+        first, end, _ = self._batches.get(number, (0, 0, None))
+        return end - first
 
     def _decoded(
         self, k: int, body: bytes, more: bytes, key: tuple[Words, Words]

@@ -5,7 +5,7 @@ The end itself knows nothing of it: what it says and hears, saves and traces is 
 
 from collections.abc import Callable
 from math import inf
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from pydantic_core import from_json
 
@@ -14,6 +14,7 @@ from protocol.link.events import Forged
 from protocol.link.guard import Guard, Opened, Promise
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Outgoing, Peer
 from protocol.messages import Measurement, Message, Offer
+from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Side
 from protocol.secret.tasks import Done, GuardKeys, GuardTask
 
@@ -46,6 +47,16 @@ class GuardTold(NamedTuple):
     ahead: int = 0
     forged: int = 0
     forged_k: int = -1
+
+    def fields(self) -> dict[str, Any]:
+        """As fields of a status."""
+        return {
+            "guarded": self.guarded,
+            "unguarded": self.unguarded,
+            "guard_ahead": self.ahead,
+            "forged": self.forged,
+            "forged_k": self.forged_k,
+        }
 
 
 class Guarded:
@@ -86,7 +97,7 @@ class Guarded:
         self._plain_k = -1
         self._asked = False
         self._again_at = -inf
-        self._promise = Promise()
+        self._promise, self._unsaid = Promise(), False
         self._lacking = self._looked = self._looks = -1
         self._told = GuardTold()
         if session is not None:
@@ -124,13 +135,20 @@ class Guarded:
             opened = self._in.without(k, payload, self._promise)
         if opened.plain is None:
             return self._refused(k, opened)
-        if opened.until >= 0:
-            self._promise = self._promise.extended(k, opened.until)
+        tasks: tuple[GuardTask, ...] = ()
+        if opened.number >= 0 and self._in.tags:
+            before, self._promise = self._promise, self._promise.extended(k, opened.number)
+            if before != self._promise:
+                self._unsaid = True
+                tasks = self._tasks(now)
+        if opened.number >= 0:
             self._in.drop_below(opened.needs)
+        if opened.slot >= 0:
             self._told = self._told._replace(guarded=self._told.guarded + 1)
         else:
             self._told = self._told._replace(unguarded=self._told.unguarded + 1)
-        return self._closed(self._end.receive(kind, opened.plain, now), now)
+        actions = self._closed(self._end.receive(kind, opened.plain, now), now)
+        return actions._replace(keys=(*actions.keys, *tasks)) if tasks else actions
 
     def wake_at(self) -> float:
         """When the end is due."""
@@ -146,6 +164,8 @@ class Guarded:
 
     def key_task_done(self, done: Done, now: float) -> Actions:
         """A task of the keys is done."""
+        if isinstance(done, BlockResult):
+            self._again_at = -inf  # there may be keys now
         if not isinstance(done, GuardKeys):
             return self._closed(self._end.key_task_done(done, now), now)
         self._asked = False
@@ -186,16 +206,16 @@ class Guarded:
         closed = self._out.closed(k, out.payload, after_k)
         if closed == out.payload:
             self._plain_k = k
-        else:
+        elif (number := self._out.covers(k)) >= 0:
             older = self._out.covers(after_k) if self._out.codes else -1
-            self._out.drop_below(older if older >= 0 else self._out.covers(k))
+            self._out.drop_below(older if older >= 0 else number)
         return out._replace(payload=closed)
 
     def _begin(self, session: str) -> None:
         """Another session begins, with keys of its own."""
         self._session = session
         self._k = self._plain_k = self._lacking = self._looked = self._looks = -1
-        self._promise = Promise()
+        self._promise, self._unsaid = Promise(), False
         self._out.begin()
         self._in.begin()
         self._again_at = -inf
@@ -208,9 +228,9 @@ class Guarded:
             return ()
         wants = now >= self._again_at and self._out.on
         wants = wants and self._out.until(self._k) < self._k + AHEAD
-        if not wants and self._lacking <= self._looked:
+        if not wants and self._lacking <= self._looked and not self._unsaid:
             return ()
-        self._asked, self._looks = True, self._lacking
+        self._asked, self._looks, self._unsaid = True, self._lacking, False
         guards = self._defence if self._out.on else None
         return (
             GuardTask(
@@ -240,11 +260,8 @@ class Guarded:
 
     def _refused(self, k: int, opened: Opened) -> Actions:
         """A message that is no message of the partner's, or that cannot be opened."""
-        if not opened.why and opened.lacking < 0 <= self._in.newest:
+        if not opened.why:  # late, or coded under a key that is not here
             return NOTHING_TO_DO
-        if not opened.why:
-            text = f"{self._heard.topic} {k} is under a key that is not here; ignored"
-            return Actions(notices=(Notice(text, "warning", "guard"),))
         before = self._told
         self._told = before._replace(forged=before.forged + 1, forged_k=k)
         event = Forged(self._session, k, self._heard.topic, opened.why)

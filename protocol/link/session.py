@@ -40,6 +40,8 @@ from protocol.agreement import (
     predict,
 )
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.defence.base import Defence
+from protocol.defence.key_digits import fails
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Offer
 from protocol.scenario import Scenario
@@ -75,6 +77,10 @@ class Rules:
         The plant's coin comes from keys, as long as there are some.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
+    defence : str
+        The test and what guards the messages, in words.
+    test : Defence, optional
+        A test of the user's, beside the residual.
     halts : bool
         An alarm ends the offers.
     """
@@ -90,6 +96,8 @@ class Rules:
     keyed: bool = False
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
+    defence: str = "residual"
+    test: Defence | None = None
 
     @property
     def size(self) -> int:
@@ -107,6 +115,19 @@ class Rules:
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
+
+    def fails(self, verdict: AgreementResult, expected: int) -> bool:
+        """Whether a transition fails its test.
+
+        Parameters
+        ----------
+        verdict : AgreementResult
+        expected : int
+            The candidate that a key chose; -1: none did.
+        """
+        if verdict.unexplained or (expected != NO_SYMBOL and fails(verdict.gauges, expected)):
+            return True
+        return self.test is not None and self.test.fails(verdict.gauges)
 
     def prediction(self, x: Vector, offer: Offer, candidate: int) -> Vector:
         """f_c(x, u_i) of one candidate of an offer."""
@@ -162,6 +183,8 @@ def rules_of(scenario: Scenario) -> Rules:
         keyed=scenario.defence.keyed,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
+        defence=scenario.defence.words(),
+        test=scenario.defence.test(scenario.n, scenario.secrecy.candidates),
     )
 
 

@@ -17,8 +17,7 @@ from protocol.messages.base import (
 )
 from protocol.vectors import FiniteVector
 
-
-Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{1,9})?$")]
+Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{0,9})?$")]
 Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
 Bits = Annotated[int, Field(ge=0, lt=2**64)]
 
@@ -62,9 +61,10 @@ class Measurement(_Step):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
-    guard, until, mac : str, int, str, optional
-        Batch and slot of the key that guards the message, as ``3/17``; the step up to which its
-        sender goes on so; and its tag, 8 hexadecimal digits. Only where messages are guarded.
+    guard, mac : str, optional
+        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
+        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
+        guarded.
     after, rest : str, tuple of int, optional
         Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
         rounds. Only where measurements are coded.
@@ -83,7 +83,6 @@ class Measurement(_Step):
     tag: Tag = ""
     applied_key: KeyName | None = None
     guard: Slot | None = None
-    until: Count | None = None
     after: Slot | None = None
     rest: tuple[Bits, ...] | None = None
     mac: Mac | None = None
@@ -126,7 +125,6 @@ class Offer(_Step):
     coin_from: Count | None = None
     coin_last: KeyName | None = None
     guard: Slot | None = None
-    until: Count | None = None
     mac: Mac | None = None
 
 

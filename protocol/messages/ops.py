@@ -352,6 +352,11 @@ class PlantStatus(_Status):
     key_blocks_begun : int
         Blocks begun in all lives. Each adds ``eps_sec`` to the distance from perfect keys, whatever
         became of it.
+    guarded, unguarded, guard_ahead : int
+        Messages of the partner's that were under a key, and plain ones, where messages are
+        guarded; and the steps to come for which this end holds keys to send under.
+    forged, forged_k : int
+        Messages that were refused as forgeries, and the step of the last one (-1: none).
     appearances : int
         How often a message leaves this end on the field bus.
     pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
@@ -406,6 +411,11 @@ class PlantStatus(_Status):
     key_blocks_waiting: Count = 0
     key_blocks_begun: Count = 0
     appearances: Count = 1
+    guarded: Count = 0
+    unguarded: Count = 0
+    guard_ahead: Count = 0
+    forged: Count = 0
+    forged_k: Annotated[int, Field(ge=-1)] = -1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -463,7 +473,7 @@ class ControllerStatus(_Status):
         against the one candidate that a key chose; and, where the coin is keyed, those that could
         not be.
     defence : str
-        The test: ``residual`` or ``keyed-coin``.
+        The test, ``residual``, ``keyed-coin`` or the user's, and what guards the messages.
     coin_keys : int
         Keys that are held for the coins of steps to come.
     alarms, alarm_k : int
@@ -504,9 +514,19 @@ class ControllerStatus(_Status):
     key_blocks_lost: Count = 0
     key_blocks_waiting: Count = 0
     appearances: Count = 1
+    guarded: Count = 0
+    unguarded: Count = 0
+    guard_ahead: Count = 0
+    forged: Count = 0
+    forged_k: Annotated[int, Field(ge=-1)] = -1
 
     def alarm_sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
+        if self.forged and self.forged_k > self.alarm_k:
+            return (
+                f"ALARMS: {self.alarms + self.forged}, the last at step {self.forged_k}: a "
+                "measurement was forged, and refused"
+            )
         if not self.alarms:
             return ""
         read, expected = (

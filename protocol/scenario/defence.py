@@ -73,6 +73,10 @@ class DefenceTable(ScenarioTable):
         """Whether distilled keys are spent on it."""
         return self.keyed or self.messages != CLEAR
 
+    def words(self) -> str:
+        """The test and what guards the messages."""
+        return self.kind if self.messages == CLEAR else f"{self.kind} + {self.messages}"
+
     def shared(self) -> dict[str, object]:
         """What both ends must agree on, for their fingerprint."""
         coin = {"coin": "keyed"} if self.keyed else {}

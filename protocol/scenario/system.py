@@ -197,9 +197,7 @@ class Scenario(Brief, ScenarioTable):
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
-        problems += self.defence.problems(
-            self.keys, self.link, self.n, self.secrecy.candidates
-        )
+        problems += self.defence.problems(self.keys, self.link, self.n, self.secrecy.candidates)
         try:
             _ = self.alarm_rule
         except ValueError as error:

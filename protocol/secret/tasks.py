@@ -80,7 +80,7 @@ class GuardTask(NamedTuple):
     wants: bool = False
     """Whether another batch is to be set aside."""
     promise: tuple[int, int] = (-1, -1)
-    """The steps, first and last, that the partner has said it guards; written down."""
+    """What the partner's tags have shown (:class:`protocol.link.guard.Promise`); written down."""
 
 
 class GuardKeys(NamedTuple):

@@ -72,9 +72,7 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
     return GuardKeys(task.session, tuple(sent), tuple(heard), promise, pending or number > 0)
 
 
-def _over(
-    db: sqlite3.Connection, task: GuardTask, uses: tuple[str, str]
-) -> list[tuple[str, str]]:
+def _over(db: sqlite3.Connection, task: GuardTask, uses: tuple[str, str]) -> list[tuple[str, str]]:
     """Keys of other sessions, and of batches that have served; with their uses."""
     found: list[tuple[str, str]] = []
     for column, taken in (("use", ""), ("there", "AND use IS NULL AND own = 0")):
@@ -118,7 +116,7 @@ def _first(store: KeyStore, use: str, begins: int) -> int:
 
 
 def _promise(store: KeyStore, task: GuardTask) -> tuple[int, int]:
-    """The steps that the partner has said it guards: as the end knows them, or as written down."""
+    """What the partner's tags have shown: as the end knows it, or as it was written down."""
     name = f"{GUARD} promise"
     if task.promise[1] >= 0:
         told = f"{task.session} {task.promise[0]} {task.promise[1]}"
@@ -128,8 +126,8 @@ def _promise(store: KeyStore, task: GuardTask) -> tuple[int, int]:
     session, _, steps = (store.note(name) or "").partition(" ")
     if session != task.session:
         return -1, -1
-    first, last = map(int, steps.split())
-    return first, last
+    first, newest = map(int, steps.split())
+    return first, newest
 
 
 def _note(use: str) -> str:

@@ -20,10 +20,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from attacker_service.asking import Attacker
+from attacker_service.attacks import named
+from attacker_service.relay import Relay
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
@@ -68,20 +72,47 @@ def sized(name: str, size: int, *, keyed: bool) -> Scenario:
 
 
 def run(
-    scenario: Scenario, law: CandidateLaw, steps: int, folder: Path, attack: Attack | None = None
+    scenario: Scenario,
+    law: CandidateLaw,
+    steps: int,
+    folder: Path,
+    attack: Attack | None = None,
+    pace: str = "fast",
+    seconds: float = float("inf"),
 ) -> None:
-    """Both services up to step ``steps``; they go on from what is in the folder."""
-    field, ops, stopping = MemoryHub(), MemoryHub(), threading.Event()
-    controller = ControllerService(
-        ControllerConfig(scenario, folder, "loop", law), MemoryBus(field), MemoryBus(ops), stopping
-    )
-    thread = threading.Thread(target=controller.run)
+    """Both services up to step ``steps``, or for so long; they go on from what is in the folder.
+
+    An attack on the bus stands between the two field buses, on a thread.
+    """
+    hubs, ops, over = [MemoryHub()], MemoryHub(), threading.Event()
+    with ExitStack() as stack:
+        if attack is not None and named(attack.kind).at == "bus":
+            hubs.append(MemoryHub())
+            attacker = Attacker(scenario, attack, None)
+            stack.callback(attacker.close)
+            relay = Relay(attacker, *map(MemoryBus, hubs), "loop")
+            stack.enter_context(_beside(lambda: relay.run(over), over))
+        config = ControllerConfig(scenario, folder, "loop", law)
+        controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(ops), over)
+        stack.enter_context(_beside(controller.run, over))
+        stopping = threading.Event()
+        if seconds < float("inf"):
+            timer = threading.Timer(seconds, stopping.set)
+            stack.callback(timer.cancel)
+            timer.start()
+        plant = PlantConfig(scenario, folder, "loop", Pace(pace), steps=steps, attack=attack)
+        PlantService(plant, MemoryBus(hubs[0]), MemoryBus(ops), stopping).run()
+
+
+@contextmanager
+def _beside(work: Callable[[], object], over: threading.Event) -> Iterator[None]:
+    """Have something done on a thread, which ends with this."""
+    thread = threading.Thread(target=work)
     thread.start()
     try:
-        config = PlantConfig(scenario, folder, "loop", Pace("fast"), steps=steps, attack=attack)
-        PlantService(config, MemoryBus(field), MemoryBus(ops), threading.Event()).run()
+        yield
     finally:
-        stopping.set()
+        over.set()
         thread.join(20)
 
 
