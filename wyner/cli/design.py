@@ -5,7 +5,10 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from runtime.errors import DONE, Failure, UsageError
+from runtime.options import picked
 from wyner.cli.alphas import ABOUT, show_alphas
+from wyner.cli.noise import NoiseOptions, refuse_alone, show_noise
+from wyner.cli.noise import add_arguments as add_noise_arguments
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead: whether it carries keys if read by these states alone, the Ith with a noise "
         "of half-width W",
     )
+    add_noise_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,6 +77,11 @@ def run(args: argparse.Namespace) -> int:
         return show_outputs(scenario, args.outputs, as_json=args.json)
     if args.alphas is not None:
         return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
+    asked = picked(NoiseOptions, vars(args))
+    if asked.noise is None:
+        refuse_alone(asked)
+    else:
+        return show_noise(scenario, asked, as_json=args.json, figure=args.plot)
     begin = time.perf_counter()
     try:
         with shown_progress(args.patience) as progress:
