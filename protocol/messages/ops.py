@@ -453,6 +453,10 @@ class PlantStatus(_Status):
             raise ValueError("expected vectors that fit together")
         return self
 
+    def alarm_sentence(self) -> str:
+        """The offers that were refused as forgeries, in words; empty where there is none."""
+        return _forgeries(self.forged, self.forged_k, "offers") if self.forged else ""
+
 
 class ControllerStatus(_Status):
     """What the controller knows, for the dashboard.
@@ -523,10 +527,7 @@ class ControllerStatus(_Status):
     def alarm_sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
         if self.forged and self.forged_k > self.alarm_k:
-            return (
-                f"ALARMS: {self.alarms + self.forged}, the last at step {self.forged_k}: a "
-                "measurement was forged, and refused"
-            )
+            return _forgeries(self.forged, self.forged_k, "measurements")
         if not self.alarms:
             return ""
         read, expected = (
@@ -536,6 +537,10 @@ class ControllerStatus(_Status):
             f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
             f"({expected})"
         )
+
+
+def _forgeries(count: int, k: int, what: str) -> str:
+    return f"ALARMS: {count} {what} refused as forgeries, the last at step {k}"
 
 
 Status = PlantStatus | ControllerStatus

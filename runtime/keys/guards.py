@@ -65,7 +65,8 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
             if number > task.heard_after
         ]
         promise = _promise(store, task)
-        number = 0 if pending or not task.wants else min(MOST, store.available())
+        half = (store.available() + 1) // 2  # the others are for other uses
+        number = 0 if pending or not task.wants else min(MOST, half)
         if number:
             use = new_use(GUARD, f"{task.session} {_next_number(db, uses):08d}")
             store.set_aside_within(db, use, number)

@@ -90,7 +90,7 @@ def run(
             hubs.append(MemoryHub())
             attacker = Attacker(scenario, attack, None)
             stack.callback(attacker.close)
-            relay = Relay(attacker, *map(MemoryBus, hubs), "loop")
+            relay = Relay(attacker, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
             stack.enter_context(_beside(lambda: relay.run(over), over))
         config = ControllerConfig(scenario, folder, "loop", law)
         controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(ops), over)
