@@ -1,19 +1,21 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
 from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import OfferedCoins
 from protocol.link.events import Alarm
-from protocol.link.guarded import Guarded
 from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
 

@@ -5,10 +5,9 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from math import inf, isfinite
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.guarded import Guarded
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S
 from protocol.link.records import ReceiverRecord
@@ -18,6 +17,9 @@ from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""

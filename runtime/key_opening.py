@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from protocol.link.guarded import MARGIN, Guarded
 from protocol.link.peer import Actions, Peer
 from protocol.scenario import Scenario
 from protocol.secret.records import Key, Side, StoreError
@@ -15,6 +14,9 @@ from runtime.keys.key_maker import KeyMakerAt
 from runtime.keys.ledger import take_secret
 from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 
 class Counting(Protocol):
@@ -112,7 +114,7 @@ def guarded(
     scenario: Scenario,
     record: Counting | None,
     halt: Callable[[], Actions] | None = None,
-) -> Guarded | None:
+) -> "Guarded | None":
     """The end with its messages guarded, by the keys that its store holds; None where none is.
 
     Raises
@@ -120,6 +122,8 @@ def guarded(
     UsageError
         When the store cannot be used.
     """
+    from protocol.link.guarded import MARGIN, Guarded
+
     defence = scenario.defence.guard(scenario.n, scenario.secrecy.candidates)
     if at is None or defence is None:
         return None

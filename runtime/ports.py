@@ -5,10 +5,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from protocol.link.events import Event
-from protocol.link.guarded import Guarded
 from protocol.link.peer import Notice, Write
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
@@ -17,6 +16,9 @@ from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 
 class Journal(Protocol):
@@ -40,7 +42,7 @@ class Files:
     trace: TraceWriter
     health: Path
     key_maker: KeyMakerAt | None = None
-    guarded: Guarded | None = None
+    guarded: "Guarded | None" = None
 
     def close(self) -> None:
         """Close journal and trace."""

@@ -29,7 +29,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
 
 from protocol.agreement import (
     INSIDE,
@@ -40,7 +40,6 @@ from protocol.agreement import (
     predict,
 )
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
-from protocol.defence.base import Defence
 from protocol.defence.key_digits import fails
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Offer
@@ -50,6 +49,9 @@ from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.defence.base import Defence
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
@@ -97,7 +99,7 @@ class Rules:
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     defence: str = "residual"
-    test: Defence | None = None
+    test: "Defence | None" = None
 
     @property
     def size(self) -> int:

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final, Literal
 
 from protocol.defence.alarm_rule import AlarmRule, alarm_rule
-from protocol.defence.registry import DEFENCES
 from protocol.defence.words import KEY_WORDS
 from protocol.registry import UnknownError
 from protocol.scenario.defender import Calibration
@@ -20,6 +19,13 @@ CLEAR: Final = "clear"
 
 TESTS: Final = ("residual", "keyed-coin")
 """The tests that are shipped."""
+
+
+def _class(name: str) -> "type[Defence]":
+    """A defence's class; loaded where there is one, since it takes numerics."""
+    from protocol.defence.registry import DEFENCES
+
+    return DEFENCES[name]
 
 
 class DefenceTable(ScenarioTable):
@@ -56,7 +62,7 @@ class DefenceTable(ScenarioTable):
         UnknownError
             In one line, when there is no such class.
         """
-        return None if self.kind in TESTS else DEFENCES[self.kind](states, candidates)
+        return None if self.kind in TESTS else _class(self.kind)(states, candidates)
 
     def guard(self, states: int, candidates: int) -> "Defence | None":
         """What guards the messages; None: nothing does.
@@ -66,7 +72,7 @@ class DefenceTable(ScenarioTable):
         UnknownError
             In one line, when there is no such class.
         """
-        return None if self.messages == CLEAR else DEFENCES[self.messages](states, candidates)
+        return None if self.messages == CLEAR else _class(self.messages)(states, candidates)
 
     @property
     def takes_keys(self) -> bool:
@@ -85,6 +91,8 @@ class DefenceTable(ScenarioTable):
 
     @staticmethod
     def _name(name: str) -> tuple[str, ...]:
+        from protocol.defence.registry import DEFENCES
+
         source = DEFENCES.source(name)
         return (DEFENCES[name].name, source) if source else (name,)
 
@@ -131,6 +139,8 @@ class DefenceTable(ScenarioTable):
     @staticmethod
     def _unfit(field: str, name: str, states: int, candidates: int) -> Iterator[str]:
         """Why a defence cannot do what ``field`` asks of it."""
+        from protocol.defence.registry import DEFENCES
+
         try:
             made = DEFENCES[name](states, candidates)
         except UnknownError as error:

@@ -14,7 +14,7 @@ from protocol.link import guarded
 from protocol.link.guard import ANEW, Guard, Promise
 from protocol.messages import Measurement
 from protocol.secret.tasks import Batch
-from runtime.keys import guards
+from runtime.keys.store import KeyStore
 from tests.secret.test_keyed_link import RULES, KeyedLink
 from tests.support.keyed_link import SIDES, World
 
@@ -89,32 +89,35 @@ def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
 
 def every_process_begins_anew(patch: pytest.MonkeyPatch) -> None:
     """The first step of a batch is not written down."""
-    patch.setattr(guards, "_first", lambda _store, _use, begins: begins)
+    note = KeyStore.note
+
+    def forgets(self: KeyStore, name: str) -> str | None:
+        return None if name.startswith("first step") else note(self, name)
+
+    patch.setattr(KeyStore, "note", forgets)
 
 
-def by_messages(patch: pytest.MonkeyPatch) -> None:
-    """A slot for each message that leaves, and not for each step."""
-    right = Guard.covers
-    left: dict[int, int] = {}
+def a_slot_serves_two_steps(patch: pytest.MonkeyPatch) -> None:
+    """A slot serves two steps."""
+    right = Guard.closed
 
-    def wrong(self: Guard, k: int) -> int:
-        number = right(self, k)
-        if number >= 0:
-            first, end, words = self._batches[number]
-            left[number] = left.get(number, -1) + 1
-            shifted = k - left[number] % max(1, end - first)
-            self._batches[number] = shifted, shifted + end - first, words
-        return number
+    def wrong(self: Guard, k: int, plain: bytes, after_k: int = -1) -> bytes:
+        return right(self, k - k % 2, plain, after_k)
 
-    patch.setattr(Guard, "covers", wrong)
+    patch.setattr(Guard, "closed", wrong)
 
 
 def no_farewell(patch: pytest.MonkeyPatch) -> None:
     """A sender whose keys have run out sends bare messages."""
-    patch.setattr(Guard, "_farewell", lambda _self, _k, plain: plain)
+    right = Guard.closed
+
+    def wrong(self: Guard, k: int, plain: bytes, after_k: int = -1) -> bytes:
+        return plain if self.covers(k) < 0 else right(self, k, plain, after_k)
+
+    patch.setattr(Guard, "closed", wrong)
 
 
-@pytest.mark.parametrize("wrong", [every_process_begins_anew, by_messages, no_farewell])
+@pytest.mark.parametrize("wrong", [every_process_begins_anew, a_slot_serves_two_steps, no_farewell])
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
