@@ -73,6 +73,7 @@ class PlantTelemetry:
         self.attack = ""
         self.guard: Guarded | None = None
         self.model = _model(scenario, pace, seeded=seeded).wire()
+        self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
         self._partial = Shown()
         self._seq = 0
@@ -109,6 +110,12 @@ class PlantTelemetry:
             self._health_at = now_s + HEALTH_S
         return due
 
+    def _state(self, record: ReceiverRecord) -> Vector:
+        """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
+        if record.seen is not None:
+            return record.seen.box.centre
+        return (0.0,) * self._hidden or record.x
+
     def status(
         self,
         record: ReceiverRecord,
@@ -142,7 +149,7 @@ class PlantTelemetry:
             session=record.session,
             sessions=record.sessions,
             k=record.k,
-            x=record.x,
+            x=self._state(record),
             transitions=record.transitions,
             missed=record.missed,
             late=self.late,
@@ -169,14 +176,14 @@ class PlantTelemetry:
             **({} if self.guard is None else self.guard.told().fields()),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
-            pictured_x=pictured.x if pictured else (),
+            pictured_x=_before(pictured) if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),
-            pictured_x_next=pictured.x_next if pictured else (),
+            pictured_x_next=_after(pictured) if pictured else (),
             pictured_gauges=pictured.verdict.gauges if pictured else (),
             pictured_symbol=pictured.symbol if pictured else -1,
             pictured_inside=pictured.verdict.inside if pictured else 0,
             tail_k=tuple([t.k for t in tail]),
-            tail_x=tuple([t.x for t in tail]),
+            tail_x=tuple([_before(t) for t in tail]),
             tail_role=tuple([t.role for t in tail]),
             tail_symbol=tuple([t.symbol for t in tail]),
             tail_automaton=tuple([t.s for t in tail]),
@@ -187,6 +194,16 @@ class PlantTelemetry:
         )
 
 
+def _before(t: CountedTransition) -> Vector:
+    """x(k) as both ends have it: as it is read, or the centre of its box."""
+    return t.x if t.verdict.box is None else t.verdict.box.centre
+
+
+def _after(t: CountedTransition) -> Vector:
+    """x(k+1) likewise."""
+    return t.x_next if t.verdict.seen is None else t.verdict.seen.box.centre
+
+
 def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
     """The true states of an attacked plant after these, where all of them are known."""
     true = tuple(t.truth.x_next for t in tail if t.truth is not None)
@@ -195,7 +212,7 @@ def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
     """What does not change while this process lives."""
-    H, h = scenario.test_set.rows()
+    H, h = (scenario.test_set if scenario.plant.C is None else scenario.resisted).rows()
     own = scenario.secrecy.disturbance is not None
     hers = scenario.eavesdropper_set.rows() if own else ((), ())
     return PlantModel(

@@ -124,7 +124,7 @@ def guarded(
     """
     from protocol.link.guarded import MARGIN, Guarded
 
-    defence = scenario.defence.guard(scenario.n, scenario.secrecy.candidates)
+    defence = scenario.defence.guard(scenario.readings, scenario.secrecy.candidates)
     if at is None or defence is None:
         return None
     session = None if record is None else record.session
