@@ -288,7 +288,7 @@ class World:
             message = kind.model_validate_json(payload)
             assert isinstance(message, Measurement | Offer)
             self.copies.left(message)
-            if message.guard:
+            if message.guard and not message.guard.endswith("/"):  # a farewell is the same in all
                 at = side, message.session, message.guard
                 said = ANEW.sub(b"", payload, 1)
                 assert self.slots.setdefault(at, said) == said, "a slot served two messages"
