@@ -18,7 +18,6 @@ from pydantic import ValidationError
 
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.defence.key_digits import fails
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
 from protocol.link.events import Alarm, Delivered, Queued, SessionBegan
@@ -311,6 +310,15 @@ class ControllerCore:
             self.coins.confirmed()
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
+    def halt(self) -> Actions:
+        """A message was forged: where an alarm ends the offers, so does this."""
+        if not self.rules.halts or self.record.halted:
+            return NOTHING_TO_DO
+        self.record = self.record._replace(halted=True)
+        if self._telemetry is not None:
+            self._telemetry.phase = "alarmed"
+        return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keying, self.record.session, self.record.k, count)
@@ -450,9 +458,7 @@ class ControllerCore:
         if verdict.seen is not None:
             following = following._replace(seen=verdict.seen)
         expected = self.coins.expected(offer, measurement.applied_key)
-        failed = verdict.unexplained
-        if expected != NO_SYMBOL:
-            failed = failed or fails(verdict.gauges, expected)
+        failed = self.rules.fails(verdict, expected)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
         if tests != record.failed or alarm:
             halted = record.halted or (alarm and self.rules.halts)
