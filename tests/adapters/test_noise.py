@@ -58,7 +58,7 @@ def plants(kind: str, folder: Path) -> Callable[[], PlantAdapter]:
 
 @pytest.mark.parametrize("kind", [*KINDS, "device"])
 def test_keys_are_agreed_through_noise_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
-    """200 steps, seed 2: every tested step agrees on the coin, and readings are off by N at most."""
+    """200 steps, seed 2: every tested step agrees on the coin; readings are off by N at most."""
     scenario = noisy(simulated=kind != "device")
     both = Simulation(
         scenario,

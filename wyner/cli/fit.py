@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         told = f"{text} ({default})"
         parser.add_argument(option, type=kind, default=default, metavar=metavar, help=told)
 
-
     parser.add_argument(
         "--noise",
         type=float,

@@ -246,7 +246,8 @@ def _of_noise(N: NoiseSet | None, A: Array) -> Array:
         return np.zeros(len(A))
     D_c = ConvexSet(half_widths=tuple(nothing.tolist()))
     wide = widened(D_c, N, tuple(map(tuple, A.tolist())))
-    return np.array(wide.half_widths) - nothing
+    added: Array = np.array(wide.half_widths) - nothing
+    return added
 
 
 def _resting_on(N: NoiseSet | None, A: Array, widths: Array) -> Array:
